@@ -70,10 +70,6 @@ SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devi
 FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
 ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.")]
-FolderOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; by default in the run's.")
-]
 AnswersOption = Annotated[
     Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
 ]
@@ -199,81 +195,6 @@ def graph_command() -> None:
     from procedures.steps.catalogue import CLINICAL_STEPS
 
     sys.stdout.write(mermaid(CLINICAL_STEPS))
-
-
-@app.command("report")
-def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Make the report of a run anew from its folder: report.html, and its pictures and data in report/."""
-    from procedures.cli.case.leaving_report import make_report
-    from ronna_hw.command_line.console import print_json
-
-    path = make_report(run_folder, out)
-    if as_json:
-        print_json({"report": str(path)})
-    else:
-        sys.stdout.write(f"{path}\n")
-
-
-@app.command("export")
-def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them.
-
-    Into the run's folder `export`, unless told otherwise.
-    """
-    from procedures.exchange.run_export import export_run
-    from ronna_hw.command_line.console import print_json, tell
-
-    written = export_run(run_folder, out or run_folder / "export")
-    if as_json:
-        print_json({"files": [str(path) for path in written]})
-        return
-    for path in written:
-        tell(str(path))
-
-
-@app.command("watch")
-def watch_command(
-    run_folder: RunArgument,
-    as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
-) -> None:
-    """Follow a run from another terminal: how things stand, then what happens, until it has ended.
-
-    Reads RUN/events.jsonl and changes nothing; any number may watch.
-    """
-    from procedures.cli.case.watching import watch
-
-    watch(run_folder, as_json=as_json)
-
-
-@app.command("replay")
-def replay_command(
-    run_folder: RunArgument,
-    as_json: JsonOption = False,
-) -> None:
-    """Compute every result of a run again from its recorded readings, and compare. Touches no device.
-
-    Exit codes: 0 everything is equal, 1 a record differs or cannot be computed again.
-    """
-    from procedures.cli.replay_run import replay_run
-
-    replay_run(run_folder, as_json=as_json)
-
-
-@app.command("bytes")
-def bytes_command(
-    run_folder: RunArgument,
-    link: Annotated[str | None, typer.Option(help="A link, or the device whose links are meant.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to begin with, s.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end with, s.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
-) -> None:
-    """Print what passed on a run's links: time, direction, bytes in hex and as text.
-
-    The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
-    """
-    from procedures.cli.bytes_of_run import print_bytes
-
-    print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
 
 
 @app.command("doctor")

@@ -10,20 +10,15 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.truth import truth_if_any
 from procedures.engine.journal import JOURNAL_FILE
-from procedures.engine.run_lock import held_run
-from ronna_hw.command_line.errors import PathProblem, as_ronna_error
+from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import closed_files, inspected, is_closed
+from ronna_hw.evidence.inspection import closed_files, is_closed
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import seal
-from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
-
-RUN_PARTS = ("journal.jsonl", "records", "request.json", LOG_FILE)  # one of them makes a folder a run
-NOT_INTO_IT = "The folder is kept as it is; with --out DIR its report shows what can still be read."
 
 
 def error_of(problem: BaseException) -> RunError | None:
@@ -78,25 +73,3 @@ def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
         raise
     leave_report(folder, with_truth=with_truth)
     seal_run(folder)
-
-
-def make_report(run: Path, out: Path | None = None) -> Path:
-    """The report of any run folder, made anew.
-
-    Raises CLI-005 for what is no run; without `out` PRO-030 where another program has it open, PRO-033 for
-    one that was changed; OSError.
-    """
-    if not any((run / part).exists() for part in RUN_PARTS):
-        raise PathProblem(f"{run} is not the folder of a run", expected="a folder with journal.jsonl")
-    from procedures.reporting.report import write_report
-
-    with contextlib.nullcontext() if out else held_run(run):
-        found = inspected(run)
-        if out is None:
-            found.require_unchanged(NOT_INTO_IT)
-        for problem in found.problems:
-            tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
-        path = write_report(run, truth=truth_if_any(run), out=out)
-        if out is None:
-            seal_run(run)
-    return path

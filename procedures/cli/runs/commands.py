@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -10,7 +12,21 @@ import typer
 from ronna_hw.command_line.console import JsonOption, LogLevelOption, VerboseOption, set_up_logging
 from ronna_hw.command_line.errors import UsageMistake
 
-RunArgument = Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")]
+
+def _run_folder(folder: Path) -> Path:
+    """The folder of a run, which it is. Raises CLI-005."""
+    from procedures.cli.runs.folders import require_run
+
+    require_run(folder)
+    return folder
+
+
+RunArgument = Annotated[
+    Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
+]
+FolderOption = Annotated[
+    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; by default in the run's.")
+]
 
 AcceptOption = Annotated[
     bool, typer.Option("--accept", help="Accept what is found, unasked; in a simulated theatre only.")
@@ -82,7 +98,7 @@ def acknowledge_command(
 
     by = getpass.getuser() if by is None else by
     if run_folder is not None:
-        acknowledge_run(run_folder, by, as_json=as_json)
+        acknowledge_run(_run_folder(run_folder), by, as_json=as_json)
     elif config is not None:
         acknowledge_theatre(config, by, as_json=as_json)
 
@@ -121,12 +137,93 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
     show_run(run_folder, as_json=as_json)
 
 
+def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
+    """Make the report of a run anew from its folder: report.html, and its pictures and data in report/."""
+    from procedures.cli.runs.report import make_report
+    from ronna_hw.command_line.console import print_json
+
+    path = make_report(run_folder, out)
+    if as_json:
+        print_json({"report": str(path)})
+    else:
+        sys.stdout.write(f"{path}\n")
+
+
+def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
+    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them.
+
+    Into the run's folder `export`, unless told otherwise.
+    """
+    from procedures.exchange.run_export import export_run
+    from ronna_hw.command_line.console import print_json, tell
+
+    written = export_run(run_folder, out or run_folder / "export")
+    if as_json:
+        print_json({"files": [str(path) for path in written]})
+        return
+    for path in written:
+        tell(str(path))
+
+
+def watch_command(
+    run_folder: RunArgument,
+    as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
+) -> None:
+    """Follow a run from another terminal: how things stand, then what happens, until it has ended.
+
+    Reads RUN/events.jsonl and changes nothing; any number may watch.
+    """
+    from procedures.cli.runs.watching import watch
+
+    watch(run_folder, as_json=as_json)
+
+
+def replay_command(
+    run_folder: RunArgument,
+    as_json: JsonOption = False,
+) -> None:
+    """Compute every result of a run again from its recorded readings, and compare. Touches no device.
+
+    Exit codes: 0 everything is equal, 1 a record differs or cannot be computed again.
+    """
+    from procedures.cli.runs.replay import replay_run
+
+    replay_run(run_folder, as_json=as_json)
+
+
+def bytes_command(
+    run_folder: RunArgument,
+    link: Annotated[str | None, typer.Option(help="A link, or the device whose links are meant.")] = None,
+    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to begin with, s.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end with, s.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
+) -> None:
+    """Print what passed on a run's links: time, direction, bytes in hex and as text.
+
+    The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
+    """
+    from procedures.cli.runs.bytes import print_bytes
+
+    print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    "resume": resume_command,
+    "home": home_command,
+    "acknowledge": acknowledge_command,
+    "verify": verify_command,
+    "lineage": lineage_command,
+    "list": list_command,
+    "show": show_command,
+    "report": report_command,
+    "export": export_command,
+    "watch": watch_command,
+    "replay": replay_command,
+    "bytes": bytes_command,
+}
+
+
 def add_commands(app: typer.Typer) -> None:
     """Give an application these commands."""
-    app.command("resume")(resume_command)
-    app.command("home")(home_command)
-    app.command("acknowledge")(acknowledge_command)
-    app.command("verify")(verify_command)
-    app.command("lineage")(lineage_command)
-    app.command("list")(list_command)
-    app.command("show")(show_command)
+    for name, command in COMMANDS.items():
+        app.command(name)(command)

@@ -4,14 +4,20 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from procedures.cli.case.request_file import REQUEST_FILE
+from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, REQUEST_FILE
+from ronna_hw.log_output import LOG_FILE
+from ronna_hw.recording.byte_lines import BYTES_FOLDER
+
+# One of them makes a folder a run.
+RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder is that of a run."""
-    return any((folder / name).exists() for name in (REQUEST_FILE, JOURNAL_FILE))
+    """Whether a folder is that of a run, however little of it is left."""
+    return any((folder / name).exists() for name in RUN_PARTS)
 
 
 def require_run(folder: Path) -> None:

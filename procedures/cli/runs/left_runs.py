@@ -13,7 +13,7 @@ from procedures.cli.case.request_file import read_request
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
-from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.records import PARTIAL
 
@@ -22,9 +22,7 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
 def request_of(folder: Path, *, accept: bool = False, answers: Path | None = None) -> CaseRequest:
-    """What the run was asked for, answered by that file. Raises CLI-001, CLI-005, PRO-026, 031 and 034."""
-    if not folder.is_dir():
-        raise PathProblem(f"{folder} is not a folder", expected="the folder of a run")
+    """What the run was asked for, answered by that file. Raises CLI-001, PRO-026, 031 and 034."""
     request = read_request(folder.resolve())
     if answers is not None:
         from procedures.cli.case.answers import read_answers

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.runs.folders import require_run, runs_in
+from procedures.cli.runs.folders import runs_in
 from procedures.engine.journal import Entry
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
@@ -40,7 +40,6 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print what a run did, how it ended, and the errors at its targets."""
-    require_run(folder)
     reading = read_for_report(folder)
     row = _summary(reading)
     if as_json:
@@ -72,7 +71,6 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     from procedures.engine.lineage import lineage_mermaid, lineage_text
     from procedures.engine.run_folder import read_run
 
-    require_run(folder)
     run = read_run(folder)
     sys.stdout.write(lineage_mermaid(run) if as_mermaid else lineage_text(run))
 

@@ -23,10 +23,8 @@ class FollowedRun:
     """Reads only; any number may follow the same run."""
 
     def __init__(self, folder: Path, sleep: Callable[[float], None] = time.sleep) -> None:
-        """Raises CLI-005 for a folder that is no run or has no events."""
+        """Raises CLI-005 for a folder without events."""
         self._path = folder / EVENTS_FILE
-        if not folder.is_dir():
-            raise PathProblem(f"there is no run {folder}", expected="the folder of a run")
         if not self._path.is_file():
             raise PathProblem(f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has begun")
         self._sleep = sleep

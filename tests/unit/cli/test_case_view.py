@@ -9,7 +9,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 
 from procedures.cli.case.case_view import CaseView, entry_of
-from procedures.cli.case.watching import line_of
+from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
 from procedures.engine.events import Event
 from procedures.engine.result import StepResult

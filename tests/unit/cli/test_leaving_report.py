@@ -7,11 +7,10 @@ from pathlib import Path
 import pytest
 from user_commands import in_this_process
 
-from procedures.cli.case.leaving_report import leaving_report, make_report
+from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.procedure import app
 from procedures.engine.errors import GateFailed
 from procedures.reporting import report
-from ronna_hw.command_line.errors import PathProblem
 
 
 @pytest.mark.hazard(41)
@@ -41,8 +40,3 @@ def test_the_command_makes_the_report_of_a_run_that_was_killed_at_once(tmp_path:
     (tmp_path / "log.jsonl").touch()
     done = in_this_process(app, "report", tmp_path)
     assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'report.html'}\n")
-
-
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(PathProblem, match="is not the folder of a run"):
-        make_report(tmp_path)

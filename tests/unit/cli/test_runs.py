@@ -22,6 +22,7 @@ from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_r
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
+from procedures.cli.runs.commands import COMMANDS
 from procedures.cli.runs.resume import close_left
 from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
 from procedures.engine.journal import Entry
@@ -29,7 +30,14 @@ from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
-from ronna_hw.errors import EXIT_LINK_LOST, EXIT_RECOVERY_NEEDED, EXIT_REFUSED, EXIT_USAGE, LinkTimeout
+from ronna_hw.errors import (
+    EXIT_FAILED,
+    EXIT_LINK_LOST,
+    EXIT_RECOVERY_NEEDED,
+    EXIT_REFUSED,
+    EXIT_USAGE,
+    LinkTimeout,
+)
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import SEAL_FILE
 from ronna_hw.theatre import Theatre
@@ -80,6 +88,14 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None)
         (tmp_path / REQUEST_FILE).write_text(content)
     with pytest.raises(BadRequestFile, match="PRO-034"):
         read_request(tmp_path)
+
+
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "list"])
+def test_every_command_on_a_run_refuses_what_is_no_run_alike(tmp_path: Path, command: str) -> None:
+    for folder in (tmp_path, tmp_path / "none"):
+        refused = in_this_process(app, command, folder)
+        assert refused.returncode == EXIT_FAILED
+        assert f"CLI-005: {folder} is not the folder of a run" in one_error(refused.stderr)[0]
 
 
 @pytest.mark.hazard(42)
