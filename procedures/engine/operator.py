@@ -6,7 +6,7 @@ never goes on. Only one of the listed words answers; anything else is asked agai
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
@@ -45,21 +45,29 @@ class ReadBack:
     """What a person types after the answer that goes on: nobody who did not look knows it.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
+    `wrong` follows what else was typed; `shown` is where the question has the value, if it does.
     """
 
     what: str
     value: str = field(repr=False)
+    wrong: str = "is not what is to be read back"
+    shown: str = ""
 
     def fits(self, typed: str) -> bool:
         """Whether that was typed, whatever its capitals and the space around it."""
         return typed.strip().casefold() == self.value.strip().casefold()
 
 
+def _unrecorded() -> None:
+    """Nobody keeps it."""
+
+
 @dataclass(frozen=True)
 class Question:
     """What is asked. The first of `answers` goes on, the last is what silence means.
 
-    `timeout_s` is host time; None stands until somebody answers.
+    `timeout_s` is host time; None stands until somebody answers. The operator calls `misread` each time that
+    something else was read back.
     """
 
     topic: Topic
@@ -69,6 +77,7 @@ class Question:
     trajectory: str | None = None
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
+    misread: Callable[[], None] = field(default=_unrecorded, compare=False, repr=False)
 
     @property
     def name(self) -> str:

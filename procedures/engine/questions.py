@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.engine.journal import Entry, Journal
@@ -35,7 +36,7 @@ class Questions:
                 timeout_s=question.timeout_s,
             )
         )
-        answer = self._operator.ask(question)
+        answer = self._operator.ask(replace(question, misread=lambda: self._misread(question)))
         if answer not in question.answers:
             answer = question.silence
         self._events.publish(Answered(question=self._count, answer=answer))
@@ -48,3 +49,7 @@ class Questions:
             answer=answer,
         )
         return answer
+
+    def _misread(self, question: Question) -> None:
+        """An attempt that failed, without what was typed: it may be another patient's."""
+        self._journal.write(Entry.MISREAD, self._now_s(), topic=question.name, subject=question.subject)

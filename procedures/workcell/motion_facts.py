@@ -36,7 +36,13 @@ class MotionFacts:
     @property
     def read_back(self) -> ReadBack:
         """The distance, which only who reads the line knows."""
-        return ReadBack("how many mm it moves first", f"{self.travel_mm:.0f}")
+        distance_mm = f"{self.travel_mm:.0f}"
+        return ReadBack(
+            "how many mm it moves first",
+            distance_mm,
+            wrong=f"is not it: the question says that it moves {distance_mm} mm first.",
+            shown=f"moves {distance_mm} mm",
+        )
 
 
 def in_sequence(motions: Sequence[MotionFacts]) -> str:

@@ -31,6 +31,7 @@ class Entry(StrEnum):
     RESULT = "result"
     REFUSED = "refused"
     CONFIRMATION = "confirmation"
+    MISREAD = "misread"  # what was to be read back was not; the question stands
     MOTION = "motion"  # the intent of one motion
     MOVED = "moved"  # what came of it
     FAILED = "failed"

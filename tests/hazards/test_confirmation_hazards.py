@@ -6,11 +6,16 @@ import io
 import os
 import pty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+from recording_cell import RecordingCell
 
 from procedures.cli.case.operators import TerminalOperator
+from procedures.engine.events import EventStream
+from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.operator import Question, ReadBack, Topic
+from procedures.engine.questions import Questions
 
 READ_BACK = ReadBack("how many mm it moves first", "62")
 VALUE = "predicted target error 0.21 mm rms"
@@ -60,6 +65,7 @@ def test_anything_but_a_listed_word_is_asked_again(
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, typed, b"no\n"))
     assert ask() == "no"
     assert screen.prompts == 2
+    assert "is not an answer: type yes or no in full" in screen.getvalue() or typed == b"\n"
 
 
 @pytest.mark.hazard(36)
@@ -108,6 +114,21 @@ def test_who_does_not_read_back_in_time_has_not_confirmed(
 ) -> None:
     monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n"))
     assert ask(0.1, READ_BACK) == "no"
+
+
+@pytest.mark.hazard(36)
+def test_what_is_read_back_wrongly_is_said_and_recorded_without_what_was_typed(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n", b"63\n", b"no\n"))
+    cell = RecordingCell(tmp_path)
+    events = EventStream(lambda: 0.0)
+    questions = Questions(TerminalOperator(), cell.journal, lambda: 0.0, events)
+    assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)) == "no"
+    assert f"'63' {READ_BACK.wrong}" in screen.getvalue()
+    misread, asked = read_journal(cell.folder / JOURNAL_FILE)
+    assert (misread["entry"], asked["entry"]) == ("misread", "confirmation")
+    assert "63" not in misread.values()
 
 
 @pytest.mark.hazard(9)

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 
+from typer import style
+
 from procedures.engine.operator import Operator, Question, Topic, words
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
@@ -90,14 +92,19 @@ class TerminalOperator:
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking():
-            sys.stderr.write(f"{printable(question.subject)}\n  {printable_lines(question.value)}\n")
+            sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
             while answer := _typed(words(question.answers), ends_s).lower():
                 if answer not in question.answers:
+                    _say(f"{answer!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if answer != question.answers[0] or read_back is None:
                     return answer
-                if read_back.fits(_typed(read_back.what, ends_s)):
+                if not (typed := _typed(read_back.what, ends_s)):
+                    break
+                if read_back.fits(typed):
                     return answer
+                question.misread()
+                _say(f"{typed!r} {read_back.wrong}")
             return question.silence
 
 
@@ -117,10 +124,21 @@ class TerminalRoom:
             sys.stderr.flush()
 
 
+def _say(line: str) -> None:
+    sys.stderr.write(f"{printable(line)}\n")
+
+
+def _emphasized(question: Question) -> str:
+    """The value, on a terminal with what is to be read back from it in bold."""
+    value = printable_lines(question.value)
+    shown = question.read_back.shown if question.read_back else ""
+    return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
+
+
 def _typed(what: str, ends_s: float | None) -> str:
     """What is typed, without the space around it; a blank line is asked again.
 
-    Nothing when it is out of time or the terminal is gone. What was typed before it was asked for is lost.
+    Empty when it is out of time or the terminal is gone. What was typed before it was asked for is lost.
     """
     import select
 
@@ -133,3 +151,4 @@ def _typed(what: str, ends_s: float | None) -> str:
         line = sys.stdin.readline() if ready else ""
         if not line or line.strip():
             return line.strip()
+        _say("Nothing was typed.")

@@ -83,7 +83,11 @@ def _confirm_patient(context: StepContext, plan: Plan) -> None:
     if not identifier:
         context.find("the CT series bears no identifier of a patient: there is nothing to read back")
     subject = "this is the patient, and this the plan"
-    wristband = ReadBack("the patient's identifier, as on the wristband", identifier)
+    wristband = ReadBack(
+        "the patient's identifier, as on the wristband",
+        identifier,
+        wrong="is not the identifier in this CT (PatientID). Stop if the wristband really says that.",
+    )
     context.confirm(Topic.PATIENT, subject, _shown(plan), read_back=wristband if identifier else None)
 
 
