@@ -12,6 +12,7 @@ import typer
 
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ronna_hw.collision_config import CollisionConfig
     from ronna_hw.devices import RobotArm
 
-READING_SHARE = 0.4  # of the progress bar, when the markers are localized too
+READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 SixNumbers = tuple[float, float, float, float, float, float]
 
 
@@ -58,7 +59,8 @@ def check(
     markers: Annotated[
         bool,
         typer.Option(
-            "--markers", help="Also localize the markers; check their number and the motions to them."
+            "--markers",
+            help="Check the motions to the markers too, and refuse a CT where none can be localized.",
         ),
     ] = False,
     config: Annotated[
@@ -88,9 +90,9 @@ def check(
 ) -> None:
     """Check a plan against its CT series and, given the pose of the head, every motion of the arm.
 
-    The motions are those of the procedure, from home to every target and back; with --markers also those of
-    the stereo head to the markers. Each is shown with duration, joint ranges, smallest distance and distance
-    from a singularity before anything moves.
+    The markers in the CT are counted as the procedure counts them. The motions are those of the procedure,
+    from home to every target and back; with --markers also those of the stereo head to the markers. Each
+    shows duration, joint ranges, smallest distance and distance from a singularity before anything moves.
 
     Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 a target is out of reach
     or a path is blocked, 130 interrupted. All problems are reported at once.
@@ -102,14 +104,16 @@ def check(
     from procedures.planning.plan_file import read_plan
 
     planned = read_plan(plan_file)
-    volume, fiducials_mm = _read_ct(series_dir, markers)
+    volume, fiducials_mm, uncounted = _read_ct(series_dir, markers)
     result = check_plan(
         planned,
         volume,
         fiducials_mm=fiducials_mm,
+        to_fiducials=markers,
         arm=theatre and _in_its_scene(theatre, volume, fiducials_mm),
         sight=theatre and theatre.sight,
     )
+    result = replace(result, warnings=(*result.warnings, *uncounted))
     for sentence in (*volume.warnings, *result.warnings):
         console.tell(f"warning: {sentence}")
     if as_json:
@@ -181,19 +185,24 @@ def _in_its_scene(
     return replace(theatre.arm, scene=scene)
 
 
-def _read_ct(series_dir: Path, with_markers: bool) -> tuple[Volume, list[tuple[float, float, float]] | None]:
+def _read_ct(
+    series_dir: Path, needs_markers: bool
+) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
+    """The series, the centres of its markers and, where they cannot be had and need not be, why not."""
     from procedures.imaging import localize, read_series
 
     with console.progress_bar("reading the series") as advance:
-        volume = read_series(
-            series_dir, progress=lambda share: advance(share * (READING_SHARE if with_markers else 1.0))
-        )
-        if not with_markers:
-            return volume, None
-        found = localize(
-            volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
-        )
-    return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers]
+        volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
+        try:
+            found = localize(
+                volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
+            )
+        except RonnaError as refused:
+            if needs_markers:
+                raise
+            why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
+            return volume, None, (why,)
+    return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers], ()
 
 
 def _print_trajectories(result: PlanCheck) -> None:

@@ -82,11 +82,13 @@ def check_plan(
     volume: Volume,
     *,
     fiducials_mm: ArrayLike | None = None,
+    to_fiducials: bool = True,
     arm: ArmSetting | None = None,
     sight: StereoSight | None = None,
 ) -> PlanCheck:
     """Check a plan against its CT series, and against the fiducials (n, 3) in LPS mm and the arm if given.
 
+    Without `to_fiducials` they are counted, but the arm's motions to them are left out.
     With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
     head sees the fiducials and all motions are clear.
 
@@ -104,7 +106,7 @@ def check_plan(
     motions: tuple[PreviewedMotion, ...] = ()
     turns: tuple[tuple[str, float], ...] = ()
     if arm is not None:
-        refused, motions, turns = _driven(plan, fiducials_mm, arm, sight)
+        refused, motions, turns = _driven(plan, fiducials_mm if to_fiducials else None, arm, sight)
         findings += refused
         warnings += _too_near_from_the_start(motions)
     return PlanCheck(plan, tuple(findings), tuple(warnings), motions, turns)

@@ -6,6 +6,7 @@ import json
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,7 +105,9 @@ def test_json_is_one_object_on_standard_output(case):
     document = json.loads(done.stdout)
     assert document["passed"] is True
     assert document["trajectories"] == [{"id": "T1", "depth_mm": 50.249, "margin_mm": 1.5}]
-    assert document["findings"] == document["warnings"] == []
+    assert document["findings"] == []
+    (uncounted,) = document["warnings"]
+    assert uncounted.startswith("the fiducials in the CT were not counted: CT-")
 
 
 EXCHANGED = PLAN.replace("entry_mm", "x_mm").replace("target_mm", "entry_mm").replace("x_mm", "target_mm")
@@ -148,6 +151,15 @@ def test_a_missing_plan_or_series_is_one_line(case):
     assert (done.returncode, one_line(done)[:8]) == (2, "PLAN-001")
     done = ronna_plan("check", case[0], "--ct", case[1] / "absent")
     assert (done.returncode, one_line(done)[:6]) == (1, "CT-001")
+
+
+def test_a_plan_with_another_number_of_fiducials_than_the_ct_is_refused_as_by_the_run(case, monkeypatch):
+    three = [SimpleNamespace(centre_mm=np.array(one)) for one in ([0.0, 0, 0], [40, 0, 0], [0, 30, 10])]
+    monkeypatch.setattr(
+        "procedures.imaging.localize", lambda volume, progress: SimpleNamespace(markers=three)
+    )
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-008")
 
 
 def test_markers_that_cannot_be_localized_are_the_localizers_error(case):
