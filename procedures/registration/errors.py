@@ -60,7 +60,10 @@ class NoUniqueMatch(RefusedError):
     """An attempt to use a correspondence that is not unique."""
 
     code = "REG-008"
-    action = "Add fiducials, give the patient's orientation as a prior, or pair by hand and confirm."
+    action = (
+        "First make sure that this is the CT of the patient on the table and that no sphere was displaced; "
+        "then add fiducials, give the patient's orientation as a prior, or pair by hand and confirm."
+    )
 
 
 class UnsoundRegistration(RefusedError):

@@ -69,7 +69,7 @@ def examine(
 
 
 def show(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics; ends with exit code 4 when a device or an endpoint has a problem."""
+    """Print the diagnostics; ends with exit code 4 where a device, endpoint or calibration has a problem."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -87,7 +87,7 @@ def show(report: Report, *, as_json: bool) -> None:
             ("checked", "", "found", "what to do"),
             [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.diagnostics],
         )
-    if not all(diagnostic.well for diagnostic in report.devices):
+    if not all(diagnostic.well for diagnostic in report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
 
 

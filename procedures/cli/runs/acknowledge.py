@@ -23,12 +23,16 @@ def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
     """Those of a run, and write it into its journal. Raises as `resume`, and as `acknowledge_theatre`."""
     request = request_of(folder)
     with held_left_run(folder) as left:
+        if left.finished:
+            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
+            return
         make_ready(left)
         path = left.run.path
         with leaving_report(path), opened_case(request, path, Watcher(), Resumption(left, False)) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.acknowledge(by),
+                by,
                 as_json=as_json,
                 run=path.name,
             )
@@ -43,6 +47,7 @@ def acknowledge_theatre(file: Path, by: str, *, as_json: bool) -> None:
         _recover_all(
             devices,
             lambda: dict(acknowledged(devices, lambda name: devices[name].recover(by))),
+            by,
             as_json=as_json,
             theatre=theatre.file.theatre,
         )
@@ -51,6 +56,7 @@ def acknowledge_theatre(file: Path, by: str, *, as_json: bool) -> None:
 def _recover_all(
     devices: Mapping[str, Device],
     acknowledge: Callable[[], dict[str, str]],
+    by: str,
     *,
     as_json: bool,
     **about: str,
@@ -74,14 +80,27 @@ def _recover_all(
                 if device.observe().state is not Lifecycle.FAULT:
                     problems[name] = problem
     done |= acknowledge()
-    if as_json:
-        unreached = {name: str(problem) for name, problem in problems.items()}
-        print_json({**about, "acknowledged": done, "unreached": unreached})
-    else:
-        told = [f"{name}: {fault}" for name, fault in done.items()] or ["no device is in fault"]
-        sys.stdout.write("".join(f"{line}\n" for line in told))
+    _show(done, problems, by, as_json=as_json, **about)
     *others, last = [None, *problems.values()]
     for one in others[1:]:
         tell(str(one))
     if last is not None:
         raise last
+
+
+def _show(
+    done: Mapping[str, str],
+    problems: Mapping[str, RonnaError],
+    by: str,
+    *,
+    as_json: bool,
+    nothing: str = "no device is in fault",
+    **about: str,
+) -> None:
+    """What was recovered, or why there was `nothing` to recover."""
+    if as_json:
+        unreached = {name: str(problem) for name, problem in problems.items()}
+        print_json({**about, "acknowledged": done, "unreached": unreached})
+    else:
+        told = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
+        sys.stdout.write("".join(f"{line}\n" for line in told))

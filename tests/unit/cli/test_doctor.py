@@ -17,7 +17,7 @@ from procedures.cli.doctor.report import Report, examine, show
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
-from ronna_hw.errors import ConnectError
+from ronna_hw.errors import EXIT_NOT_FOUND, ConnectError
 
 WELL = Diagnostic("line tcp://127.0.0.1:1", True, "answered", section="lines", document={"baud": 9600})
 UNWELL = Diagnostic("device tracker", False, "silent", "Switch it on.")
@@ -141,3 +141,9 @@ def test_a_device_that_is_not_well_ends_with_4(capsys: pytest.CaptureFixture[str
 def test_a_computer_that_is_not_well_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
     show(Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
     assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out
+
+
+def test_an_expired_calibration_is_a_problem_also_for_a_script() -> None:
+    with pytest.raises(SystemExit) as ended:
+        show(Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)), as_json=True)
+    assert ended.value.code == EXIT_NOT_FOUND

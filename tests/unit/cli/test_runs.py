@@ -244,6 +244,13 @@ def test_an_arm_that_never_moved_is_not_asked_for_to_be_home(tmp_path: Path) -> 
     assert json.loads(done.stdout) == {"run": folder.name, "home": True, "moved": False}
 
 
+def test_nothing_of_a_finished_run_is_acknowledged_and_nothing_written(run: Path) -> None:
+    before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
+    done = in_this_process(app, "acknowledge", run, "--by", "A. Nurse")
+    assert (done.returncode, done.stdout) == (0, "the run is finished\n")
+    assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
+
+
 def test_devices_of_a_theatre_are_recovered_without_a_run_and_what_is_not_there_is_told(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
