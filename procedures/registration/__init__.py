@@ -13,13 +13,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from procedures.registration.cloud_registration import CloudFit, register_clouds
     from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, Prior
-    from procedures.registration.error_theory import (
-        FreGate,
-        fle_from_fre_mm,
-        fle_of_one_space_mm,
-        fre_gate,
-        fre_limit_mm,
-    )
     from procedures.registration.layout import FoundLayout, find_layout
     from procedures.registration.matching import match
     from procedures.registration.point_registration import (
@@ -40,7 +33,6 @@ __all__ = [
     "Caveat",
     "CloudFit",
     "FoundLayout",
-    "FreGate",
     "Hypothesis",
     "Match",
     "MatchStatus",
@@ -51,10 +43,6 @@ __all__ = [
     "TwoWayTable",
     "drop_one_explanations",
     "find_layout",
-    "fle_from_fre_mm",
-    "fle_of_one_space_mm",
-    "fre_gate",
-    "fre_limit_mm",
     "match",
     "match_by_template",
     "register",
@@ -62,28 +50,21 @@ __all__ = [
     "verify_two_way",
 ]
 
-_HOMES = {
-    "cloud_registration": ("CloudFit", "register_clouds"),
-    "error_theory": (
-        "FreGate",
-        "fle_from_fre_mm",
-        "fle_of_one_space_mm",
-        "fre_gate",
-        "fre_limit_mm",
-    ),
-    "point_registration": ("Caveat", "Registration", "TargetError", "drop_one_explanations", "register"),
-    "correspondence": ("Hypothesis", "Match", "MatchStatus", "Prior"),
-    "layout": ("FoundLayout", "find_layout"),
-    "matching": ("match",),
-    "template": ("match_by_template",),
-    "verification": ("RoomPoint", "TwoWayTable", "verify_two_way"),
-}
+_MODULES = (
+    "correspondence",
+    "matching",
+    "point_registration",
+    "verification",
+    "layout",
+    "template",
+    "cloud_registration",
+)
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
-        if name in names:
-            value = getattr(import_module(f"procedures.registration.{module}"), name)
-            globals()[name] = value
-            return value
+    for module in _MODULES if name in __all__ else ():
+        home = import_module(f"procedures.registration.{module}")
+        if hasattr(home, name):
+            globals()[name] = getattr(home, name)
+            return globals()[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

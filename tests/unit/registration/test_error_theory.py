@@ -5,15 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.registration import (
+from procedures.registration import register
+from procedures.registration.error_theory import (
+    error_limit_mm,
     fle_from_fre_mm,
     fle_of_one_space_mm,
     fre_gate,
     fre_limit_mm,
-    register,
-)
-from procedures.registration.error_theory import (
-    error_limit_mm,
     pose_covariance,
     target_covariance_mm2,
     tre_principal_axes_mm,
