@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.event_follower import EventFollower, Show
-from procedures.cli.case.leaving_report import leave_report, seal_run
+from procedures.cli.case.leaving_report import leave_report, seal_run, tell_way_on
 from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
@@ -140,6 +140,7 @@ def follow(
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)
         seal_run(folder)
+        tell_way_on(folder, problem)
         if as_json:
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shlex
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +14,8 @@ from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import closed_files, is_closed
-from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed
+from ronna_hw.evidence.journal_reading import Entry, read_chain
 from ronna_hw.evidence.seal import seal
 
 if TYPE_CHECKING:
@@ -62,6 +63,20 @@ def seal_run(folder: Path) -> None:
         tell(f"the run could not be sealed: {problem}")
 
 
+def tell_way_on(folder: Path, problem: BaseException) -> None:
+    """After an interruption: where the arm is, and which commands go on from there."""
+    if not isinstance(problem, KeyboardInterrupt) or not (folder / REQUEST_FILE).exists():
+        return
+    with contextlib.suppress(RonnaError, OSError):
+        run = shlex.quote(str(folder))
+        if any(line["entry"] == Entry.MOTION for line in read_chain(folder / JOURNAL_FILE).lines):
+            tell(
+                f"the arm stands where it stopped: ronna-procedure home {run} or ronna-procedure resume {run}"
+            )
+        else:
+            tell(f"nothing has moved; ronna-procedure resume {run} goes on")
+
+
 @contextlib.contextmanager
 def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     """Leave a report of the run in `folder` at the end of the block, whatever ends it."""
@@ -70,6 +85,7 @@ def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     except BaseException as problem:  # also an interruption: every run leaves a report
         leave_report(folder, error_of(problem))
         seal_run(folder)
+        tell_way_on(folder, problem)
         raise
     leave_report(folder, with_truth=with_truth)
     seal_run(folder)

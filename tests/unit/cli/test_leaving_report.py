@@ -10,7 +10,9 @@ from user_commands import in_this_process
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.procedure import app
 from procedures.engine.errors import GateFailed
+from procedures.engine.journal import Entry, Journal
 from procedures.reporting import report
+from ronna_hw.evidence.inspection import REQUEST_FILE
 
 
 @pytest.mark.hazard(41)
@@ -21,6 +23,24 @@ def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, pr
     assert met.value is problem
     text = (tmp_path / "report.html").read_text()
     assert ("PRO-007" in text) == isinstance(problem, GateFailed)
+
+
+@pytest.mark.parametrize(("moved", "said"), [(True, "the arm stands where it stopped"), (False, "has moved")])
+def test_who_interrupts_is_told_where_the_arm_is_and_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], moved: bool, said: str
+) -> None:
+    (tmp_path / REQUEST_FILE).touch()
+    journal = Journal(tmp_path)
+    journal.write(Entry.OPENED, 0.0)
+    if moved:
+        journal.write(Entry.MOTION, 1.0)
+    journal.close()
+    with pytest.raises(KeyboardInterrupt), leaving_report(tmp_path):
+        raise KeyboardInterrupt
+    told = capsys.readouterr().err
+    assert said in told
+    assert ("ronna-procedure home" in told) == moved
+    assert f"ronna-procedure resume {tmp_path}" in told
 
 
 @pytest.mark.hazard(41)
