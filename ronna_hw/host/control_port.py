@@ -36,8 +36,8 @@ class ControlRequestRefused(ConfigurationError):
 
     code = "CTL-002"
     action = (
-        "Give the whole control endpoint, token included; see ronna-sim mount --help, or run ronna-sim fault "
-        "to list all kinds of fault."
+        "Correct what the reason names; ronna-sim fault lists all kinds of fault, and the control endpoint "
+        "is given whole, token included."
     )
 
 

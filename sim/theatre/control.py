@@ -21,6 +21,10 @@ AT_TARGET = "at_target:"
 LONGEST_REASON = 500  # characters: it may quote the request
 
 
+class NoSuchTool(Exception):
+    """The number is of no tool in this room."""
+
+
 class Room:
     """What the operator can do in the room. Truth at a target is kept in `folder`, where there is one."""
 
@@ -43,6 +47,8 @@ class Room:
         try:
             with self._one_at_a_time:
                 action(request)
+        except NoSuchTool as error:
+            return {"ok": False, "reason": str(error)}
         except RonnaError as error:
             return {"ok": False, "reason": f"{error.code}: {error.what}"[:LONGEST_REASON]}
         except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -59,8 +65,9 @@ class Room:
         number = int(request["number"])
         mount = self._world.scene.mount
         if number not in (0, mount.tool_number_stereo, mount.tool_number_guide):
-            raise ValueError(
-                f"expected tool 0, {mount.tool_number_stereo} or {mount.tool_number_guide}, got {number}"
+            raise NoSuchTool(
+                f"there is no tool {number}: 0 takes the tool off, {mount.tool_number_stereo} is the stereo"
+                f" head, {mount.tool_number_guide} the surgical guide"
             )
         self._world.mount_tool(number)
         if self._folder is not None:

@@ -178,6 +178,8 @@ def test_the_endpoint_is_taken_from_the_environment(
     monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
     assert in_this_process(ronna_sim, "mount", GUIDE).returncode == 0
     assert world.mounted_tool() == GUIDE
+    (refused,) = one_error(in_this_process(ronna_sim, "mount", 7).stderr)[:1]
+    assert f"there is no tool 7: 0 takes the tool off, 1 is the stereo head, {GUIDE} the" in refused
     monkeypatch.delenv("RONNA_CONTROL")
     assert "RONNA_CONTROL" in " ".join(one_error(in_this_process(ronna_sim, "mount", GUIDE).stderr))
 
