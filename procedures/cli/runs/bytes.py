@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from ronna_hw.command_line.console import tell
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
@@ -20,7 +21,7 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 def print_bytes(
     run_folder: Path, link: str | None, from_s: float | None, to_s: float | None, *, as_json: bool
 ) -> None:
-    """Print the window in the order of time. Raises CLI-005 without bytes, CLI-001 for no such link."""
+    """Print the window by time. Raises CLI-005 without bytes, CLI-001 for a wrong link or window."""
     folder = run_folder / BYTES_FOLDER
     links = links_of(folder)
     if not links:
@@ -29,10 +30,18 @@ def print_bytes(
     if not wanted:
         raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
+    if begin_s > end_s:
+        raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
     merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)
+    first_s, last_s, printed = math.inf, -math.inf, False
     for line in merged:
+        first_s, last_s = min(first_s, line.theatre_time_s), max(last_s, line.theatre_time_s)
         if begin_s <= line.theatre_time_s <= end_s:
+            printed = True
             sys.stdout.write(_as_json(line) if as_json else _as_dump(line))
+    if not printed:
+        kept = f"{first_s:.1f} to {last_s:.1f} s" if first_s <= last_s else "nothing"
+        tell(f"no bytes in this window; of {', '.join(wanted)} there is {kept}")
 
 
 def _as_json(line: LinkLine) -> str:

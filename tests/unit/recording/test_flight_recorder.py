@@ -188,6 +188,15 @@ def test_a_link_that_the_run_does_not_have_is_refused_with_those_it_has(run: Pat
     assert "stereo.left.control, tracker" in refused.stderr
 
 
+def test_a_window_without_bytes_says_what_there_is_and_one_that_ends_first_is_refused(run: Path) -> None:
+    empty = in_this_process(ronna_procedure, "bytes", run, "--link", "tracker", "--from", "7")
+    assert (empty.returncode, empty.stdout) == (0, "")
+    assert "of tracker there is 1.0 to 3.0 s" in empty.stderr
+    reversed_ = in_this_process(ronna_procedure, "bytes", run, "--from", "3", "--to", "2")
+    assert reversed_.returncode == 2
+    assert "--from 3 --to 2" in reversed_.stderr
+
+
 @pytest.mark.skipif(shutil.which("text2pcap") is None, reason="text2pcap is not installed")
 def test_text2pcap_reads_the_printed_text_byte_for_byte(run: Path, tmp_path: Path) -> None:
     dump, capture = tmp_path / "dump.txt", tmp_path / "links.pcap"
