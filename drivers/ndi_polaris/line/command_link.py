@@ -13,11 +13,11 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.ndi_polaris.errors import (
-    CommandGarbled,
     LinkLost,
     MalformedReply,
     NoReply,
     NotInitialised,
+    UnitError,
     UnitRestarted,
 )
 from drivers.ndi_polaris.line.codec import (
@@ -46,6 +46,7 @@ STALL_S = 0.5  # a reply that pauses this long is truncated
 BABBLE_BYTES = 1_000_000  # no unit sends this much unasked
 ECHO_ATTEMPTS = 3
 REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
+NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: without its colon a command has no CRC
 RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
 
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
@@ -182,8 +183,9 @@ class CommandLink:
     ) -> Reply:
         try:
             return self._once(name, argument, deadline_s, reply_bytes, binary)
-        except (ProtocolError, CommandGarbled, NoReply):
-            if not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
+        except (ProtocolError, NoReply, UnitError) as problem:
+            noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
+            if not noise or not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
                 raise
         self.statistics.retries += 1
         return self._once(name, argument, deadline_s, reply_bytes, binary)

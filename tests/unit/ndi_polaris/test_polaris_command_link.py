@@ -60,8 +60,9 @@ def test_a_command_that_must_not_be_repeated_is_sent_once(link: CommandLink, uni
     assert sum(line.startswith("PHRQ") for line in unit.commands) == 1
 
 
-def test_a_command_garbled_on_its_way_is_repeated(link: CommandLink, unit: Any) -> None:
-    once(unit, lambda reply: [(0.001, b"ERROR046802\r")])
+@pytest.mark.parametrize("refusal", [b"ERROR046802\r", b"ERROR016BC2\r"], ids=["CRC", "colon"])
+def test_a_command_garbled_on_its_way_is_repeated(link: CommandLink, unit: Any, refusal: bytes) -> None:
+    once(unit, lambda reply: [(0.001, refusal)])
     assert link.ask("APIREV") == "G.001.005"
     unit.answers_to["APIREV"] = "ERROR04"
     with pytest.raises(CommandGarbled):

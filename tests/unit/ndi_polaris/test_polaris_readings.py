@@ -48,7 +48,7 @@ def test_a_unit_without_binary_replies_is_read_by_text(make_tracker: Make, unit:
     device = bring_up(make_tracker())
     device.read_frame()
     device.read_frame()
-    assert unit.commands.count("BX:1801") == 1
+    assert unit.commands.count("BX:1801") == 2  # the first refusal may have been noise
     assert unit.commands.count("TX:1801") == 2
 
 
