@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 from itertools import combinations
 from statistics import median
 
@@ -23,23 +22,6 @@ WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
 LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
 LARGEST_DRIFT = 1e-3  # a quartz is within 1e-4; beyond this the nominal rate is the better estimate
 JUMP_S = 1.0  # a reply this early means that another client has reset the counter
-
-
-@dataclass(frozen=True)
-class ClockFit:
-    """Theatre time of frame n: `origin_s` + n `period_s`. `drift_ppm` > 0: the unit's clock is slow.
-
-    `jitter_s` is the median delay above the line of the least delayed reply of each window.
-    """
-
-    origin_s: float
-    period_s: float
-    jitter_s: float
-    windows: int
-
-    @property
-    def drift_ppm(self) -> float:
-        return (self.period_s / NOMINAL_PERIOD_S - 1.0) * 1e6
 
 
 class FrameClock:
@@ -55,7 +37,7 @@ class FrameClock:
         self._earliest: tuple[int, float] | None = None  # of the current window
         self._earliest_origin_s = math.inf
         self._origin_s: float | None = None
-        self._period_s = NOMINAL_PERIOD_S
+        self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
 
     def note(self, count: int, arrived_s: float) -> float:
         """Add a reply for frame `count`; returns the fitted theatre time of that frame."""
@@ -66,23 +48,15 @@ class FrameClock:
         if window != self._window:
             self._window = window
             self._end_window()
-        origin_s = arrived_s - count * self._period_s
+        origin_s = arrived_s - count * self.period_s
         if origin_s < self._earliest_origin_s:
             self._earliest, self._earliest_origin_s = (count, arrived_s), origin_s
         if self._origin_s is None or origin_s < self._origin_s:
             self._origin_s = origin_s
         return self._time_s(self._origin_s, count)
 
-    @property
-    def fit(self) -> ClockFit | None:
-        """The current fit; None before the first reply."""
-        if self._origin_s is None:
-            return None
-        delays = [arrived - self._origin_s - count * self._period_s for count, arrived in self._kept]
-        return ClockFit(self._origin_s, self._period_s, median(delays) if delays else 0.0, len(self._kept))
-
     def _time_s(self, origin_s: float, count: int) -> float:
-        return origin_s + count * self._period_s
+        return origin_s + count * self.period_s
 
     def _end_window(self) -> None:
         if self._earliest is None:
@@ -92,8 +66,8 @@ class FrameClock:
         if len(self._kept) >= LEAST_WINDOWS:
             slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
             drift = slope_s / NOMINAL_PERIOD_S - 1.0
-            self._period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
-        self._origin_s = min(arrived - count * self._period_s for count, arrived in self._kept)
+            self.period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
+        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._kept)
 
 
 def counted_on(number: int, last: int | None) -> int:

@@ -125,11 +125,6 @@ class Drives:
             self._pending = deque([axes] * self._parameters.dead_time_cycles)
             self.at_rest = True
 
-    @property
-    def braking(self) -> bool:
-        """True while the arm brakes."""
-        return self._braking
-
     def _filter(self, follow_deg: list[float]) -> list[float]:
         share = self._filter_share
         self._filtered_deg = [
