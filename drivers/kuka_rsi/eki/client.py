@@ -63,6 +63,12 @@ class Listener(Protocol):
         ...
 
 
+NOT_TAKEN_UP = (
+    "A controller serves one program at a time: another run, or another computer, has the arm. "
+    "End that one, or leave it alone; there is nothing to recover."
+)
+
+
 class EkiClient:
     """One connection. Calls may come from any thread."""
 
@@ -182,7 +188,7 @@ class EkiClient:
                 if self._passed is not None:
                     self._passed(Direction.SENT, sent)
         except OSError as error:
-            raise self._failure or ControllerLost(f"{self.where}: {error.strerror or error}") from error
+            raise self._failure or self._lost(f": {error.strerror or error}") from error
         return number
 
     def _await(self, look: Callable[[], T | None], timeout_s: float) -> T | None:
@@ -206,9 +212,9 @@ class EkiClient:
             while data := self._next():
                 for telegram in scanner.feed(data):
                     self._take(parse_telegram(telegram))
-            failure = ControllerLost(f"{self.where} closed the connection")
+            failure = self._lost(" closed the connection")
         except OSError as error:
-            failure = ControllerLost(f"{self.where}: {error.strerror or error}")
+            failure = self._lost(f": {error.strerror or error}")
         except RonnaError as error:
             failure = error
         with self._arrived:
@@ -216,6 +222,12 @@ class EkiClient:
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
             self._listener.controller_lost(failure)
+
+    def _lost(self, how: str) -> ControllerLost:
+        """The broken connection; one on which no word came was not taken up at all."""
+        if self._latest is None:
+            return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_TAKEN_UP)
+        return ControllerLost(f"{self.where}{how}")
 
     def _next(self) -> bytes:
         """The next bytes from the controller; empty when it has closed the connection."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
 from collections.abc import Iterator
 
 import pytest
@@ -72,3 +73,21 @@ def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeContr
     assert not arm.well
     assert arm.seen.endswith("; emergency stop is active")
     assert "Release the emergency stop" in arm.advice
+
+
+def test_a_controller_that_hangs_up_at_once_serves_another_and_is_not_to_be_recovered() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as busy:
+        endpoints = {"rsi": own_udp_endpoint(), "eki_project": f"tcp://127.0.0.1:{busy.getsockname()[1]}"}
+
+        def refuse() -> None:
+            busy.accept()[0].close()
+
+        refusing = threading.Thread(target=refuse)
+        refusing.start()
+        _, arm = kuka_probe.probe(
+            "robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), lambda share: None
+        )
+        refusing.join()
+    assert "EKI-002" in arm.seen
+    assert "another run, or another computer, has the arm" in arm.advice
+    assert "Recover" not in arm.advice
