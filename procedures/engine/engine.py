@@ -253,7 +253,9 @@ class Engine:
             self._latest = None
 
     def abort(self) -> None:
-        """The operator ends the case between steps; moves nothing."""
+        """The operator ends the case between steps; moves nothing. Raises PRO-001 for one that has ended."""
+        if self.machine.ended:
+            raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave it: quit.")
         self.machine.abort()
         self._show_state()
         self._write(Entry.INTERRUPTED)

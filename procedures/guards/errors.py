@@ -25,6 +25,16 @@ class InputChanged(RefusedError):
     )
 
 
+class PatientUnseen(RefusedError):
+    """The tracker does not see the head where it has to, before a guide goes to it."""
+
+    code = "PRO-022"
+    action = (
+        "Clear the tracker's sight of the spheres: drapes, blood, people, hands. Then run the step again; it "
+        "leads by home."
+    )
+
+
 class PatientMoved(RefusedError):
     """The spheres on the head are not where they were localized."""
 

@@ -61,12 +61,14 @@ class MotionWatch:
         looking.begin()
         try:
             yield
-        except MotionInterrupted:
-            self._conclude(looking.end(), what)
+        except RonnaError as error:
+            seen = looking.end()
+            # An alarm before the motion began makes the arm refuse it: what was seen is what has to be told.
+            if isinstance(error, MotionInterrupted) or seen.moved_mm is not None:
+                self._conclude(seen, what)
             raise
-        except BaseException as error:
-            if not isinstance(error, RonnaError):
-                self.workcell.stop()  # first: the last frame may take its time
+        except BaseException:  # also an interruption: the arm comes to rest
+            self.workcell.stop()  # first: the last frame may take its time
             looking.end()
             raise
         self._conclude(looking.end(), what)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.registration.shift import PointShift, shift_of
+from procedures.registration.shift import PointShift, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
@@ -26,6 +26,7 @@ BASE_LIMIT_MM = 0.85
 OTHER_POSE_LIMIT_MM = 1.3
 # Between the noise, 0.10 mm at most in 600 readings of 12 frames, and the 0.5 mm that must be noticed.
 PATIENT_LIMIT_MM = 0.3
+FEW_LIMIT_MM = 0.8  # of two spheres, which no rigid fit averages: the tracker's own bias shows in each
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
 FARTHEST_MM = 150.0  # between poses that are compared: the tracker's own bias changes with the place
 SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
@@ -73,9 +74,12 @@ class RoomWatch:
         limit_mm = BASE_LIMIT_MM if same else OTHER_POSE_LIMIT_MM
         if base_mm is not None and float(np.linalg.norm(base_mm)) >= limit_mm:
             raise _base_shifted(base_mm, head_mm, limit_mm)
+        few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
+        if few is not None and few.rms_mm >= FEW_LIMIT_MM:
+            raise _patient_moved(few, self.robot_from_tracker.rotation_matrix @ few.mean_mm, FEW_LIMIT_MM)
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
             if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
-                raise _patient_moved(head, head_mm)
+                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM)
             findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
         if reading.frame_mm is not None:
             self.references.append(reading)
@@ -131,10 +135,10 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
     )
 
 
-def _patient_moved(head: PointShift, head_mm: Array) -> PatientMoved:
+def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float) -> PatientMoved:
     return PatientMoved(
         f"the head has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
-        limit=f"{PATIENT_LIMIT_MM:g} mm",
+        limit=f"{limit_mm:g} mm",
         got=f"{head.rms_mm:.2f} mm",
     )
 

@@ -27,6 +27,20 @@ class PointShift:
     points: int
 
 
+def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+    """As `shift_of` where too few are seen for that: two at least, each near its place; rms of their ways."""
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    if not (len(recorded) and len(seen)):
+        return None
+    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
+    ways = np.array([seen[one.argmin()] - place for place, one in zip(recorded, apart, strict=True)])
+    ways = ways[apart.min(axis=1) < NEAR_MM]
+    if len(ways) < 2:
+        return None
+    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(ways))
+
+
 def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """How points (n, 3) have moved, seen again (m, 3) in any order among others.
 

@@ -22,7 +22,7 @@ from room_trials import STILL, TrackedCase
 
 from procedures.engine.engine import Engine
 from procedures.engine.result import StepResult
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.steps.clinical import positioning, relocalization
 from procedures.workcell import MountedTool
 
@@ -101,6 +101,16 @@ def test_what_the_tracker_does_not_see_is_said() -> None:
     ]
 
 
+@pytest.mark.hazard(12)
+def test_two_spheres_that_are_not_in_their_places_are_enough() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
+    two = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:2])
+    with pytest.raises(PatientMoved, match="as 2 spheres show"):
+        watch.check(two)
+
+
 def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
     return (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
 
@@ -165,6 +175,19 @@ def test_a_head_that_has_moved_before_the_approach_is_not_approached(tmp_path: P
     with pytest.raises(PatientMoved):
         engine.run_to()
     assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize("seen", [0, 2])
+def test_a_head_that_the_tracker_does_not_see_is_not_approached(tmp_path: Path, seen: int) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = before_the_approach(cell)
+    cell.tracker.spheres_mm = SPHERES_MM[:seen]
+    with pytest.raises(PatientUnseen, match="PRO-022"):
+        engine.run_to()
+    assert cell.arm.motions == []
+    cell.tracker.spheres_mm = SPHERES_MM
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
 @pytest.mark.hazard(12)

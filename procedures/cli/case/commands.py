@@ -130,7 +130,8 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
 
 
 def _abort(engine: Engine, _argument: str, _say: Say) -> None:
-    leave_head(engine)
+    if not engine.machine.ended:
+        leave_head(engine)
     engine.abort()
     raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
 

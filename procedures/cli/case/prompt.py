@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
 from procedures.engine.checkpoint import ABORT
 from procedures.engine.errors import OperatorAborted, StepRefused, UnknownStep
+from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
 from procedures.engine.operator import Question
 from ronna_hw.command_line.console import fail_with, on_terminal
@@ -95,7 +96,7 @@ class Prompt:
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:
-            if engine.machine.ended:
+            if engine.machine.state == ABORTED:
                 raise
             fail_with(error)
             if engine.machine.state == MACHINE_HELD and not isinstance(error, NOTHING_DONE):

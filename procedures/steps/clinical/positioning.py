@@ -19,7 +19,7 @@ from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden
+from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden, require_head_seen
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
@@ -62,6 +62,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     if by_home:
         workcell.return_home()
         check_room(context, f"at home, before {trajectory}")
+    require_head_seen(context, f"before {trajectory}")
     context.progress(0.0, f"moving over {trajectory}")
     with _named(trajectory):
         workcell.go(standoff_rad)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from procedures.engine.context import StepContext
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import (
@@ -42,6 +42,15 @@ def check_room(context: StepContext, where: str) -> None:
         raise
     for finding in findings:
         context.find(f"{where}: {finding}")
+
+
+def require_head_seen(context: StepContext, where: str) -> None:
+    """Refuse to go to a head that the last reading, from where the arm stands now, did not show; PRO-022."""
+    if head_hidden(context):
+        raise PatientUnseen(
+            f"{where} the tracker does not see where the head is",
+            expected="three known spheres at least in its sight",
+        )
 
 
 def head_hidden(context: StepContext) -> bool:

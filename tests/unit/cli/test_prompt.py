@@ -130,6 +130,15 @@ def test_abort_parks_the_arm_and_then_ends_the_case(
     assert engine.machine.state == "aborted"
 
 
+def test_a_case_that_is_finished_stays_finished_whatever_is_typed(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    Typed(monkeypatch, "abort", "run drilling", "quit").at(engine)
+    assert engine.machine.state == "finished"
+
+
 def test_abort_that_is_not_confirmed_moves_nothing_and_leaves_the_case_held(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
