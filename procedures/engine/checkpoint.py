@@ -17,6 +17,7 @@ from procedures.engine.operator import Question, Topic
 from ronna_hw.errors import RonnaError
 
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
+CHOICES = "wait goes on as soon as it is as it must be, leave ends the step here with the arm at rest"
 LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
 PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the operator is asked
 
@@ -125,7 +126,8 @@ class Checkpoint:
             waited_s = 0.0
             while (reason := guard.unmet()) is not None:
                 if waited_s >= PATIENCE_S:
-                    question = Question(Topic.GUARD, f"{guard.name}: {reason}", where, (WAIT, LEAVE))
+                    subject = f"{guard.name}: {reason}"
+                    question = Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))
                     if self._ask(question) != WAIT:
                         raise GuardUnmet(f"{guard.name}: {reason}")
                     waited_s = 0.0

@@ -98,9 +98,9 @@ def test_ctrl_c_once_pauses_and_only_the_listed_words_go_on(terminal: Terminal) 
     terminal.type(CTRL_C)
     terminal.await_text("Paused: Ctrl-C")
     terminal.type("\n")
-    terminal.await_text("(Type continue or abort: .*){2}")
+    terminal.await_text("(paused> .*){2}")
     terminal.type("stop\n")
-    terminal.await_text("(Type continue or abort: .*){3}")
+    terminal.await_text("(paused> .*){3}")
     terminal.type("continue\n")
     assert terminal.rest() == 0
     assert "error mm" in terminal.text
@@ -113,11 +113,12 @@ def test_ctrl_c_twice_stops_the_arm_and_twice_more_at_the_question_ends_the_comm
     terminal.type(CTRL_C)
     terminal.await_text("Ctrl-C again stops the arm now")
     terminal.type(CTRL_C)
-    terminal.await_text("Type continue or abort: ")
+    terminal.await_text("paused> ")
     terminal.type(CTRL_C)
     terminal.await_text("the arm rests; Ctrl-C again ends the command")
     terminal.type(CTRL_C)
     assert terminal.rest() == 130
+    assert "ronna-procedure resume " in terminal.text
     assert "Traceback" not in terminal.text
 
 
@@ -125,7 +126,7 @@ def test_ctrl_c_twice_stops_the_arm_and_twice_more_at_the_question_ends_the_comm
 def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
     terminal.type(CTRL_C)
-    terminal.await_text("Type continue or abort: ")
+    terminal.await_text("paused> ")
     terminal.type("abort\n")
     assert terminal.rest() == 7
     assert "PRO-004" in terminal.text

@@ -124,7 +124,12 @@ def _home(engine: Engine, _argument: str, say: Say) -> None:
 
 def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
     if not argument:
-        raise UsageMistake("acknowledge needs the name of the person", action="acknowledge NAME")
+        raise UsageMistake("acknowledge needs the name of the person", action="acknowledge YOUR-NAME")
+    if argument in engine.setting.workcell.devices:
+        raise UsageMistake(
+            f"{argument} is a device, expected the name of the person who acknowledges",
+            action="acknowledge YOUR-NAME recovers every device that is in fault.",
+        )
     acknowledged = engine.acknowledge(argument)
     say("; ".join(f"{role}: {fault}" for role, fault in acknowledged.items()) or "no device is in fault")
 
@@ -147,8 +152,8 @@ def leave_head(engine: Engine) -> None:
 
 def _help(_engine: Engine, _argument: str, say: Say) -> None:
     for name, command in COMMANDS.items():
-        say(f"{f'{name} {command.argument}'.strip():<18} {command.does}")
-    say(f"{'quit':<18} leave the case, not while an instrument is inside")
+        say(f"{f'{name} {command.argument}'.strip():<22} {command.does}")
+    say(f"{'quit':<22} leave the case, not while an instrument is inside")
 
 
 def _named(engine: Engine, argument: str) -> StepKey:
@@ -171,7 +176,7 @@ COMMANDS: dict[str, Command] = {
     "pause": Command("", "rest before the next step", _pause),
     "resume": Command("", "go on where the case is paused", _resume),
     "home": Command("", "bring an instrument out along its axis, then park", _home),
-    "acknowledge": Command("NAME", "recover the devices that are in fault", _acknowledge),
+    "acknowledge": Command("YOUR-NAME", "recover the devices that are in fault", _acknowledge),
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),
 }

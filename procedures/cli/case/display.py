@@ -44,6 +44,8 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
 
         def opened(engine: Engine) -> None:
             interrupts.attach(engine)
+            if held is not None:
+                held.attach(engine)
             followers.append(_follow(engine, display.show, stack))
 
         @contextlib.contextmanager
@@ -56,7 +58,7 @@ def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
                 yield
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
-        yield Watcher(display.status, display.tell, opened, asking, held)
+        yield Watcher(display.status, display.tell, opened, asking, held, held)
 
 
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:

@@ -24,6 +24,7 @@ from procedures.cli.case.operators import (
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
+from procedures.engine.operator import Topic
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
 from ronna_hw.host.interruption import interruption_deferred
@@ -169,10 +170,12 @@ def operator_of(
     """
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
-    at_pause = watcher.at_pause or (person if at_terminal else None)
-    operator: Operator = ScriptedOperator(
-        at_pause, resumes=person if resumption is not None and not resumption.accepted else None
-    )
+    persons: dict[Topic, Operator] = {Topic.PAUSE: person, Topic.REPEAT: person} if at_terminal else {}
+    if watcher.at_pause is not None:
+        persons[Topic.PAUSE] = watcher.at_pause
+    if resumption is not None and not resumption.accepted:
+        persons[Topic.RESUME] = person
+    operator: Operator = ScriptedOperator(persons)
     if request.config is not None:
         operator = person if watcher.at_pause is None else AtPause(watcher.at_pause, person)
     if answers is None:

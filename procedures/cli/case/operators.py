@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 import termios
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from types import MappingProxyType
 
 from typer import style
 
@@ -14,26 +15,24 @@ from procedures.engine.operator import Operator, Question, Topic, words
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
 
+NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
+
 
 class ScriptedOperator:
     """Goes on with the first answer to every question; what was asked is in the journal.
 
-    A pause is answered by `person`, if there is one: whoever sits at the terminal has asked for it. What a
-    guard waits for in vain is left when it is asked for again: nobody is there to restore it.
+    What a guard waits for in vain is left when it is asked for again: nobody is there to restore it.
     """
 
-    def __init__(self, person: Operator | None = None, resumes: Operator | None = None) -> None:
-        """`resumes` is asked whether a run is taken up again, where the script is not to say so."""
-        self._person = person
-        self._resumes = resumes
+    def __init__(self, persons: Mapping[Topic, Operator] = NOBODY) -> None:
+        """`persons` answer topics that the script is not to: whoever sits at the terminal asked for them."""
+        self._persons = persons
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> str:
         """The first answer."""
-        if self._person is not None and question.topic is Topic.PAUSE:
-            return self._person.ask(question)
-        if self._resumes is not None and question.topic is Topic.RESUME:
-            return self._resumes.ask(question)
+        if (person := self._persons.get(question.topic)) is not None:
+            return person.ask(question)
         if question.topic is Topic.GUARD:
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:

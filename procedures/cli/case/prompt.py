@@ -21,10 +21,10 @@ from ronna_hw.errors import RonnaError
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
-HELD = (
-    "the case is held, the arm at rest: run STEP again, why, back STEP, home, acknowledge NAME, abort, quit"
-)
+HELD = "the case is held, the arm rests: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
 PAUSED = "paused> "
+AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}"
+QUIT = ("quit", "q")
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
@@ -51,15 +51,21 @@ class Prompt:
         self._after = after
         self._engine: Engine | None = None
 
+    def attach(self, engine: Engine) -> None:
+        """From now on a pause is about this engine."""
+        self._engine = engine
+
     def follow(self, engine: Engine) -> bool:
         """Carry out commands on this engine until `quit` or the end of the input; whether the case goes on.
 
         What goes wrong is shown and leaves the case held. Raises what ended the case.
         """
-        self._engine = engine
+        self.attach(engine)
         while (line := self._line(self._words)) is not None:
             name, _, argument = line.strip().partition(" ")
-            if name in ("quit", "q"):
+            if _too_much(name, argument):
+                self._say(f"{name} takes no argument; nothing was done")
+            elif name in QUIT:
                 if engine.instrument_in is None:
                     return False
                 self._say(f"the instrument is in {engine.instrument_in}: home brings it out along its axis")
@@ -74,14 +80,20 @@ class Prompt:
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             termios.tcflush(sys.stdin, termios.TCIFLUSH)
         self._say(f"{question.subject}; {question.value}")
+        self._say(AT_PAUSE_CHOICES)
         while (line := self._line(PAUSED)) is not None:
             name, _, argument = line.strip().partition(" ")
-            if name in AT_PAUSE:
+            if _too_much(name, argument):
+                self._say(f"{name} takes no argument; nothing was done")
+            elif name in AT_PAUSE:
                 return AT_PAUSE[name]
-            if self._engine is not None and name in LOOKING:
-                COMMANDS[name].work(self._engine, argument.strip(), self._say)
+            elif self._engine is not None and name in LOOKING:
+                try:
+                    COMMANDS[name].work(self._engine, argument.strip(), self._say)
+                except NOTHING_DONE as mistake:
+                    fail_with(mistake)
             else:
-                self._say(f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}")
+                self._say(AT_PAUSE_CHOICES)
         return question.silence
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
@@ -109,6 +121,12 @@ class Prompt:
                 sys.stderr.write(words)
                 sys.stderr.flush()
             return sys.stdin.readline() or None
+
+
+def _too_much(name: str, argument: str) -> bool:
+    """Whether words follow a command that takes none."""
+    alone = name in (*AT_PAUSE, *QUIT) or (name in COMMANDS and not COMMANDS[name].argument)
+    return alone and bool(argument.strip())
 
 
 def leave_head_if_agreed(engine: Engine) -> None:

@@ -149,6 +149,34 @@ def test_abort_that_is_not_confirmed_moves_nothing_and_leaves_the_case_held(
     assert engine.machine.state == "held"
 
 
+@pytest.mark.parametrize("line", ["next 3", "abort now", "quit please"])
+def test_words_after_a_command_that_takes_none_are_refused_and_nothing_is_done(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    engine = cell.engine(plain_order())
+    typed = Typed(monkeypatch, line, "list")
+    typed.at(engine)
+    assert "takes no argument; nothing was done" in typed.said[0]
+    assert typed.said[1].startswith("next")  # the first step, and the case goes on
+    assert engine.machine.state == "idle"
+
+
+def test_a_device_is_no_name_of_who_acknowledges(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    role = next(iter(cell.workcell.devices))
+    Typed(monkeypatch, f"acknowledge {role}").at(cell.engine(plain_order()))
+    assert f"{role} is a device" in capsys.readouterr().err
+    assert cell.entries() == []
+
+
+def test_what_only_looks_may_fail_at_a_pause_and_the_pause_stands(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = paused(cell, monkeypatch, "why nothing_like_it", "resume")
+    assert engine.case.stands(engine.order.find("image"))
+
+
 def test_resume_leaves_the_prompt_of_a_held_case_and_the_end_of_the_input_ends_it(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
