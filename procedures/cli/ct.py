@@ -234,11 +234,22 @@ def view(
 
 
 def _layout_mm(layout: str) -> Any:
-    """Spheres of the layout (k, 3) mm, in its own frame."""
+    """Spheres of the layout (k, 3) mm, in its own frame. Raises CT-018, for fewer than three too."""
     from procedures.imaging import read_picks
+    from procedures.imaging.errors import PicksUnreadable
+    from procedures.registration.points import FEWEST_PAIRS
     from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
-    return SPHERE_CENTRES_MM if layout == X_FRAME else read_picks(Path(layout))
+    if layout == X_FRAME:
+        return SPHERE_CENTRES_MM
+    spheres_mm = read_picks(Path(layout))
+    if len(spheres_mm) < FEWEST_PAIRS:
+        raise PicksUnreadable(
+            f"{Path(layout).name} is no layout",
+            expected=f"{FEWEST_PAIRS} points or more",
+            got=str(len(spheres_mm)),
+        )
+    return spheres_mm
 
 
 def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:

@@ -91,4 +91,7 @@ class LayoutNotFound(RefusedError):
     """The spheres of a scan do not show the layout that was asked for, or show it in more ways than one."""
 
     code = "REG-012"
-    action = "Check that scan and layout belong together; without --layout every sphere is listed."
+    action = (
+        "Check that scan and layout belong together and that the layout is in mm; without --layout every "
+        "sphere is listed."
+    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.correspondence import MatchStatus
@@ -46,11 +47,16 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
         how = "in more ways than one" if found.status is MatchStatus.AMBIGUOUS else "not, or not whole"
         raise LayoutNotFound(
             f"the scan shows the layout {how}",
-            expected=f"all {len(layout)} spheres of the layout",
-            got=f"{len(spheres)} spheres",
+            expected=f"all {len(layout)} spheres of the layout, up to {_width_mm(layout):.1f} mm apart",
+            got=f"{len(spheres)} spheres, up to {_width_mm(spheres):.1f} mm apart",
         )
     order = found.pairs[np.argsort(found.pairs[:, 0]), 1]
     residuals_mm = np.linalg.norm(found.transform.apply(layout) - spheres[order], axis=1)
     return FoundLayout(
         order, found.transform, float(np.sqrt(np.mean(np.square(residuals_mm)))), found.unmatched_physical
     )
+
+
+def _width_mm(points_mm: NDArray[np.float64]) -> float:
+    """The largest distance of two points: tells another unit at a glance."""
+    return float(pdist(points_mm).max(initial=0.0))

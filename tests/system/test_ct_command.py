@@ -74,6 +74,13 @@ def test_a_scan_without_the_layout_is_refused(series: Path) -> None:
     assert "REG-012: the scan shows the layout not, or not whole" in done.stderr
 
 
+def test_a_layout_of_two_points_is_refused_before_the_series_is_read(tmp_path):
+    (tmp_path / "lay.csv").write_text("0,0,0\n30,0,0\n")
+    done = ronna_ct("localize", tmp_path / "none", "--layout", tmp_path / "lay.csv")
+    assert done.returncode != 0
+    assert "CT-018: lay.csv is no layout; expected 3 points or more, got 2" in done.stderr
+
+
 def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> None:
     done = ronna_ct("localize", series, "--method", "thesis-sphere", "--expected", 2)
     assert (done.returncode, done.stderr) == (0, "")

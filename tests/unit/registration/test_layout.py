@@ -44,3 +44,11 @@ def test_the_frame_is_found_among_other_spheres_in_its_own_order(seed: int) -> N
 def test_a_scan_without_the_whole_frame_or_with_two_is_refused(spheres_mm: np.ndarray) -> None:
     with pytest.raises(LayoutNotFound, match="REG-012"):
         find_layout(FRAME_MM, scan_of(spheres_mm, 1)[0])
+
+
+def test_a_layout_in_another_unit_is_refused_with_both_widths() -> None:
+    with pytest.raises(LayoutNotFound) as refused:
+        find_layout(FRAME_MM / 10.0, scan_of(FRAME_MM, 1)[0])
+    widest_mm = max(float(np.linalg.norm(a - b)) for a in FRAME_MM for b in FRAME_MM)
+    assert f"up to {widest_mm / 10.0:.1f} mm apart" in refused.value.expected
+    assert "the layout is in mm" in refused.value.advice
