@@ -17,6 +17,7 @@ Array = NDArray[np.float64]
 LARGEST_FILE_BYTES = 1_000_000  # a point list of 3D Slicer takes a kilobyte per point
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
 OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
+LONGEST_QUOTE = 60  # characters of a line that is refused
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
 
@@ -25,27 +26,50 @@ def read_picks(path: Path) -> Array:
     try:
         content = read_bounded(path, LARGEST_FILE_BYTES)
         is_json = path.suffix.lower() == ".json"
-        rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode())
+        rows = (
+            _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), path.name)
+        )
         picks = np.array(rows, dtype=float)
+    except PicksUnreadable:
+        raise
     except OSError as error:
         raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
     except InputRefused as error:
         raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
-    except (ValueError, LookupError, TypeError, AttributeError) as error:
+    except (ValueError, LookupError, TypeError, AttributeError, csv.Error) as error:
         raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
         raise PicksUnreadable(f"{path.name} holds no picks", expected="three finite numbers per pick")
     return picks
 
 
-def _from_csv(text: str) -> list[list[float]]:
-    """Three columns, or those named L_mm, P_mm, S_mm when there is a header."""
-    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].startswith("#")]
-    if rows and set(COLUMNS) <= {cell.strip() for cell in rows[0]}:
-        names = [cell.strip() for cell in rows[0]]
-        places = [names.index(column) for column in COLUMNS]
-        return [[float(row[place]) for place in places] for row in rows[1:]]
-    return [[float(cell) for cell in row] for row in rows]
+def _from_csv(text: str, name: str) -> list[list[float]]:
+    """Three columns, or those named L_mm, P_mm, S_mm when there is a header; between them , or ;
+
+    Another header is refused: it may mean other axes.
+    """
+    lines = text.splitlines()
+    first = next((line for line in lines if line and not line.startswith("#")), "")
+    reader = csv.reader(lines, delimiter=";" if ";" in first else ",")
+    places: list[int] | None = None
+    picks = []
+    for row in reader:
+        if not row or row[0].startswith("#"):
+            continue
+        cells = [cell.strip() for cell in row]
+        if places is None and not picks and set(COLUMNS) <= set(cells):
+            places = [cells.index(column) for column in COLUMNS]
+            continue
+        try:
+            left_mm, posterior_mm, superior_mm = cells if places is None else [cells[at] for at in places]
+            picks.append([float(left_mm), float(posterior_mm), float(superior_mm)])
+        except (ValueError, IndexError):
+            raise PicksUnreadable(
+                f"{name}, line {reader.line_num} is no point",
+                expected=f"three numbers with , or ; between them, or first a header {','.join(COLUMNS)}",
+                got=repr(" ".join(row)[:LONGEST_QUOTE]),
+            ) from None
+    return picks
 
 
 def _from_json(content: Any) -> list[Any]:

@@ -73,6 +73,7 @@ def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
     [
         ("plain.csv", "1,2,3\n-4,5.5,6\n"),
         ("named.csv", "name,S_mm,L_mm,P_mm\nM1,3,1,2\nM2,6,-4,5.5\n"),
+        ("germany.csv", "# a, b\nL_mm;P_mm;S_mm\n1; 2; 3\n-4; 5.5; 6\n"),
         ("list.json", "[[1, 2, 3], [-4, 5.5, 6]]"),
         ("own.json", '{"spheres": [{"centre_mm": [1, 2, 3]}, {"centre_mm": [-4, 5.5, 6]}]}'),
         ("printed.json", '{"markers": [{"centre_mm": [1, 2, 3]}, {"centre_mm": [-4, 5.5, 6]}]}'),
@@ -94,6 +95,14 @@ def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
 def test_picks_are_read_from_the_files_people_have(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     np.testing.assert_allclose(read_picks(tmp_path / name), [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]])
+
+
+@pytest.mark.parametrize("text", ["x,y,z\n1,2,3\n", "# a\n1 2 3\n", "1,2,3\n4,5\n", "1,5;2,5;3,5\n"])
+def test_a_line_that_is_no_pick_is_named_with_what_may_stand_there(tmp_path: Path, text: str) -> None:
+    (tmp_path / "picks.csv").write_text(text)
+    line = 2 if text.startswith(("#", "1,2,3")) else 1
+    with pytest.raises(errors.PicksUnreadable, match=f"picks.csv, line {line} .* header L_mm,P_mm,S_mm"):
+        read_picks(tmp_path / "picks.csv")
 
 
 @pytest.mark.parametrize(
