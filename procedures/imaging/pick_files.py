@@ -52,7 +52,7 @@ def _from_csv(text: str, name: str) -> list[list[float]]:
     first = next((line for line in lines if line and not line.startswith("#")), "")
     reader = csv.reader(lines, delimiter=";" if ";" in first else ",")
     places: list[int] | None = None
-    picks = []
+    picks: list[list[float]] = []
     for row in reader:
         if not row or row[0].startswith("#"):
             continue
