@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.registration.shift import PointShift, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 
@@ -27,6 +27,7 @@ OTHER_POSE_LIMIT_MM = 1.3
 # Between the noise, 0.10 mm at most in 600 readings of 12 frames, and the 0.5 mm that must be noticed.
 PATIENT_LIMIT_MM = 0.3
 FEW_LIMIT_MM = 0.8  # of two spheres, which no rigid fit averages: the tracker's own bias shows in each
+NEAR_HEAD_MM = 60.0  # from a known sphere: what reflects there is taken for a sphere of the head
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
 FARTHEST_MM = 150.0  # between poses that are compared: the tracker's own bias changes with the place
 SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
@@ -77,6 +78,11 @@ class RoomWatch:
         few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             raise _patient_moved(few, self.robot_from_tracker.rotation_matrix @ few.mean_mm, FEW_LIMIT_MM)
+        if head is None and (strange := self._strange(reading)):
+            raise PatientUnseen(
+                f"the tracker sees {strange} of the spheres near the head in no known place",
+                expected="three known spheres at least in their places",
+            )
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
             if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
                 raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM)
@@ -91,6 +97,13 @@ class RoomWatch:
         if reference is None or reference.frame_mm is None or reading.frame_mm is None:
             return None
         return reading.frame_mm - reference.frame_mm
+
+    def _strange(self, reading: RoomReading) -> int:
+        """How many points near the head are in no known place: it may have moved, and the rest be hidden."""
+        if not len(reading.spheres_mm):
+            return 0
+        apart = np.linalg.norm(reading.spheres_mm[:, None] - self.spheres_mm[None], axis=2).min(axis=1)
+        return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM)).sum())
 
     def hides_head(self, robot_from_flange: Transform) -> bool:
         """Whether the arm stands where, at the last reading, it hid the head from the tracker."""

@@ -111,6 +111,16 @@ def test_two_spheres_that_are_not_in_their_places_are_enough() -> None:
         watch.check(two)
 
 
+@pytest.mark.hazard(12)
+def test_a_sphere_near_the_head_in_no_known_place_is_not_passed_over_where_others_are_hidden() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad, np.array([0.0, 9.0, 0.0]))
+    one = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:1])
+    with pytest.raises(PatientUnseen, match=r"PRO-022.*1 of the spheres near the head"):
+        watch.check(one)
+
+
 def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
     return (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
 
