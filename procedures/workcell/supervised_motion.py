@@ -17,6 +17,16 @@ from procedures.workcell.motion_log import MotionLog
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
 
+IN_WORDS = {
+    "go": "to the next place, by way of home where need be",
+    "home": "home",
+    "back": "back the way the arm came",
+    "settle": "to the next place, each joint from its own side",
+    "line": "in a straight line",
+    "insert": "along the axis onto the target",
+    "withdraw": "out along the axis",
+}
+
 
 class SupervisedMotion:
     """Carries motions out one after the other."""
@@ -86,12 +96,14 @@ class SupervisedMotion:
                 f"the motion {what!r} has nobody to confirm it", expected="a case that is open"
             )
 
+        named = f"the motion {what!r}" + (f" ({IN_WORDS[what]})" if what in IN_WORDS else "")
+
         def watched() -> ArmReading:
-            with checkpoint.watching(f"the motion {what!r}", True):
+            with checkpoint.watching(named, True):
                 return move()
 
         while True:
-            checkpoint.here(f"before the motion {what!r}")
+            checkpoint.here(f"before {named}")
             if not self._confirmed:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
             resume()
@@ -99,4 +111,4 @@ class SupervisedMotion:
                 return self._log.record(what, to, watched, trajectory, **more)
             except MotionInterrupted:
                 self._confirmed = False
-                checkpoint.stopped(f"the motion {what!r}", "plans it anew from where the arm stands")
+                checkpoint.stopped(named, "plans it anew from where the arm stands")

@@ -86,3 +86,13 @@ def test_a_file_moves_a_real_arm_by_no_answer(tmp_path: Path, simulated: bool, a
     request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
     assert operator_of(request, Watcher(), Answers(default="first")).ask(moves) == answer
+
+
+@pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
+def test_a_step_is_repeated_without_being_asked_about_only_where_nobody_sits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
+) -> None:
+    """Whoever sits at this terminal says nothing."""
+    monkeypatch.setattr("procedures.cli.case.opening.on_terminal", lambda _stream: at_terminal)
+    operator = operator_of(CaseRequest(out=tmp_path), Watcher(), None)
+    assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
