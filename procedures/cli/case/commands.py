@@ -130,8 +130,8 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
             f"{argument} is a device, expected the name of the person who acknowledges",
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
-    acknowledged = engine.acknowledge(argument)
-    say("; ".join(f"{role}: {fault}" for role, fault in acknowledged.items()) or "no device is in fault")
+    done = [f"{role}: {fault}" for role, fault in engine.acknowledge(argument).items()]
+    say(f"acknowledged by {argument}: {'; '.join(done)}" if done else "no device is in fault")
 
 
 def _abort(engine: Engine, _argument: str, _say: Say) -> None:

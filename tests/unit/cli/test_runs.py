@@ -251,6 +251,15 @@ def test_nothing_of_a_finished_run_is_acknowledged_and_nothing_written(run: Path
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
+def test_what_was_acknowledged_is_said_with_by_whom(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    for device in (cell.tracker, cell.stereo):
+        monkeypatch.setattr(device, "recover", lambda _by: None, raising=False)
+    monkeypatch.setattr(Theatre, "from_file", lambda _file: cell.opened)
+    done = in_this_process(app, "acknowledge", "--config", "theatre.toml", "--by", "A. Nurse")
+    assert "acknowledged by A. Nurse: robot.master: " in done.stdout
+
+
 def test_devices_of_a_theatre_are_recovered_without_a_run_and_what_is_not_there_is_told(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
