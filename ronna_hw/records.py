@@ -107,7 +107,9 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
             temporary.unlink()
         else:
             temporary.replace(path)
-    except OSError:
+    except (
+        BaseException
+    ):  # an interruption of the flush too: nothing half written stays in a run that is closed
         temporary.unlink(missing_ok=True)
         raise
 

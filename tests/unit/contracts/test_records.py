@@ -75,6 +75,18 @@ def test_a_file_that_cannot_be_written_whole_leaves_nothing_behind(tmp_path: Pat
     assert list(tmp_path.iterdir()) == [target]
 
 
+def test_a_write_that_is_interrupted_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(_file: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("ronna_hw.records.os.fsync", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_whole(tmp_path / "result.json", b"{}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_record_is_never_written_twice(tmp_path: Path) -> None:
     first = Record("01-ct_import", "ct_import", {}, {"slices": 3})
     path = write_record(first, tmp_path)
