@@ -5,6 +5,7 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
+from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -22,6 +23,7 @@ from ronna_hw.calibration import (
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
+from ronna_hw.text.counting import counted
 
 
 class BadTheatreFile(ConfigurationError):
@@ -192,19 +194,32 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
         return TheatreFile.model_validate(_tuples(content))
     except ValidationError as error:
         mistakes = describe_mistakes(error)
-        raise BadTheatreFile(f"{name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)) from error
+        raise BadTheatreFile(
+            f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+        ) from error
 
 
 def describe_mistakes(error: ValidationError) -> list[str]:
     """One short line per mistake: its place, what was expected, what was found."""
     lines = []
-    for item in error.errors(include_url=False):
+    found = error.errors(include_url=False)
+    missing = {item["loc"] for item in found if item["type"] == "missing"}
+    for item in found:
         where = ".".join(str(part) for part in item["loc"]) or "file"
         message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = f"there is no such key{_meant(item['loc'], missing)}"
         value = item.get("input")
         shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
         lines.append(f"{where}: {message}{shown}")
     return lines
+
+
+def _meant(place: tuple[int | str, ...], missing: set[tuple[int | str, ...]]) -> str:
+    """The key beside it that is missing and looks like it, as a question."""
+    beside = [str(one[-1]) for one in missing if one[:-1] == place[:-1]]
+    alike = get_close_matches(str(place[-1]), beside, n=1)
+    return f" (did you mean '{alike[0]}'?)" if alike else ""
 
 
 def _tuples(value: Any) -> Any:

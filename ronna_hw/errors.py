@@ -82,7 +82,8 @@ class RonnaError(Exception):
         line = f"{self.code}: {self.summary}" if self.code else self.summary
         if self.wire:
             line = f"{line}; last bytes {self.wire.hex(' ')}"
-        return f"{line.removesuffix('.')}. {self.advice}" if self.advice else line
+        sentence = line if line.endswith("?") else f"{line.removesuffix('.')}."
+        return f"{sentence} {self.advice}" if self.advice else line
 
 
 class ConfigurationError(RonnaError):

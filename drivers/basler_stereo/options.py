@@ -16,6 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from drivers.basler_stereo.errors import BadOptions
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
+from ronna_hw.text.counting import counted
 from ronna_hw.wire import gige_vision as gev
 
 LARGEST_PACKET_BYTES = 16_000  # cameras stop near 9000; a loopback link carries more
@@ -99,6 +100,8 @@ def read_options(config: DeviceConfig) -> BaslerOptions:
         return BaslerOptions.model_validate_json(json.dumps(config.options))
     except ValidationError as error:
         mistakes = describe_mistakes(error)
-        raise BadOptions(f"stereo options have {len(mistakes)} mistake(s): " + "; ".join(mistakes)) from error
+        raise BadOptions(
+            f"stereo options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+        ) from error
     except TypeError as error:
         raise BadOptions(f"stereo options: {error}") from error

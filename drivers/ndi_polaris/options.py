@@ -19,6 +19,7 @@ from drivers.ndi_polaris.tools.geometry import check_distinct
 from drivers.ndi_polaris.tools.shipped import find_definition
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig, describe_mistakes
+from ronna_hw.text.counting import counted
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
@@ -116,7 +117,7 @@ def read_options(config: DeviceConfig) -> PolarisOptions:
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise BadOptions(
-            f"tracker options have {len(mistakes)} mistake(s): " + "; ".join(mistakes)
+            f"tracker options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error
     except TypeError as error:
         raise BadOptions(f"tracker options: {error}") from error

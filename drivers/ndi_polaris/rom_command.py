@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ronna_hw.command_line.early_interruption  # noqa: F401 - first of all: imports can be interrupted
+from ronna_hw.text.counting import counted
 
 # isort: split
 from pathlib import Path
@@ -169,7 +170,7 @@ def compare(
                 for d in differences
             ],
         )
-    summary = "no difference" if not differences else f"{len(differences)} difference(s)"
+    summary = "no difference" if not differences else counted(len(differences), "difference")
     shape = "" if shape_mm is None else f"; marker distances differ by at most {shape_mm:.3f} mm"
     console.tell(summary + shape)
     return EXIT_FAILED if differences else EXIT_DONE
@@ -216,7 +217,7 @@ def check(
         for pair in alike:
             console.tell(str(pair))
         if not alike:
-            console.tell(f"{len(tools)} tool(s): all distances differ by at least {tolerance:g} mm")
+            console.tell(f"{counted(len(tools), 'tool')}: all distances differ by at least {tolerance:g} mm")
     return EXIT_FAILED if alike or triangles else EXIT_DONE
 
 

@@ -14,6 +14,7 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import PoseRecord, StereoHeadCalibration, Strict, ToolTipCalibration
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.counting import counted
 
 OBSERVATIONS_FILE = "observations.json"
 Positive = Annotated[float, Field(gt=0)]
@@ -85,5 +86,5 @@ def read_strict(kind: type[S], path: Path) -> S:
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise BadObservations(
-            f"{path.name} has {len(mistakes)} mistake(s): {'; '.join(mistakes[:5])}"
+            f"{path.name} has {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes[:5])}"
         ) from error

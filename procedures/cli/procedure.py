@@ -239,7 +239,8 @@ def _request(
     from procedures.cli.case.request import CaseRequest
 
     if sim == (config is not None):
-        raise UsageMistake("give either --sim or --config", action="See ronna-procedure run --help.")
+        both = "--sim and --config do not go together" if sim else "give either --sim or --config"
+        raise UsageMistake(both, action="See ronna-procedure run --help.")
     if config is not None and case is None:
         raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
     if config is None and case is not None:

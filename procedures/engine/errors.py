@@ -70,7 +70,7 @@ class CommandRefused(RonnaError):
     """A command that this run started ended by itself; its last output is in the message."""
 
     code = "PRO-013"
-    action = "Correct what its message names, then start again."
+    action = "Start again when that is put right."
 
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
         super().__init__(f"{name} failed: {' '.join(messages.split()).rstrip('.')}")

@@ -11,6 +11,7 @@ import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
+from ronna_hw.text.counting import counted
 
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
@@ -89,5 +90,5 @@ def phantom(
         return
     typer.echo(
         f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
-        f"{len(truth.head.targets)} trajectories in {case.plan}"
+        f"{counted(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
     )

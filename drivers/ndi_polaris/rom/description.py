@@ -23,6 +23,7 @@ from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.devices.readings import Vector3
+from ronna_hw.text.counting import counted
 from ronna_hw.wire import polaris_rom as layout
 
 MAIN_TYPES = {
@@ -135,7 +136,7 @@ def read_description(path: Path) -> ToolDescription:
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise BadToolFile(
-            f"{path.name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes),
+            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes),
             action="Correct the description.",
         ) from error
 

@@ -13,6 +13,7 @@ from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.command_line.console import print_json, print_table, say
+from ronna_hw.text.counting import counted
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
@@ -52,7 +53,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["restarts"]:
-        say(f"taken up again {row['restarts']} times")
+        say(f"taken up again {counted(row['restarts'], 'time')}")
     if row["instrument_in"]:
         say(f"the instrument was still in {row['instrument_in']}")
     say(f"done: {', '.join(row['done']) or 'nothing'}")

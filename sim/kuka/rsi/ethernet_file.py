@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from ronna_hw.bounded_input import InputRefused, parse_xml, read_bounded
 from ronna_hw.config import describe_mistakes
+from ronna_hw.text.counting import counted
 from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.errors import EthernetFileInvalid
 
@@ -84,7 +85,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise EthernetFileInvalid(
-            f"{path.name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)
+            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from None
 
 

@@ -14,6 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 from ronna_hw.bounded_input import read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
+from ronna_hw.text.counting import counted
 from sim.errors import BadScene
 
 Numbers6 = tuple[float, float, float, float, float, float]
@@ -230,7 +231,7 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
         mistakes = describe_mistakes(error)
-        raise BadScene(f"{name} has {len(mistakes)} mistake(s): " + "; ".join(mistakes)) from error
+        raise BadScene(f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)) from error
 
 
 def read_scene(path: Path) -> Scene:

@@ -33,7 +33,7 @@ def test_all_mistakes_of_a_theatre_file_are_reported_at_once() -> None:
     with pytest.raises(BadTheatreFile, match="CFG-001") as refused:
         parse_theatre(content)
     message = str(refused.value)
-    assert "3 mistake(s)" in message
+    assert "3 mistakes" in message
     for part in ("colour", "clock.endpoint", "tracker.driver"):
         assert part in message
 
@@ -117,3 +117,13 @@ def test_relative_paths_of_a_device_begin_at_its_theatre_file(
     assert tracker.folder == lab
     assert tracker.model_copy(update={"endpoint": "tcp://127.0.0.1:1"}).folder == lab
     assert DeviceConfig(driver="ndi_polaris", endpoint="host:").folder is None
+
+
+def test_a_misspelt_key_is_told_with_the_one_that_is_missing_beside_it() -> None:
+    record = {**RECORD, "stated_error": RECORD["stated_error_mm"], "flange_from_tool": POSE}
+    del record["stated_error_mm"]
+    with pytest.raises(BadTheatreFile) as refused:
+        parse_theatre({"schema": 1, "theatre": "a", "calibration": {"tool_tip": record}})
+    assert "tool_tip.stated_error: there is no such key (did you mean 'stated_error_mm'?)" in str(
+        refused.value
+    )

@@ -151,7 +151,7 @@ def test_a_comparison_ends_with_1_when_something_differs(rom: Rom, tmp_path: Pat
     code, table, messages = rom("compare", first, second)
     assert code == 1
     assert "markers_mm[4]\t-35 33 0\t-35 33 2.5\t2.500" in table
-    assert messages.startswith("1 difference(s)")
+    assert messages.startswith("1 difference;")
     report = json.loads(rom("compare", first, second, "--json")[1])
     assert report["differences"][0]["distance_mm"] == pytest.approx(2.5)
     assert not report["same"]

@@ -56,7 +56,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
     content = named_scene("mini").model_dump(by_alias=True)
     content["colour"] = "green"
     content["seed"] = "x"
-    with pytest.raises(BadScene, match=r"2 mistake\(s\)"):
+    with pytest.raises(BadScene, match=r"2 mistakes"):
         parse_scene(content, "scene.toml")
 
 
