@@ -91,14 +91,17 @@ def opened_engine(
     the folder `phantom`. With `resumption` the folder is that of a run that is taken up again.
     """
     from procedures.engine.device_watch import DeviceWatch
+    from ronna_hw.config import read_theatre_file
+    from ronna_hw.theatre_kind import is_simulated
 
     goes_on = resumption is not None and not resumption.left.untouched
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
         operator = operator_of(request, watcher, answers, resumption)
-        room: Room = TerminalRoom(watcher.asking)
-        if file is None:
+        if file is not None:
+            room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
+        else:
             simulated = stack.enter_context(
                 SimulatedCase(request, folder / "theatre", phantom, goes_on=goes_on)
             )

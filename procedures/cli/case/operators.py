@@ -110,8 +110,12 @@ class TerminalOperator:
 class TerminalRoom:
     """The hands of whoever sits at the terminal."""
 
-    def __init__(self, asking: Callable[[], AbstractContextManager[None]] = nullcontext) -> None:
+    def __init__(
+        self, asking: Callable[[], AbstractContextManager[None]] = nullcontext, *, simulated: bool = False
+    ) -> None:
+        """In a `simulated` theatre a tool is mounted by a command."""
         self._asking = asking
+        self._simulated = simulated
 
     def announce(self, step: str) -> None:
         """Nothing to do: the person sees the progress."""
@@ -120,6 +124,10 @@ class TerminalRoom:
         """Say what to mount; that it is done is confirmed, and recorded, by the step."""
         with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
+            if self._simulated:
+                sys.stderr.write(
+                    f"In the simulated room: ronna-sim mount {number} --control 'ENDPOINT FROM READY'\n"
+                )
             sys.stderr.flush()
 
 
