@@ -107,9 +107,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
             temporary.unlink()
         else:
             temporary.replace(path)
-    except (
-        BaseException
-    ):  # an interruption of the flush too: nothing half written stays in a run that is closed
+    except BaseException:  # an interruption of the flush too leaves nothing half written
         temporary.unlink(missing_ok=True)
         raise
 
