@@ -13,12 +13,12 @@ import sys
 import time
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from procedures.cli.case import opening
 from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.case.scene_choice import SceneChoice
-from procedures.engine import engine as engine_module
-from procedures.engine import journal
+from procedures.engine import closing, journal
 from procedures.engine.events import event_file, stream
 from ronna_hw.recording import flight_recorder, reading_tape, taped_device
 from ronna_hw.theatre import Theatre
@@ -34,14 +34,24 @@ class _Nothing:
 
 
 def keep_nothing() -> None:
-    """Replace everything that writes a run's history while it happens."""
-    journal.Journal._append = lambda *_words, **_more: None  # type: ignore[method-assign]
-    stream.EventStream.publish = lambda *_words: None  # type: ignore[method-assign,assign,return-value]
-    event_file.EventFile = flight_recorder.FlightRecorder = _Nothing  # type: ignore[assign,misc]
-    reading_tape.ReadingTape = _Tape  # type: ignore[assign,misc]
-    taped_device.taped = lambda device, _tape: device
-    Theatre.record_bytes = lambda *_words: None  # type: ignore[method-assign]
-    engine_module.hashes_at_closing = lambda _folder: {}
+    """Replace everything that writes a run's history while it happens, until the program ends.
+
+    A name that is no longer there is an error: the bare case would cost more than it says.
+    """
+    for owner, name, instead in (
+        (journal.Journal, "_append", _ignore),
+        (stream.EventStream, "publish", _ignore),
+        (event_file, "EventFile", _Nothing),
+        (flight_recorder, "FlightRecorder", _Nothing),
+        (reading_tape, "ReadingTape", _Tape),
+        (taped_device, "taped", lambda device, _tape: device),
+        (Theatre, "record_bytes", _ignore),
+        (closing, "hashes_at_closing", lambda _folder: {}),
+    ):
+        patch.object(owner, name, instead).start()
+
+
+def _ignore(*_words: object, **_more: object) -> None: ...
 
 
 class _Tape(_Nothing):

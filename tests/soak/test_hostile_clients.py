@@ -15,6 +15,7 @@ from itertools import count
 import psutil
 import pytest
 from hostile_clients import camera_commands, maltreat
+from waiting import eventually
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
@@ -100,8 +101,8 @@ class StreamClients:
 
     def asked_until(self, request: bytes, answered: Callable[[bytes], bool]) -> None:
         """The next client asks, again on a new connection where it is turned away."""
-        until_s = time.monotonic() + 2 * SERVED_IN_S
-        while time.monotonic() < until_s:
+
+        def asked() -> bool:
             heard = b""
             with contextlib.suppress(OSError), self.connect() as line:
                 line.settimeout(2 * SILENCE_S + 1.0)
@@ -109,9 +110,10 @@ class StreamClients:
                 while more := line.recv(65536):
                     heard += more
                     if answered(heard):
-                        return
-            time.sleep(0.05)
-        raise AssertionError(f"{request!r} is not answered: {heard[-200:]!r}")
+                        return True
+            return False
+
+        eventually(asked, 2 * SERVED_IN_S)
 
 
 @lengths

@@ -2,13 +2,13 @@
 
 import json
 import signal
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from run_folders import REACHED_S, records_of, run_folder
 from user_commands import Commands
+from waiting import eventually
 
 from procedures.engine.events.event_file import EVENTS_FILE
 
@@ -32,13 +32,10 @@ def commands() -> Iterator[Commands]:
 
 def begun(out: Path) -> Path:
     """The run's folder, once there is something to follow."""
-    deadline = time.monotonic() + REACHED_S
-    while time.monotonic() < deadline:
-        folder = run_folder(out)
-        if folder is not None and (folder / EVENTS_FILE).exists():
-            return folder
-        time.sleep(0.05)
-    raise AssertionError("the case did not begin")
+    eventually(lambda: (folder := run_folder(out)) is not None and (folder / EVENTS_FILE).exists(), REACHED_S)
+    folder = run_folder(out)
+    assert folder is not None
+    return folder
 
 
 def late_cycles(commands: Commands, out: Path, watchers: int) -> int:

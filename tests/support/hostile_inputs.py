@@ -7,13 +7,11 @@ from __future__ import annotations
 
 import contextlib
 import json
-import random
-import re
 import struct
 import tempfile
 import time
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +36,7 @@ from good_inputs import (
     packets,
     zipped,
 )
-from mutations import mutations
+from hostile_mutants import mutants
 from painted_ct import write_series
 from pydicom.dataset import Dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
@@ -92,34 +90,6 @@ class Parser:
 
     good: tuple[bytes, ...]
     take: Callable[[bytes], object]
-
-
-def mutants(good: tuple[bytes, ...], count: int, seed: int) -> Iterator[bytes]:
-    """As `mutations`; one in eight then has a part of it many times, some have numbers without sense."""
-    chosen = random.Random(seed)
-    for data in mutations(good, count, seed):
-        if chosen.random() < 0.125 and data:
-            begin = chosen.randrange(len(data))
-            part = data[begin : begin + chosen.randint(1, 40)]
-            data = data[:begin] + part * chosen.choice((2, 10, 100, 3000)) + data[begin:]
-        if chosen.random() < 0.125:
-            data = _DIGITS.sub(lambda found: found[0] if chosen.random() < 0.8 else chosen.choice(_ODD), data)
-        yield data
-
-
-_DIGITS = re.compile(rb"-?\d+(?:\.\d+)?")
-_ODD = (
-    b"-1",
-    b"0",
-    b"1e308",
-    b"-1e-300",
-    b"1e400",
-    b"9" * 400,
-    b"65536",
-    b"4294967296",
-    b"0x" + b"F" * 40,
-    b"nan",
-)
 
 
 class _Camera:
