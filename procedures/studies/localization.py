@@ -29,6 +29,7 @@ from procedures.imaging.markers import ESTIMATORS_DISAGREE
 from procedures.registration.point_registration import register
 from procedures.studies.errors import NotForJudging
 from procedures.studies.phantom_scans import PhantomScan, phantom_scan
+from procedures.studies.thesis_tables import OPERATORS, TABLE_3
 from procedures.studies.unit import Sums, Unit, blocks, generator
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -45,7 +46,7 @@ SAME_SPHERE_MM = 2.0
 LARGE_ERROR_MM = 0.1
 BIN_MM = 0.001
 SEED_BOUND = 2**31
-OPERATORS_FLE_MM = (0.4583, 0.3306, 0.3691, 0.7211)  # thesis, table 3
+OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
 
 
 class Method(StrEnum):

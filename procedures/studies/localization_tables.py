@@ -10,19 +10,24 @@ from procedures.studies.localization import (
     AUTOMATIC,
     BIN_MM,
     FRAMES,
-    OPERATORS_FLE_MM,
     Method,
     pooled,
 )
 from procedures.studies.plots import bars
 from procedures.studies.table import Cell, Table
+from procedures.studies.thesis_tables import (
+    HUMAN_OPERATORS,
+    LINE_FIT,
+    OPERATORS,
+    SPHERE_FIT,
+    TABLE_2,
+    TABLE_3,
+)
 from procedures.studies.unit import Sums
 
 STREAKED = ("streaks", "posts")  # families whose posts cause streaks
 SPHERES = 4  # of the frame
-THESIS_TABLE_2_MM = {Method.THESIS_LINE: 0.1685, Method.THESIS_SPHERE: 0.1617}
-THESIS_TABLE_3_MM = {Method.THESIS_LINE: 0.2604, Method.THESIS_SPHERE: 0.2541}
-PERSON_TABLE_2_MM = 0.3189
+IN_THE_THESIS = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 COLUMNS = (
     "family",
     "protocol",
@@ -159,24 +164,26 @@ def _cut(sums: Mapping[str, Sums], cells: Sequence[str]) -> str:
 def _fle_table(total: Sums) -> Table:
     """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
     rows: list[Sequence[Cell]] = []
-    people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS_FLE_MM) + 1)]
+    people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
     for who in [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]:
         runs, pairs = total.get(f"{who}|truth runs", 0.0), total.get(f"{who}|pair runs", 0.0)
         if not (runs and pairs):
             continue
         truth_mm = fle_from_fre_mm(sqrt(total[f"{who}|truth fre2"] / runs), SPHERES)
         pair_mm = fle_of_one_space_mm([sqrt(total[f"{who}|pair fre2"] / pairs)], SPHERES)
-        number = people.index(who) if who in people else None
-        method = Method(who) if number is None else Method.PERSON
+        person = who in people
+        named = OPERATORS[people.index(who)] if person else IN_THE_THESIS.get(Method(who), "")
+        table_2 = TABLE_2.get(HUMAN_OPERATORS if person else named)
+        table_3 = TABLE_3.get(named)
         rows.append(
             (
                 who,
                 int(runs),
                 truth_mm,
-                PERSON_TABLE_2_MM if number is not None else THESIS_TABLE_2_MM.get(method),
+                None if table_2 is None else table_2.printed_mm,
                 int(pairs),
                 pair_mm,
-                OPERATORS_FLE_MM[number] if number is not None else THESIS_TABLE_3_MM.get(method),
+                None if table_3 is None else table_3.printed_mm,
             )
         )
     return Table(
