@@ -129,6 +129,9 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
     if not is_closed(chain.lines) and broken is None:
         what = "not closed: the run was killed, still runs, or its last lines are gone"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
+    run, name = chain.lines[0].get("run") if chain.lines else None, folder.resolve().name
+    if run not in (None, name):
+        problems.append(Problem(JOURNAL_FILE, f"of the run {run}, in a folder that is named {name}"))
     return chain
 
 

@@ -64,7 +64,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def run(finished: Path, tmp_path: Path) -> Path:
     """A copy to spoil."""
-    return shutil.copytree(finished, tmp_path / "a copy")
+    return shutil.copytree(finished, tmp_path / finished.name)
 
 
 @pytest.fixture
@@ -258,10 +258,12 @@ def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -
     assert inspected(cell.folder).changes == ()
 
 
-def test_records_name_the_run_and_stay_with_it_under_another_name(run: Path) -> None:
+@pytest.mark.hazard(39)
+def test_a_run_under_another_name_is_not_that_run(run: Path) -> None:
     assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
-    assert run.name != "run"
-    assert inspected(run).problems == ()
+    renamed = run.rename(run.with_name("another"))
+    with pytest.raises(RunChanged, match="of the run run, in a folder that is named another"):
+        inspected(renamed).require_whole()
 
 
 def test_exports_are_made_at_any_time_and_are_no_part_of_the_run(run: Path) -> None:
