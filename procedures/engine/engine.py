@@ -354,9 +354,10 @@ class Engine:
         self.events.publish(Fault(code=code, what=str(problem), advice=advice))
         self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
         self._show_state(str(problem))
-        if not isinstance(problem, JournalNotWritable):
+        files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
+        with suppress(JournalNotWritable):  # what the step met is told
             self._doubt_localizations(self.faults.get(ARM))
-            files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
+        with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def context(self, key: StepKey) -> StepContext:

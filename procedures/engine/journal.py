@@ -1,11 +1,13 @@
 """The journal: written before anything happens, and again when it has happened.
 
 Append-only JSON lines, each flushed to disk before the call returns, each naming the SHA-256 of the line
-before it. Without a journal nothing moves: a write that fails raises PRO-003.
+before it. Without a journal nothing moves: a write that fails raises PRO-003 and leaves no part of its line.
+How a step or the run ended is told also on a disk that is full: room for it is held in a file of its own.
 """
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -26,6 +28,7 @@ from ronna_hw.evidence.journal_reading import (
     read_journal,
     theatre_time_s,
 )
+from ronna_hw.evidence.seal import ROOM_FILE
 
 __all__ = [
     "ENDS_OF_A_STEP",
@@ -40,6 +43,8 @@ __all__ = [
 ]
 
 TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
+ROOM_BYTES = 1 << 20  # a last line names every file of the run and every slice of its CT, some 150 bytes each
+ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 
 class _Chain(NamedTuple):
@@ -91,6 +96,7 @@ class Journal:
             self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o666)
         except OSError as error:
             raise JournalNotWritable(f"cannot open {self.path.name}: {error.strerror}") from error
+        self._room = folder / ROOM_FILE
 
     def write(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
         """Append one line and return when it is on disk; raises PRO-003."""
@@ -109,6 +115,8 @@ class Journal:
         if self.closed:
             raise self._not_writable("it is closed")
         self._settle()
+        if entry is Entry.INTENT:
+            self._hold_room()
         content = {
             "sequence": self._chain.lines,
             "previous": self._chain.last,
@@ -118,18 +126,44 @@ class Journal:
             **data,
         }
         line = json.dumps(content, separators=(",", ":"), allow_nan=False).encode() + b"\n"
-        self._pending = line
         try:
-            os.write(self._file, line)
+            self._put(line, durable=durable)
+        except JournalNotWritable:
+            if entry not in ENDINGS or not self._room.exists():
+                raise
+            self._room.unlink()
+            self._put(line, durable=durable)
+        self._on_line(line)
+
+    def _put(self, line: bytes, *, durable: bool) -> None:
+        """Write a line and flush it; one that is there and could not be flushed is flushed again."""
+        try:
+            if hashlib.sha256(line).hexdigest() != self._chain.last:
+                self._pending = line
+                os.write(self._file, line)
             if durable:
                 os.fdatasync(self._file)
         except OSError as error:
+            self._settle()
             raise self._not_writable(error.strerror) from error
         self._settle()
-        self._on_line(line)
+
+    def _hold_room(self) -> None:
+        """Before a step begins there is room to tell how it ended."""
+        if self._room.exists():
+            return
+        try:
+            file = os.open(self._room, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+            try:
+                os.posix_fallocate(file, 0, ROOM_BYTES)
+            finally:
+                os.close(file)
+        except OSError as error:
+            self._room.unlink(missing_ok=True)
+            raise self._not_writable(error.strerror) from error
 
     def _settle(self) -> None:
-        """Count the pending line when it is in the file.
+        """Count the pending line when it is in the file; what is there of one that was cut is taken away.
 
         A signal may end a write at any point, also when the line is there and not counted yet. So what the
         file holds decides, and chain and pending line change by one assignment each.
@@ -141,7 +175,12 @@ class Journal:
         if size == chain.size + len(line):
             self._chain = _Chain(size, chain.lines + 1, hashlib.sha256(line).hexdigest())
         elif size != chain.size:
-            raise self._not_writable("the line was cut")
+            try:
+                os.ftruncate(self._file, chain.size)
+            except OSError as error:
+                raise self._not_writable(f"the line was cut, and {error.strerror}") from error
+            self._pending = b""
+            raise self._not_writable("the line was cut: the disk is full")
         self._pending = b""
 
     def _not_writable(self, reason: str | None) -> JournalNotWritable:
@@ -151,6 +190,8 @@ class Journal:
         """Close the file."""
         self.closed = True
         os.close(self._file)
+        with contextlib.suppress(OSError):
+            self._room.unlink(missing_ok=True)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -16,11 +16,15 @@ from pydantic import BaseModel, ConfigDict, Field
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 from ronna_hw.host.regular_file import open_regular
-from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.records import PARTIAL, canonical_json, write_whole
 
 SEAL_FILE = "seal.json"
+ROOM_FILE = f".room{PARTIAL}"  # held while a run is open, and half of nothing when it is left by a kill
 # Written also after the run is closed: how the names of files begin, and folders with everything in them.
-LATER_FILES = ("log.jsonl", "events.jsonl", "report.html", "theatre/world.json", "theatre/.world.json")
+LATER_FILES = (
+    *("log.jsonl", "events.jsonl", "report.html", ROOM_FILE),
+    *("theatre/world.json", "theatre/.world.json"),
+)
 LATER_FOLDERS = ("report",)
 EXPORT_FOLDER = "export"  # made from the run at any time, and no part of it
 CHUNK_BYTES = 1 << 20

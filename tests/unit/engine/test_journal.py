@@ -1,3 +1,4 @@
+import errno
 import json
 import os
 from pathlib import Path
@@ -7,6 +8,7 @@ import pytest
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.evidence.errors import JournalCorrupt
+from ronna_hw.evidence.seal import ROOM_FILE
 
 
 def _written(folder: Path) -> Path:
@@ -90,15 +92,52 @@ def test_a_signal_at_any_moment_of_a_write_leaves_a_chain_that_goes_on(
     ]
 
 
-def test_a_line_that_was_cut_ends_the_writing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_of_a_line_that_was_cut_nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = Journal(tmp_path)
     original = os.write
     monkeypatch.setattr(os, "write", lambda file, line: original(file, line[:9]))
     with pytest.raises(JournalNotWritable, match="cut"):
         journal.write(Entry.OPENED, 0.0)
     monkeypatch.undo()
-    with pytest.raises(JournalNotWritable, match="cut"):
-        journal.write(Entry.CLOSED, 0.0)
+    assert journal.path.read_bytes() == b""
+    journal.write(Entry.FINDING, 0.0)
+    assert [line["entry"] for line in read_journal(journal.path)] == ["finding"]
+
+
+@pytest.mark.hazard(33)
+@pytest.mark.parametrize("call", ["write", "fdatasync"])
+def test_how_a_run_ended_is_told_also_on_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
+) -> None:
+    journal = Journal(tmp_path)
+    journal.write(Entry.INTENT, 0.0, step="ct_import")
+    original = getattr(os, call)
+
+    def on_full_disk(*arguments: object) -> object:
+        if (tmp_path / ROOM_FILE).exists():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return original(*arguments)
+
+    monkeypatch.setattr(os, call, on_full_disk)
+    with pytest.raises(JournalNotWritable, match="No space left"):
+        journal.write(Entry.MOTION, 1.0)
+    journal.write(Entry.FAILED, 2.0, step="ct_import", what="No space left")
+    journal.write(Entry.CLOSED, 2.0, outcome="failed")
+    journal.close()
+    told = [line["entry"] for line in read_journal(journal.path) if line["entry"] != Entry.MOTION]
+    assert told == ["intent", "failed", "closed"]
+    assert os.listdir(tmp_path) == [JOURNAL_FILE]
+
+
+@pytest.mark.hazard(33)
+def test_no_step_begins_without_room_to_tell_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    with pytest.raises(JournalNotWritable, match="No space left"):
+        Journal(tmp_path).write(Entry.INTENT, 0.0, step="ct_import")
+    assert os.listdir(tmp_path) == [JOURNAL_FILE]
 
 
 @pytest.mark.hazard(33)
