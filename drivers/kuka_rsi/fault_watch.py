@@ -49,8 +49,11 @@ class FaultWatch:
         """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki
         if self._guard.state not in STREAMING:
+            parked = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
+            elif parked is not None and not parked.alive:
+                self._guard.latch(parked.death())
             return
         link = self._connections.link
         error = self._error_of(link.state)
@@ -94,9 +97,9 @@ class FaultWatch:
 
     def controller_said(self, state: ControllerState) -> None:
         """From the EKI reader: the controller's state, asked or unasked."""
+        self.notice()
         if self._guard.state not in STREAMING:
             return
-        self.notice()
         causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
         if causes:
             self._stop_for(ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}"))

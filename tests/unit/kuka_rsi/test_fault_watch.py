@@ -9,7 +9,7 @@ import pytest
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.controller_state import ControllerState
-from drivers.kuka_rsi.errors import ControllerLost, RecordedCycle
+from drivers.kuka_rsi.errors import ControllerLost, LinkProcessDied, RecordedCycle
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
@@ -54,6 +54,9 @@ class Link:
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         return ()
+
+    def death(self) -> RonnaError:
+        return LinkProcessDied("the real-time process ended: exit code -9")
 
 
 @dataclass
@@ -149,3 +152,14 @@ def test_a_lost_channel_orders_the_stop_itself() -> None:
 
 def _changed(**change: Any) -> ControllerState:
     return replace(STREAMING_WELL, **change)
+
+
+@pytest.mark.hazard(4)
+def test_a_link_process_that_dies_while_the_arm_is_parked_is_a_fault_at_once() -> None:
+    watched = Watched()
+    watched.guard.enter(Lifecycle.CONFIGURED)
+    watched.watch.controller_said(STREAMING_WELL)
+    assert watched.guard.fault is None
+    watched.link.alive = False
+    watched.watch.controller_said(STREAMING_WELL)
+    assert isinstance(watched.guard.fault, LinkProcessDied)
