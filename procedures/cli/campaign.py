@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.studies.table import Table
@@ -35,6 +37,18 @@ SchedulerOption = Annotated[
         "--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://127.0.0.1:8786."
     ),
 ]
+
+
+class MethodChoice(StrEnum):
+    """Methods of pairing as an option names them."""
+
+    CLIQUE = "clique"
+    PRIOR = "orientation"
+    COUNT = "count"
+    THESIS = "thesis"
+    VALIDATED = "thesis-validated"
+
+
 Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
 Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
 
@@ -46,8 +60,22 @@ def correspondence(
     ] = 10_000,
     sweep: Annotated[
         bool,
-        typer.Option("--sweep", help="Only the thesis method, with its 51 values of e from 1 to 6 mm."),
+        typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
     ] = False,
+    methods: Annotated[
+        list[MethodChoice] | None,
+        typer.Option("--method", help="Only this method; may be given more than once [all]."),
+    ] = None,
+    tolerances_mm: Annotated[
+        list[float] | None,
+        typer.Option(
+            "--e",
+            min=0.1,
+            max=10.0,
+            metavar="MM",
+            help="Value of e of the thesis methods; may be given more than once [1.5 and 2.5].",
+        ),
+    ] = None,
     xframe: Annotated[
         bool, typer.Option("--xframe", help="The x-shaped frame: 17 scans, --runs readings each.")
     ] = False,
@@ -59,19 +87,31 @@ def correspondence(
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,
 ) -> None:
-    """Correspondence of unordered points with outliers: ours and the thesis method on the same data."""
+    """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
+
+    The thesis method is run as it finds its pairs, and with their validation against the stated errors.
+    """
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from procedures.studies import correspondence_tables, x_frame
-    from procedures.studies.correspondence import CorrespondenceStudy, Method
+    from procedures.studies.correspondence import (
+        OF_THE_THESIS,
+        USUAL_TOLERANCES_MM,
+        CorrespondenceStudy,
+        Method,
+    )
 
+    if (xframe or sweep) and (methods or tolerances_mm):
+        raise UsageMistake("--method and --e belong to neither --sweep nor --xframe: both have their own")
     if xframe:
         frame = x_frame.XFrameStudy(runs, seed)
         _run(frame, x_frame.tables, x_frame.plots, workers, scheduler, out, as_json, verbose)
         return
-    study = CorrespondenceStudy(runs, seed)
+    chosen = tuple(Method[one.name] for one in dict.fromkeys(methods)) if methods else tuple(Method)
+    values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
+    study = CorrespondenceStudy(runs, seed, chosen, values_mm)
     if sweep:
         study = CorrespondenceStudy(
-            runs, seed, (Method.THESIS,), THESIS_TOLERANCES_MM, name="correspondence-sweep"
+            runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
         )
     plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
     _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json, verbose)

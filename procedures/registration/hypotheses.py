@@ -51,15 +51,15 @@ class Evidence:
 
 
 @lru_cache(maxsize=64)
-def gate(pairs: int) -> float:
+def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
     """Limit of the residual chi-square of a rigid fit of that many pairs, for either shape of the noise.
 
     An error that is normal on every axis leaves chi-square with 3k - 6 degrees of freedom. One whose length
     is normal, in any direction, has the same variance and a longer tail: three times a chi-square with one
     degree per point, of which the fit takes 6 parts in 3k.
     """
-    per_axis = float(chdtri(3 * pairs - 6, GATE_FALSE_ALARM))
-    by_length = (3.0 - 6.0 / pairs) * float(chdtri(pairs, GATE_FALSE_ALARM))
+    per_axis = float(chdtri(3 * pairs - 6, false_alarm))
+    by_length = (3.0 - 6.0 / pairs) * float(chdtri(pairs, false_alarm))
     return max(per_axis, by_length)
 
 

@@ -4,7 +4,8 @@ A cell (i, j) counts how many distances from image point i equal one from physic
 whose best cell is lowest are dropped one by one until every point left agrees with all the others, or too
 few are left. The text leaves open how a cell is matched and what is dropped when: here distances are matched
 one to one in order of length, and the single worst point of the larger set goes first (of both sets, when
-they are equal). Dropping all failing points at once fails far more often.
+they are equal). Dropping all failing points at once fails far more often. The text also validates what was
+found: see `pairing_validation`.
 
 Many readings with equally many points are solved at once, because a study repeats it by the million.
 """

@@ -1,7 +1,8 @@
 """The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
 
-Each method solves every run on the same points. A run succeeds if exactly the true pairs are returned; it is
-a false positive if any other set is, even a subset of the true pairs; otherwise it is unsuccessful.
+Each method solves every run on the same points. A run succeeds if exactly the true pairs are returned, it is
+false if a wrong pair is among them, a part if they are right but not all, and otherwise it is lost. The
+thesis counts a part as unsuccessful (success is exact count and exact order), our goals count it as false.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from procedures.registration.correspondence import (
     turn_rad,
 )
 from procedures.registration.matching import match
+from procedures.registration.pairing_validation import validate_many
 from procedures.registration.similarity_matrix import match_many_by_similarity
 from procedures.studies.heads import (
     IMAGE_SIGMA_MM,
@@ -34,6 +36,7 @@ from procedures.studies.heads import (
     in_balls,
     per_axis_mm,
     sites_mm,
+    stated_variance_mm2,
 )
 from procedures.studies.readings import Readings, draw_readings
 from procedures.studies.unit import Sums, Unit, blocks, generator
@@ -45,29 +48,33 @@ FIDUCIALS = tuple(range(3, 9))
 OUTLIERS = tuple(range(5))
 BLOCK_RUNS = 500
 PRIOR_DISTURBED_RAD = math.radians(20.0)  # largest error of the orientation given as a prior
-SUCCESS, UNSUCCESSFUL, FALSE = "success", "unsuccessful", "false"
+SUCCESS, LOST, PART, FALSE = "success", "lost", "part", "false"
+# At the first the thesis' method comes nearest to its figures for 3 and 4 markers, at the second for 5 to 8.
+USUAL_TOLERANCES_MM = (1.5, 2.5)
 
 
 class Method(StrEnum):
-    """Ours, ours with prior knowledge from the plan, and the thesis'."""
+    """Ours, ours with prior knowledge from the plan; the thesis', as found and validated."""
 
     CLIQUE = "clique"
     PRIOR = "clique + orientation"
     COUNT = "clique + planned count"
     THESIS = "thesis"
+    VALIDATED = "thesis, validated"
 
 
 OURS = (Method.CLIQUE, Method.PRIOR, Method.COUNT)
+OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` for each patient and cell; the thesis' method with each e in `tolerances_mm`."""
+    """`runs` for each patient and cell; the thesis' methods with each e in `tolerances_mm`."""
 
     runs: int
     seed: int = 0
     methods: tuple[Method, ...] = tuple(Method)
-    tolerances_mm: tuple[float, ...] = (3.0,)
+    tolerances_mm: tuple[float, ...] = USUAL_TOLERANCES_MM
     readings: tuple[NoiseReading, ...] = tuple(NoiseReading)
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "correspondence"
@@ -97,22 +104,38 @@ class CorrespondenceStudy:
         prior_matrices = np.asarray(priors.as_matrix())
         rights = [frozenset((i, j) for i, j in one) for one in seen.pairs.tolist()]
         sums: Counter[str] = Counter()
-        if any(method in OURS for method in self.methods):
+        ours = [method for method in self.methods if method in OURS]
+        if ours:
             for run, right in enumerate(rights):
                 solve = partial(_solve, seen.image_mm[run], seen.physical_mm[run], reading)
                 plain = solve()
-                for method in self.methods:
-                    if method is Method.THESIS:
-                        continue
+                for method in ours:
                     found = plain
                     if method is Method.COUNT:
                         found = solve(expected=count)
                     elif method is Method.PRIOR and not _stands(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
-        if Method.THESIS in self.methods:
-            sums += _by_thesis(seen, rights, self.tolerances_mm)
+        if any(method in OF_THE_THESIS for method in self.methods):
+            sums += self._by_thesis(seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
+
+    def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
+        """Outcomes of the thesis' pairing for every e: as it is found, and as its validation leaves it."""
+        sums: Counter[str] = Counter()
+        for tolerance_mm in self.tolerances_mm:
+            found = match_many_by_similarity(
+                seen.image_mm, seen.physical_mm, np.full(len(seen), tolerance_mm)
+            )
+            answers = {Method.THESIS: found}
+            if Method.VALIDATED in self.methods:
+                answers[Method.VALIDATED] = validate_many(
+                    seen.image_mm, seen.physical_mm, found, stated_variance_mm2(noise)
+                )
+            for method in answers.keys() & set(self.methods):
+                for right, one in zip(rights, answers[method], strict=True):
+                    sums[outcome_key(method, tolerance_mm, verdict(one.status, one.pairs, right))] += 1
+        return sums
 
 
 def cell_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
@@ -132,10 +155,13 @@ def outcome_key(method: Method, tolerance_mm: float | None, outcome: str) -> str
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
-    """Exactly the true pairs: success; a unique solution with any others: false."""
+    """How an answer is counted."""
     if status is not MatchStatus.UNIQUE:
-        return UNSUCCESSFUL
-    return SUCCESS if frozenset((i, j) for i, j in pairs.tolist()) == right else FALSE
+        return LOST
+    told = frozenset((i, j) for i, j in pairs.tolist())
+    if told == right:
+        return SUCCESS
+    return PART if told < right else FALSE
 
 
 def _solve(
@@ -164,12 +190,3 @@ def _stands(plain: Match, prior: Array) -> bool:
     if plain.transform is None or plain.status is not MatchStatus.UNIQUE:
         return False
     return turn_rad(prior, plain.transform.as_matrix()[:3, :3]) <= DEFAULT_PRIOR_TOLERANCE_RAD
-
-
-def _by_thesis(seen: Readings, rights: Sequence[Pairs], tolerances_mm: Sequence[float]) -> Counter[str]:
-    sums: Counter[str] = Counter()
-    for tolerance_mm in tolerances_mm:
-        found = match_many_by_similarity(seen.image_mm, seen.physical_mm, np.full(len(seen), tolerance_mm))
-        for right, pairs in zip(rights, found, strict=True):
-            sums[outcome_key(Method.THESIS, tolerance_mm, verdict(pairs.status, pairs.pairs, right))] += 1
-    return sums

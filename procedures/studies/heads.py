@@ -70,6 +70,11 @@ def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
+def stated_variance_mm2(noise: NoiseReading) -> float:
+    """Variance per axis of both sets together, as the thesis states their errors."""
+    return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
+
+
 def any_pose(random: np.random.Generator) -> RigidTransform:
     """A random orientation, somewhere in the room."""
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))

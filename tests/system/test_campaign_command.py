@@ -43,6 +43,25 @@ def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(tmp_path:
     assert again.stdout.startswith("fiducials\truns\t")
 
 
+def test_the_pairing_of_the_thesis_is_chosen_with_its_e_beside_ours(tmp_path: Path) -> None:
+    arguments = ["correspondence", "--runs", "1", "--workers", "1", "--out", tmp_path, "--json"]
+    arguments += ["--method", "count", "--method", "thesis-validated", "--e", "2", "--e", "1.5"]
+    told = in_this_process(app, *arguments)
+    assert told.returncode == 0, told.stderr
+    rows = {(row[0], row[1]) for row in json.loads(told.stdout)["tables"][0]["rows"]}
+    assert rows == {
+        ("clique + planned count", None),
+        ("thesis, validated", 1.5),
+        ("thesis, validated", 2.0),
+    }
+
+
+def test_methods_are_not_chosen_for_a_sweep(tmp_path: Path) -> None:
+    refused = in_this_process(app, "correspondence", "--sweep", "--method", "count", "--out", tmp_path)
+    assert refused.returncode == 2
+    assert refused.stderr.startswith("CLI-001: --method and --e")
+
+
 def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "units.jsonl").write_text('{"study": "correspondence", "fingerprint": "0"}\n')
     refused = in_this_process(app, "registration", "--runs", "2", "--out", tmp_path)

@@ -9,11 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from procedures.registration.correspondence import Prior
+from procedures.registration.correspondence import MatchStatus, Prior
 from procedures.studies import correspondence as study_module
 from procedures.studies import x_frame
 from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
-from procedures.studies.correspondence_tables import bars_beside_thesis, shares, tables
+from procedures.studies.correspondence_shares import Series, shares
+from procedures.studies.correspondence_tables import bars_beside_thesis, plots, tables
 from procedures.studies.errors import (
     ExtraMissing,
     LedgerUnreadable,
@@ -132,19 +133,56 @@ def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
 
 
 def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path) -> None:
-    found = shares(results(SMALL, tmp_path, workers=1))
-    assert {key[1] for key in found} == {one.value for one in Method}
-    assert {runs for _, _, runs in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
-    pictures = bars_beside_thesis(results(SMALL, tmp_path, workers=1))
-    assert sorted(pictures) == ["unsuccessful-norm.png", "unsuccessful-per-axis.png"]
+    sums = results(SMALL, tmp_path, workers=1)
+    found = shares(sums)
+    assert {series.method for series in found} == {one.value for one in Method}
+    assert {one.runs for one in found.values()} == {4 * 3 * 5}  # runs, patients, numbers of outliers
+    pictures = bars_beside_thesis(sums) | plots(sums)
+    assert sorted(pictures) == [
+        f"{what}-{noise}.png"
+        for what in ("success-against-e", "unsuccessful")
+        for noise in ("norm", "per-axis")
+    ]
     assert all(png.startswith(b"\x89PNG") for png in pictures.values())
-    five = found[(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
-    assert five[:2] == (0.0, 0.0)
-    assert [table.title for table in tables(results(SMALL, tmp_path, workers=1))] == [
+    five = found[Series(NoiseReading.PER_AXIS, Method.CLIQUE.value, "", 5)]
+    assert (five.unsuccessful, five.false) == (0.0, 0.0)
+    assert [table.title for table in tables(sums)] == [
         "Correspondence, noise per axis",
         "Correspondence, noise norm",
         "Five to eight fiducials together",
+        "The values of e at which the thesis' figures come out",
     ]
+
+
+def test_a_part_of_the_true_pairs_is_unsuccessful_and_a_wrong_pair_false() -> None:
+    right = frozenset({(0, 2), (1, 0), (2, 1), (3, 3)})
+    told = {
+        outcome: study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right)
+        for outcome, pairs in {
+            "whole": [(0, 2), (1, 0), (2, 1), (3, 3)],
+            "part": [(0, 2), (1, 0), (2, 1)],
+            "swapped": [(0, 0), (1, 2), (2, 1), (3, 3)],
+            "one more": [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)],
+        }.items()
+    }
+    assert told == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
+    key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
+    lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
+    ((_, share),) = shares({cell_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
+    assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
+
+
+def test_the_e_at_which_the_figures_of_the_thesis_come_out_are_told_as_ranges() -> None:
+    sums = {
+        cell_key(NoiseReading.NORM, 1, 4, outliers): {
+            study_module.outcome_key(Method.VALIDATED, e, outcome): number
+            for e, lost in ((1.4, 46.0), (1.5, 40.0), (1.6, 30.0), (3.0, 45.0))
+            for outcome, number in (("success", 1000.0 - lost), ("lost", lost))
+        }
+        for outliers in range(5)
+    }
+    *_, reached = tables(sums)
+    assert [row[2:] for row in reached.rows] == [["4", "1.4-1.5, 3", "1.4-3"]]
 
 
 def test_what_is_known_beforehand_is_solved_anew_only_where_it_can_change_the_answer() -> None:

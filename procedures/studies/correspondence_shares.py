@@ -1,0 +1,79 @@
+"""What became of the runs of the correspondence study, in the thesis' words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from procedures.studies.correspondence import FALSE, LOST, PART, cell_of
+from procedures.studies.heads import NoiseReading
+from procedures.studies.unit import Sums
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Whose results these are: noise model, method, e as text (empty for ours), number of fiducials."""
+
+    noise: NoiseReading
+    method: str
+    tolerance: str
+    fiducials: int
+
+    @property
+    def tolerance_mm(self) -> float | None:
+        """The method's e."""
+        return float(self.tolerance) if self.tolerance else None
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Per cent of the runs: all, and the range over the numbers of outliers as the thesis gives it.
+
+    `unsuccessful` and `false` in the thesis' words: a part of the true pairs is unsuccessful.
+    """
+
+    runs: int
+    unsuccessful: float
+    unsuccessful_range: Range
+    false: float
+    false_range: Range
+    part: float
+
+    @property
+    def lost(self) -> float:
+        """No answer at all."""
+        return self.unsuccessful - self.part
+
+
+def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
+    """What became of the runs of each series, over patients."""
+    counted: dict[Series, dict[int, dict[str, float]]] = {}
+    for cell, content in sums.items():
+        noise, _, fiducials, outliers = cell_of(cell)
+        for key, number in content.items():
+            method, tolerance, outcome = key.split("|")
+            cells = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
+            into = cells.setdefault(outliers, {})
+            into[outcome] = into.get(outcome, 0.0) + number
+    ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
+    return {series: _shares(list(cells.values())) for series, cells in ordered}
+
+
+def _shares(cells: list[dict[str, float]]) -> Shares:
+    def percent(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
+        of, outcomes = list(of), set(outcomes)
+        runs = sum(sum(cell.values()) for cell in of)
+        return 100.0 * sum(n for cell in of for outcome, n in cell.items() if outcome in outcomes) / runs
+
+    unsuccessful = [percent((LOST, PART), [cell]) for cell in cells]
+    false = [percent((FALSE,), [cell]) for cell in cells]
+    return Shares(
+        int(sum(sum(cell.values()) for cell in cells)),
+        percent((LOST, PART), cells),
+        (min(unsuccessful), max(unsuccessful)),
+        percent((FALSE,), cells),
+        (min(false), max(false)),
+        percent((PART,), cells),
+    )
