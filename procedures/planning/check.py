@@ -167,21 +167,23 @@ def _driven(
     from procedures.planning.free_angle import TurnedPaths, choose_free_angles
     from procedures.planning.motions import previews_of
     from procedures.planning.reach import check_paths
+    from procedures.planning.visits import Axes
 
     trajectories = tuple(one.trajectory for one in plan.trajectories)
     fiducials = np.zeros((0, 3)) if fiducials_mm is None else fiducials_mm
     if sight is None:
-        check = check_paths(arm, trajectories, fiducials)
-        turned = TurnedPaths(check, trajectories, (0.0,) * len(trajectories))
+        axes = Axes.of(arm, trajectories, fiducials)
+        own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+        turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
     else:
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
         unmet: list[RonnaError] = [NotReachable(f"{one.pose}: {one.reason}") for one in turned.check.unmet]
         return unmet, (), ()
-    turns = tuple((one.identifier, turn) for one, turn in zip(trajectories, turned.turns_rad, strict=True))
+    turns = tuple(turned.turns_rad.items())
     if arm.scene is None:
         return [], (), turns
-    return [], previews_of(arm, arm.scene, turned.check, turned.trajectories), turns
+    return [], previews_of(arm, arm.scene, turned.check, turned.axes.targeted), turns
 
 
 def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:

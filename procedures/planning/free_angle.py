@@ -1,126 +1,112 @@
 """Use the free angle of a trajectory: turn about its axis until everything is seen and reached well.
 
-Turns are tried from the planned angle outwards. The first that keeps the wrist clear of its singularity is
+Turns are tried in the order of the strategy. The first that keeps the wrist clear of its singularity is
 taken; if none does, the clearest. The choice is a result, not a change of the plan: entry, target and axis
 stay as they are.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.reach import branches_for, check_paths, drive
+from procedures.planning.reach import branches_for, check_axes, drive
 from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, PathCheck, Unmet, visits_of
+from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
 from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
+from ronna_hw.errors import LimitError
 
 Array = NDArray[np.float64]
-
-STEP_RAD = math.radians(10.0)
-FURTHEST_RAD = math.radians(90.0)
 
 
 @dataclass(frozen=True)
 class TurnedPaths:
-    """The paths with the trajectories as turned; `turns_rad` is how far each stands from the plan's angle."""
+    """The paths along the axes as turned; `turns_rad` is how far each stands from the planned angle."""
 
     check: PathCheck
-    trajectories: tuple[Trajectory, ...]
-    turns_rad: tuple[float, ...]
-
-
-def turns_rad() -> Iterator[float]:
-    """0, then outwards, alternating sides."""
-    yield 0.0
-    for step in range(1, round(FURTHEST_RAD / STEP_RAD) + 1):
-        yield step * STEP_RAD
-        yield -step * STEP_RAD
+    axes: Axes
+    turns_rad: Mapping[str, float]
 
 
 def choose_free_angles(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> TurnedPaths:
-    """Find an angle for each trajectory in which all is seen and one branch drives all.
+    """Find an angle for each axis in which all is seen and one branch drives all.
 
     Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) comes
     before one that only passes. When there is none, `check` names what is unmet at the planned
     angles, or at the nearest ones that are seen.
     """
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
-    options = [_seen(setting, trajectory, fiducials, sight) for trajectory in trajectories]
-    blind = [
-        problem
-        for trajectory, turns in zip(trajectories, options, strict=True)
-        if not turns
-        for problem in _hidden(setting, trajectory, fiducials, sight)
-    ]
-    own = (0.0,) * len(trajectories)
-    if blind:
-        return TurnedPaths(PathCheck(None, (), (), tuple(blind)), tuple(trajectories), own)
-    nearest = tuple(turns[0] for turns in options)
-    turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, nearest, strict=True))
-    for branch in branches_for(setting, visits_of(setting, turned, fiducials)):
-        found = _in_branch(setting, trajectories, fiducials, options, branch)
+    axes = Axes.of(setting, trajectories, fiducials)
+    own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+    start = setting.kinematics.branch_of(setting.start_rad)
+    seen = _seen_along(setting, axes, fiducials, sight, start)
+    nearest = {name: next(iter(turns), 0.0) for name, turns in seen.items()}
+    blind = set(own)
+    for branch in branches_for(setting, axes.turned(nearest), fiducials):
+        options = _seen_along(setting, axes, fiducials, sight, branch)
+        blind -= {name for name, turns in options.items() if turns}
+        found = _in_branch(setting, axes, fiducials, options, branch) if all(options.values()) else None
         if found is not None:
             return found
-    check = check_paths(setting, turned, fiducials)
-    return (
-        TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, tuple(trajectories), own)
-    )
+    if blind:
+        hidden = [
+            problem
+            for axis in axes.each
+            if axis.identifier in blind
+            for problem in _hidden(setting, axes.only(axis.identifier), fiducials, sight, start)
+        ]
+        return TurnedPaths(PathCheck(None, (), (), tuple(hidden)), axes, own)
+    turned = axes.turned(nearest)
+    check = check_axes(setting, turned, fiducials)
+    return TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, axes, own)
 
 
 def _in_branch(
     setting: ArmSetting,
-    trajectories: Sequence[Trajectory],
+    axes: Axes,
     fiducials_mm: Array,
-    options: Sequence[Sequence[float]],
+    options: Mapping[str, Sequence[float]],
     branch: Branch,
 ) -> TurnedPaths | None:
-    """The best turns that this branch drives, one trajectory after the other; None when it cannot."""
-    ranked = [
-        _ranked(setting, trajectory, fiducials_mm, turns, branch)
-        for trajectory, turns in zip(trajectories, options, strict=True)
-    ]
-    chosen: list[float] = []
-    for turns in ranked:
+    """The best turns that this branch drives, one axis after the other; None when it cannot."""
+    ranked = {
+        name: _ranked(setting, axes.only(name), fiducials_mm, turns, branch)
+        for name, turns in options.items()
+    }
+    chosen: dict[str, float] = {}
+    for name, turns in ranked.items():
         first = next(turns, None)
         if first is None:
             return None
-        chosen.append(first)
+        chosen[name] = first
     while True:
-        turned = tuple(_turned(one, turn) for one, turn in zip(trajectories, chosen, strict=True))
-        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned)
+        turned = axes.turned(chosen)
+        check = drive(setting, turned, fiducials_mm, branch)
         if check.passed:
-            return TurnedPaths(check, turned, tuple(chosen))
+            return TurnedPaths(check, turned, chosen)
         # Each passes alone, but here it is approached from elsewhere: whole turns of an axis may differ.
         failed = {problem.pose.partition("/")[0] for problem in check.unmet}
-        for number, trajectory in enumerate(trajectories):
-            if trajectory.identifier in failed:
-                other = next(ranked[number], None)
-                if other is None:
-                    return None
-                chosen[number] = other
+        for name in [one for one in chosen if one in failed]:
+            other = next(ranked[name], None)
+            if other is None:
+                return None
+            chosen[name] = other
 
 
 def _ranked(
-    setting: ArmSetting,
-    trajectory: Trajectory,
-    fiducials_mm: Array,
-    turns: Sequence[float],
-    branch: Branch,
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Sequence[float], branch: Branch
 ) -> Iterator[float]:
-    """The turns this branch drives: those with a good wrist from near to far, then the others, best first."""
+    """The turns this branch drives: those with a good wrist in their order, then the others, best first."""
     others: list[tuple[float, float]] = []
     for turn in turns:
-        turned = (_turned(trajectory, turn),)
-        check = drive(setting, visits_of(setting, turned, fiducials_mm), branch, turned, first_only=True)
+        check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
         if not check.passed:
             continue
         wrist = WristState.of(setting.kinematics, check)
@@ -132,20 +118,34 @@ def _ranked(
         yield turn
 
 
-def _seen(
-    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: Array, sight: StereoSight
-) -> list[float]:
-    return [
-        turn for turn in turns_rad() if not _hidden(setting, _turned(trajectory, turn), fiducials_mm, sight)
-    ]
+def _seen_along(
+    setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
+) -> dict[str, list[float]]:
+    """By axis, the turns in which every sphere is seen, in the order of the strategy."""
+    arm = setting.in_branch(branch)
+    seen: dict[str, list[float]] = {}
+    for one in axes.each:
+        turns = setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm)
+        axis = axes.only(one.identifier)
+        seen[one.identifier] = [
+            turn for turn in turns if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
+        ]
+    return seen
 
 
 def _hidden(
-    setting: ArmSetting, trajectory: Trajectory, fiducials_mm: Array, sight: StereoSight
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
 ) -> tuple[Unmet, ...]:
-    visits = visits_of(setting, (trajectory,), fiducials_mm)
-    return sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
+    unmet: list[Unmet] = []
+    for one in axis.localized:
+        try:
+            visits = localizations_along(setting, one, fiducials_mm, branch)
+        except LimitError as error:
+            unmet.append(Unmet(f"{one.identifier}/fiducials", f"{error.summary} [{error.code}]"))
+        else:
+            unmet += sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
+    return tuple(unmet)
 
 
-def _turned(trajectory: Trajectory, turn_rad: float) -> Trajectory:
-    return replace(trajectory, free_angle_rad=trajectory.free_angle_rad + turn_rad)
+def _turned(axis: Axes, turn_rad: float) -> Axes:
+    return axis.turned({one.identifier: turn_rad for one in axis.each})

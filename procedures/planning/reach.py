@@ -1,12 +1,11 @@
 """Whether the arm can drive the whole procedure: every pose, approach and line in one branch.
 
-Positions are checked in the order in which the procedure visits them: all localizations for every
-trajectory, then every target.
+Positions are checked in the order in which the procedure visits them: all localizations, then every target.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 from numpy.typing import ArrayLike
@@ -15,12 +14,15 @@ from procedures.planning.motions import unclear
 from procedures.planning.posture import Posture, place, ranked_branches
 from procedures.planning.visits import (
     ArmSetting,
+    Axes,
     JointMove,
     PathCheck,
     Reached,
     Unmet,
     Visit,
     VisitKind,
+    localizations_along,
+    target_visit,
     visits_of,
 )
 from procedures.strategies.trajectory import Trajectory
@@ -39,10 +41,14 @@ def check_paths(
     Trajectories and fiducials (n, 3) are in CT mm. Branches are tried with the start's own first, then by
     how little the joints turn. When none works, the result names what is unmet in the best of them.
     """
-    visits = visits_of(setting, trajectories, fiducials_mm)
+    return check_axes(setting, Axes.of(setting, trajectories, fiducials_mm), fiducials_mm)
+
+
+def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
+    """The same for axes, as they were turned about themselves."""
     best: PathCheck | None = None
-    for branch in branches_for(setting, visits):
-        checked = drive(setting, visits, branch, trajectories)
+    for branch in branches_for(setting, axes, fiducials_mm):
+        checked = drive(setting, axes, fiducials_mm, branch)
         if checked.passed:
             return checked
         if best is None or len(checked.unmet) < len(best.unmet):
@@ -50,8 +56,13 @@ def check_paths(
     return best or PathCheck(None, (), (), ())
 
 
-def branches_for(setting: ArmSetting, visits: Sequence[Visit]) -> tuple[Branch, ...]:
-    """All branches, the most promising for these visits first."""
+def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
+    """All branches, the most promising for these axes first."""
+    own = setting.kinematics.branch_of(setting.start_rad)
+    try:
+        visits = visits_of(setting, axes, fiducials_mm, own)
+    except LimitError:  # poses that are for a branch: there are none in the start's own
+        visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
     flanges = [_flange(setting, visit) for visit in visits]
     return ranked_branches(setting.kinematics, flanges, setting.start_rad)
 
@@ -69,34 +80,51 @@ class _Journey:
 
 def drive(
     setting: ArmSetting,
-    visits: Sequence[Visit],
+    axes: Axes,
+    fiducials_mm: ArrayLike,
     branch: Branch,
-    trajectories: Sequence[Trajectory],
     *,
     first_only: bool = False,
 ) -> PathCheck:
-    """Joints for these visits, one after the other, in this branch, and what is unmet in it.
+    """Joints for every pose, one after the other, in this branch, and what is unmet in it.
 
     Clearance of the motions between them is checked last, when all poses are reached; with `first_only` only
     up to the first that is not clear.
     """
     limits = setting.limits or working_limits(setting.kinematics)
     journey = _Journey(setting.start_rad)
-    for visit in visits:
+    for visit in _poses(journey, setting, axes, fiducials_mm, branch):
         tool = _tool(setting, visit)
         try:
             posture = place(
                 setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
             )
         except LimitError as error:
-            reason = error.summary
-            journey.unmet.append(Unmet(visit.identifier, f"{reason} [{error.code}]"))
+            journey.unmet.append(Unmet(visit.identifier, _told(error)))
             continue
         _note(journey, visit, posture)
     check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
     if setting.scene is None or not check.passed:
         return check
-    return replace(check, unmet=unclear(setting, setting.scene, check, trajectories, first_only=first_only))
+    unmet = unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
+    return replace(check, unmet=unmet)
+
+
+def _poses(
+    journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
+) -> Iterator[Visit]:
+    """The visits; axes along which the strategy finds no poses in this branch are unmet."""
+    for axis in axes.localized:
+        try:
+            yield from localizations_along(setting, axis, fiducials_mm, branch)
+        except LimitError as error:
+            journey.unmet.append(Unmet(f"{axis.identifier}/fiducials", _told(error)))
+    for trajectory in axes.targeted:
+        yield target_visit(setting, trajectory)
+
+
+def _told(error: LimitError) -> str:
+    return f"{error.summary} [{error.code}]"
 
 
 def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:

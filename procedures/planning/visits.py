@@ -5,17 +5,20 @@ Each pose is approached and left along the tool axis, from a point outside.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.planning_scene import PlanningScene
+from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis, require_frames
 from procedures.strategies.strategy import Strategy
+from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -139,31 +142,90 @@ class ArmSetting:
         if self.flange_from_stereo is not None:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
+    def in_branch(self, branch: Branch) -> ArmInBranch:
+        """The arm as a strategy needs it."""
+        return ArmInBranch(
+            self.kinematics,
+            flange_from_guide=self.flange_from_tool,
+            flange_from_stereo=self.flange_from_stereo or self.flange_from_tool,
+            branch=branch,
+            near_rad=self.start_rad,
+        )
 
-def visits_of(
-    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
-) -> tuple[Visit, ...]:
-    """All poses in the order of the procedure: localizations, then, after the tool change, targets."""
-    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
-    localized = trajectories if setting.strategy.localizes_per_trajectory else trajectories[:1]
-    visits = []
-    for trajectory in localized:
-        poses = setting.strategy.localization_poses(trajectory, points, setting.robot_from_ct)
-        for index, pose in enumerate(poses):
-            identifier = f"{trajectory.identifier}/fiducial {index}"
-            visits.append(
-                Visit(
-                    identifier,
-                    VisitKind.LOCALIZATION,
-                    trajectory.identifier,
-                    index,
-                    pose,
-                    setting.approach_mm,
-                )
+
+@dataclass(frozen=True)
+class Axes:
+    """The axes of a procedure: those along which the spheres are localized, and those of the targets.
+
+    They are the same where the strategy localizes for every trajectory.
+    """
+
+    localized: tuple[Trajectory, ...]
+    targeted: tuple[Trajectory, ...]
+
+    @classmethod
+    def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
+        """As the strategy has them, at the planned free angles."""
+        along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
+        return cls(along, tuple(trajectories))
+
+    @property
+    def each(self) -> tuple[Trajectory, ...]:
+        """Every axis once."""
+        return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
+
+    def only(self, identifier: str) -> Axes:
+        """What is done along one axis."""
+        return Axes(
+            tuple(one for one in self.localized if one.identifier == identifier),
+            tuple(one for one in self.targeted if one.identifier == identifier),
+        )
+
+    def turned(self, turns_rad: Mapping[str, float]) -> Axes:
+        """Each axis turned about itself by the angle that stands under its name."""
+
+        def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+            return tuple(
+                replace(one, free_angle_rad=one.free_angle_rad + turns_rad[one.identifier]) for one in axes
             )
-    for trajectory in trajectories:
-        pose = setting.strategy.target_pose(trajectory, setting.robot_from_ct)
-        away_mm = trajectory.depth_mm + setting.approach_mm
-        identifier = f"{trajectory.identifier}/target"
-        visits.append(Visit(identifier, VisitKind.TARGET, trajectory.identifier, None, pose, away_mm))
-    return tuple(visits)
+
+        return Axes(turn(self.localized), turn(self.targeted))
+
+
+def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
+    """All poses in the order of the procedure: localizations, then, after the tool change, targets.
+
+    Raises what the strategy raises when it finds no poses in this branch.
+    """
+    localizations = [
+        visit for axis in axes.localized for visit in localizations_along(setting, axis, fiducials_mm, branch)
+    ]
+    return (*localizations, *(target_visit(setting, trajectory) for trajectory in axes.targeted))
+
+
+def localizations_along(
+    setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
+) -> tuple[Visit, ...]:
+    """The poses of all fiducials (n, 3) in CT mm along one axis; raises as `visits_of`."""
+    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    arm = setting.in_branch(branch)
+    poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
+    return tuple(
+        Visit(
+            f"{axis.identifier}/fiducial {index}",
+            VisitKind.LOCALIZATION,
+            axis.identifier,
+            index,
+            pose,
+            setting.approach_mm,
+        )
+        for index, pose in enumerate(poses)
+    )
+
+
+def target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
+    """The pose at a target."""
+    pose = target_pose(trajectory, setting.robot_from_ct)
+    away_mm = trajectory.depth_mm + setting.approach_mm
+    name = trajectory.identifier
+    return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, away_mm)

@@ -1,22 +1,22 @@
-"""What can go wrong when the arm's orientations are chosen, STR-001 to STR-003."""
+"""What can go wrong when the arm's orientations are chosen, STR-001 to STR-004."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, DataError
+from ronna_hw.errors import ConfigurationError, DataError, LimitError
 
 
 class StrategyNotYet(ConfigurationError):
     """The strategy is planned but not implemented yet."""
 
     code = "STR-001"
-    action = "Use the strategy ocs."
+    action = "Use one of: ocs, thesis-ocs, nos, jdms."
 
 
 class UnknownStrategy(ConfigurationError):
     """No strategy has this name."""
 
     code = "STR-002"
-    action = "Use one of: ocs, thesis-ocs, nos, jdms, improved, best."
+    action = "Use one of: ocs, thesis-ocs, nos, jdms."
 
 
 class BadTrajectory(DataError):
@@ -24,3 +24,10 @@ class BadTrajectory(DataError):
 
     code = "STR-003"
     action = "Correct the trajectory in the plan."
+
+
+class NoNearbyJoints(LimitError):
+    """No joint angles close to those at the target bring the tool to a fiducial."""
+
+    code = "STR-004"
+    action = "Use the strategy ocs or nos, or move the cart or the head."

@@ -2,57 +2,51 @@
 
 A constant error of the tool frame then shifts all localizations and the target alike and cancels.
 The price: the localizations are repeated for every trajectory, and all must be reachable in its orientation.
+
+The thesis leaves open from which side each joint arrives, and names the backlash that remains. Ours controls
+it (`ocs`); without that control it is the thesis' own (`thesis-ocs`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
+from numpy.typing import ArrayLike
 
-from procedures.strategies.orientation import require_frames, tool_orientation, tool_pose, turned_onto
+from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.free_turns import OUTWARDS_RAD
+from procedures.strategies.orientation import tool_pose
+from procedures.strategies.target import orientation_along
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Transform
 
 
 @dataclass(frozen=True)
 class OrientationCorrection:
-    """The strategy `ocs`."""
+    """The strategy `ocs`, and `thesis-ocs`, which does not control the approach."""
 
     name: str = "ocs"
+    controls_approach: bool = True
     localizes_per_trajectory: bool = True
 
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """The trajectories."""
+        return tuple(trajectories)
+
     def localization_poses(
-        self, trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
         """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the target's orientation."""
-        orientation = _orientation(trajectory, robot_from_ct)
+        orientation = orientation_along(along, robot_from_ct)
         points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
         return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
 
-    def target_pose(
-        self, trajectory: Trajectory, robot_from_ct: Transform, *, localized_as: Transform | None = None
-    ) -> Transform:
-        """The pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT.
-
-        With `localized_as`, the orientation of the localizations is turned onto the refined axis by the
-        smallest rotation, so that no angle about the axis creeps in between localization and target.
-        """
-        require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
-        target = robot_from_ct.apply(trajectory.target_mm)
-        if localized_as is None:
-            return tool_pose(_orientation(trajectory, robot_from_ct), target)
-        require_frames(localized_as, Frame.ROBOT, Frame.TOOL)
-        return tool_pose(turned_onto(localized_as.rigid.rotation, _axis(trajectory, robot_from_ct)), target)
-
-
-def _axis(trajectory: Trajectory, robot_from_ct: Transform) -> NDArray[np.float64]:
-    return np.asarray(robot_from_ct.rotation_matrix @ trajectory.axis_ct)
-
-
-def _orientation(trajectory: Trajectory, robot_from_ct: Transform) -> Rotation:
-    require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
-    target = robot_from_ct.apply(trajectory.target_mm)
-    return tool_orientation(_axis(trajectory, robot_from_ct), target, trajectory.free_angle_rad)
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[float, ...]:
+        """From the planned angle outwards: any will do as well."""
+        return OUTWARDS_RAD

@@ -1,21 +1,23 @@
-"""What a localization strategy answers: how the tool is held at every fiducial, and at the target."""
+"""What a localization strategy answers: how often fiducials are localized, and in which tool orientations.
+
+At a target the tool is held alike in all of them, see `target_pose`: its axis is the trajectory's, and only
+the free angle about it is a choice.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import Protocol
 
 from numpy.typing import ArrayLike
 
+from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Transform
 
 
 class Strategy(Protocol):
-    """Chooses tool orientations. All poses are ROBOT <- TOOL.
-
-    `localizes_per_trajectory` says whether the fiducials are measured again for every trajectory (and each
-    trajectory has a registration of its own), or once for all.
-    """
+    """Chooses tool orientations. All poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
 
     @property
     def name(self) -> str:
@@ -24,21 +26,37 @@ class Strategy(Protocol):
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """Whether every trajectory has localizations and a registration of its own."""
+        """Whether every trajectory has localizations and a registration of its own, or one serves all."""
+        ...
+
+    @property
+    def controls_approach(self) -> bool:
+        """Whether each joint arrives at a fiducial turning as it will at the target, see `arrival_signs`.
+
+        Backlash is then the same at both. Only for strategies that localize per trajectory.
+        """
+        ...
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """The axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
+
+        The trajectories themselves, or one axis that belongs to none of them.
+        """
         ...
 
     def localization_poses(
-        self, trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose per fiducial (n, 3) in CT mm, tool origin at the fiducial, from the coarse transform."""
+        """One pose per fiducial (n, 3) in CT mm, tool origin at the fiducial.
+
+        Raises FRM-001 on other frames; a strategy that looks at the joints also ARM-001 to ARM-003, STR-004.
+        """
         ...
 
-    def target_pose(
-        self, trajectory: Trajectory, robot_from_ct: Transform, *, localized_as: Transform | None = None
-    ) -> Transform:
-        """The pose at the target: tool origin at the target, tool z along the trajectory.
-
-        With the fine transform, `localized_as` is a pose of the localizations: the angle about the axis is
-        then taken over from it.
-        """
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> Iterable[float]:
+        """Turns about the axis, the best first, to be added to the trajectory's free angle."""
         ...

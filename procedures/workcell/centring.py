@@ -44,10 +44,13 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """How spheres are centred: direction in which each joint arrives, area of the sensors, stand-off."""
+    """How spheres are centred: direction in which each joint arrives, area of the sensors, stand-off.
+
+    With `arriving` None the arm takes every pose on the straight way, from whatever side that is.
+    """
 
     workcell: Workcell
-    arriving: Sequence[int]
+    arriving: Sequence[int] | None
     area_px: tuple[int, int]
     standoff_mm: float
 
@@ -145,8 +148,11 @@ class Centring:
         raise refusal
 
     def _settle(self, pose: Transform) -> None:
-        """Take a pose with every joint arriving from the side from which it arrives at the target."""
-        self.workcell.settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), self.arriving)
+        """Take a pose; where it is asked for, each joint arrives from the side as at the target."""
+        if self.arriving is None:
+            self.workcell.line_to(pose)
+        else:
+            self.workcell.settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), self.arriving)
 
     def _standoff(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.standoff_mm)

@@ -33,8 +33,9 @@ from procedures.steps.clinical.registration import Prediction, RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.stereo_look import Look
@@ -87,19 +88,6 @@ LINK = LinkHealth(
     histogram_counts=(),
     jitter_counts=(),
 )
-
-
-@dataclass(frozen=True)
-class OnceForAll(OrientationCorrection):
-    """Localizes in the orientation of the first trajectory, for all; targets are held as planned."""
-
-    name: str = "once"
-    localizes_per_trajectory: bool = False
-
-    def target_pose(
-        self, trajectory: Trajectory, robot_from_ct: Transform, *, localized_as: Transform | None = None
-    ) -> Transform:
-        return super().target_pose(trajectory, robot_from_ct)
 
 
 class SeeingWorkcell(Workcell):
@@ -301,7 +289,14 @@ def checked_paths(
         Trajectory(one.id, one.entry_mm, one.target_mm, one.trajectory.free_angle_rad + turn_rad)
         for one in plan().trajectories
     ]
-    localized = turned if cell.strategy.localizes_per_trajectory else turned[:1]
+    centres = CENTRES_CT_MM[list(fiducials)]
+    arm = ArmInBranch(
+        cell.workcell.arm.kinematics,
+        cell.workcell.flange_from(MountedTool.GUIDE),
+        cell.workcell.flange_from(MountedTool.STEREO_HEAD),
+        cell.workcell.arm.kinematics.branch_of(HOME_RAD),
+        HOME_RAD,
+    )
     return CheckedPaths(
         strategy=cell.strategy.name,
         free_angle_turns_rad=dict.fromkeys(TRAJECTORIES, turn_rad),
@@ -319,18 +314,18 @@ def checked_paths(
                 )
                 for number, pose in zip(
                     fiducials,
-                    cell.strategy.localization_poses(one, CENTRES_CT_MM[list(fiducials)], robot_from_ct),
+                    cell.strategy.localization_poses(one, centres, robot_from_ct, arm),
                     strict=True,
                 )
             )
-            for one in localized
+            for one in cell.strategy.localized_along(turned, centres, robot_from_ct)
         },
         targets={one.identifier: _target(cell, one, robot_from_ct) for one in turned},
     )
 
 
 def _target(cell: RecordingCell, trajectory: Trajectory, robot_from_ct: Transform) -> TargetPose:
-    pose = cell.strategy.target_pose(trajectory, robot_from_ct)
+    pose = target_pose(trajectory, robot_from_ct)
     standoff = back_along_axis(pose, trajectory.depth_mm + STANDOFF_MM)
     return TargetPose(
         tool_pose=FramedPose.of(pose),

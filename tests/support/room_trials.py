@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from benchmarks.head_looks import ENDPOINTS
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.steps.clinical.room_check import FRAMES
+from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
@@ -76,6 +78,9 @@ class TrackedCase:
     def rests(self) -> list[JointVector]:
         """Home, over the last sphere of each trajectory, home, then over and at each target."""
         strategy = strategy_named("ocs")
+        tool = self.scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
+        branch = self._kinematics.branch_of(self.home_rad)
+        arm = ArmInBranch(self._kinematics, tool, tool, branch, self.home_rad)
         head = self.scene.head
         robot_from_ct = head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
         centres = np.array([each.centre_ct_mm for each in head.fiducials])
@@ -85,8 +90,8 @@ class TrackedCase:
                 target.identifier, np.array(target.entry_ct_mm), np.array(target.target_ct_mm),
                 math.radians(target.free_angle_deg),
             )  # fmt: skip
-            sphere = strategy.localization_poses(one, centres, robot_from_ct)[-1]
-            goal = strategy.target_pose(one, robot_from_ct)
+            sphere = strategy.localization_poses(one, centres, robot_from_ct, arm)[-1]
+            goal = target_pose(one, robot_from_ct)
             try:
                 over = self._joints(back_along_axis(sphere, STANDOFF_MM))
                 standoff = self._joints(back_along_axis(goal, one.depth_mm + STANDOFF_MM))

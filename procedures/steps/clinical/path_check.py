@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from pydantic import Field
 
@@ -14,7 +13,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
 from procedures.steps.branches import LEAVE_OUT, UNREACHABLE
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.correspondence import Correspondence
@@ -23,13 +22,10 @@ from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
 from procedures.steps.clinical.motion_previews import MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.approach import arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.kinematics import Branch
-from ronna_hw.arm.pose import Pose
-
-LAST_STRETCH_MM = 5.0  # of the line to a target: how each joint turns there decides its backlash
 
 
 class LocalizationPose(Values):
@@ -68,14 +64,16 @@ class CheckedPaths(StepResult, kind="path_check"):
     def leaves_out(self) -> Mapping[str, str]:
         return self.left_out
 
-    def localizations_for(self, trajectories: Sequence[str]) -> tuple[LocalizationPose, ...]:
-        """The localizations that serve these trajectories: a strategy that localizes once has one set."""
-        return next(self.localizations[name] for name in trajectories if name in self.localizations)
+    def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
+        """The localizations that serve a trajectory; for None the one set of a strategy that localizes once.
 
-    def turned(self, trajectory: Trajectory) -> Trajectory:
-        """A planned trajectory at the angle about its axis that was chosen for it."""
-        turn_rad = self.free_angle_turns_rad[trajectory.identifier]
-        return replace(trajectory, free_angle_rad=trajectory.free_angle_rad + turn_rad)
+        Raises KeyError when there are none for this trajectory, or more than one set.
+        """
+        if trajectory is not None:
+            return self.localizations[trajectory]
+        if len(self.localizations) != 1:
+            raise KeyError(f"{len(self.localizations)} sets of localizations serve one trajectory each")
+        return next(iter(self.localizations.values()))
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
@@ -107,13 +105,11 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         trajectories = [one for one in trajectories if one.identifier not in left_out]
         turned = choose_free_angles(setting, trajectories, centres, sight)
     check = turned.check
-    motions = previews_of(setting, scene, check, turned.trajectories)
+    motions = previews_of(setting, scene, check, turned.axes.targeted)
     return Outcome(
         CheckedPaths(
             strategy=context.clinical.strategy.name,
-            free_angle_turns_rad={
-                one.identifier: turn for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
-            },
+            free_angle_turns_rad=dict(turned.turns_rad),
             branch=check.branch,
             joint_ranges_rad=check.joint_ranges_rad,
             largest_move_rad=max(move.largest_rad for move in check.moves),
@@ -155,9 +151,7 @@ def _closest(motions: Sequence[PreviewedMotion]) -> str:
 
 def _turns(turned: TurnedPaths) -> str:
     turns = [
-        f"{one.identifier} turned by {math.degrees(turn):+.0f} deg"
-        for one, turn in zip(turned.trajectories, turned.turns_rad, strict=True)
-        if turn
+        f"{name} turned by {math.degrees(turn):+.0f} deg" for name, turn in turned.turns_rad.items() if turn
     ]
     return f"; {', '.join(turns)}" if turns else ""
 
@@ -183,20 +177,13 @@ def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
             tool_pose=FramedPose.of(reached.visit.pose),
             standoff_rad=reached.approach_rad,
             joints_rad=reached.at_rad,
-            approach_signs=_approach_signs(reached, setting),
+            approach_signs=arrival_signs(
+                setting.kinematics, reached.visit.pose, reached.at_rad, setting.flange_from_tool
+            ),
         )
         for reached in check.reached
         if reached.visit.kind is VisitKind.TARGET
     }
-
-
-def _approach_signs(reached: Reached, setting: ArmSetting) -> tuple[int, ...]:
-    """Direction (+1 or -1) in which each joint arrives at the target."""
-    before = back_along_axis(reached.visit.pose, LAST_STRETCH_MM) @ setting.flange_from_tool.inverse()
-    kinematics = setting.kinematics
-    branch = kinematics.branch_of(reached.at_rad)
-    joints = kinematics.solve_branch(Pose.from_transform(before), branch, reached.at_rad)
-    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, reached.at_rad, strict=True))
 
 
 STEP = StepSpec(

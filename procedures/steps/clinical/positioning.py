@@ -21,6 +21,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden, require_head_seen
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.frames import Transform
@@ -81,10 +82,8 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(trajectory)
-    target = context.clinical.strategy.target_pose(
-        paths.turned(planned.trajectory),
-        robot_from_ct,
-        localized_as=paths.localizations_for((trajectory, *context.trajectories))[0].tool_pose.transform,
+    target = refined_target_pose(
+        paths.targets[trajectory].tool_pose.transform, planned.trajectory, robot_from_ct
     )
     return Insertion(trajectory, target, planned.depth_mm, context.setting.settings.standoff_mm)
 

@@ -4,8 +4,8 @@ The tool centre is moved onto a sphere until the residual is below the tolerance
 tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
 helps to find the next one.
 
-Every position that is looked from is approached with each joint turning the way it will turn on its way to
-the target, so that backlash is the same in all of them and cancels.
+Where the strategy asks for it, every position that is looked from is approached with each joint turning the
+way it will turn on its way to the target, so that backlash is the same in all of them and cancels.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 def run(context: StepContext) -> Outcome[Relocalization]:
     """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
-    planned = paths.localizations_for((*context.served_trajectories, *context.trajectories))
+    planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
@@ -82,7 +82,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     workcell.start(cameras=True)
     centring = Centring(
         workcell,
-        arriving=paths.targets[context.served_trajectories[0]].approach_signs,
+        arriving=_arriving(context, paths),
         area_px=settings.servo_area_px,
         standoff_mm=settings.standoff_mm,
     )
@@ -127,6 +127,13 @@ def run(context: StepContext) -> Outcome[Relocalization]:
         f"{max(sphere.residuals_mm[-1] for sphere in spheres):.3f} mm"
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
     )
+
+
+def _arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
+    """Direction in which each joint will arrive at the target; None when the strategy does not ask for it."""
+    if not context.clinical.strategy.controls_approach:
+        return None
+    return paths.targets[context.trajectory].approach_signs
 
 
 def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:

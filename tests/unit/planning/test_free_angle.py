@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.planning.free_angle import FURTHEST_RAD, choose_free_angles, turns_rad
+from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.reach import check_paths
 from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, visits_of
+from procedures.planning.visits import ArmSetting, Axes, Visit, visits_of
 from procedures.planning.wrist import LEAST_BEND_RAD, WristState
+from procedures.strategies.free_turns import OUTWARDS_RAD
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
@@ -32,49 +33,54 @@ DOWN = Trajectory("T1", (0.0, 0.0, 40.0), (0.0, 0.0, 0.0))
 FREE = np.array([[60.0, 0.0, 50.0], [-50.0, 40.0, 60.0], [-40.0, -60.0, 40.0]])
 
 
+def visits(trajectory: Trajectory, fiducials: np.ndarray) -> tuple[Visit, ...]:
+    axes = Axes.of(SETTING, (trajectory,), fiducials)
+    return visits_of(SETTING, axes, fiducials, SETTING.kinematics.branch_of(SETTING.start_rad))
+
+
 def _beside_the_line_of_sight() -> np.ndarray:
     """A second sphere 60 mm from the first, right between it and the right camera."""
-    pose = visits_of(SETTING, (DOWN,), FREE)[0].pose
+    pose = visits(DOWN, FREE)[0].pose
     towards = pose.apply(CAMERA_MM) - pose.translation_mm
     blocker = pose.translation_mm + 60.0 * towards / np.linalg.norm(towards)
     return np.vstack([FREE, SETTING.robot_from_ct.inverse().apply(blocker)])
 
 
 def test_spheres_that_stand_apart_are_all_seen() -> None:
-    visits = visits_of(SETTING, (DOWN,), FREE)
-    assert SIGHT.unmet(visits, SETTING.robot_from_ct.apply(FREE)) == ()
+    looks = visits(DOWN, FREE)
+    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(FREE)) == ()
 
 
 def test_a_sphere_in_the_line_of_sight_is_named_with_the_camera() -> None:
     spheres = _beside_the_line_of_sight()
-    visits = visits_of(SETTING, (DOWN,), spheres)
-    found = SIGHT.unmet(visits, SETTING.robot_from_ct.apply(spheres))
+    looks = visits(DOWN, spheres)
+    found = SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))
     reasons = {(one.pose, one.reason) for one in found}
     assert ("T1/fiducial 0", "sphere 4 stands before or behind it in the right camera") in reasons
 
 
 def test_a_neighbour_behind_the_rim_counts_as_much_as_one_in_front() -> None:
     spheres = _beside_the_line_of_sight()
-    visits = visits_of(SETTING, (DOWN,), spheres)
-    hidden = {one.pose for one in SIGHT.unmet(visits, SETTING.robot_from_ct.apply(spheres))}
+    looks = visits(DOWN, spheres)
+    hidden = {one.pose for one in SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres))}
     assert "T1/fiducial 3" in hidden
 
 
 def test_where_all_is_seen_the_plans_own_angle_is_kept() -> None:
-    assert choose_free_angles(SETTING, (DOWN,), FREE, SIGHT).turns_rad == (0.0,)
+    assert choose_free_angles(SETTING, (DOWN,), FREE, SIGHT).turns_rad == {"T1": 0.0}
 
 
 def test_the_head_is_turned_until_the_hidden_sphere_is_seen() -> None:
     spheres = _beside_the_line_of_sight()
     turned = choose_free_angles(SETTING, (DOWN,), spheres, SIGHT)
     assert turned.check.passed
-    assert turned.turns_rad[0] != 0.0
-    visits = visits_of(SETTING, turned.trajectories, spheres)
-    assert SIGHT.unmet(visits, SETTING.robot_from_ct.apply(spheres)) == ()
+    assert turned.turns_rad["T1"] != 0.0
+    looks = visits(turned.axes.targeted[0], spheres)
+    assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(spheres)) == ()
 
 
 def test_turning_leaves_entry_target_and_axis_as_planned() -> None:
-    turned = choose_free_angles(SETTING, (DOWN,), _beside_the_line_of_sight(), SIGHT).trajectories[0]
+    turned = choose_free_angles(SETTING, (DOWN,), _beside_the_line_of_sight(), SIGHT).axes.targeted[0]
     assert (turned.entry_mm, turned.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
 
 
@@ -89,11 +95,10 @@ def test_what_no_turn_can_show_is_reported_and_not_driven() -> None:
 
 
 def test_turns_go_from_near_to_far_on_both_sides() -> None:
-    turns = list(turns_rad())
-    assert turns[0] == 0.0
-    assert np.all(np.diff(np.abs(turns)) >= -1e-12)
-    assert max(turns) == pytest.approx(FURTHEST_RAD)
-    assert min(turns) == pytest.approx(-FURTHEST_RAD)
+    assert OUTWARDS_RAD[0] == 0.0
+    assert np.all(np.diff(np.abs(OUTWARDS_RAD)) >= -1e-12)
+    assert max(OUTWARDS_RAD) == pytest.approx(math.radians(90.0))
+    assert min(OUTWARDS_RAD) == pytest.approx(math.radians(-90.0))
 
 
 def _leaning(x_mm: float) -> Trajectory:
@@ -113,7 +118,7 @@ def test_an_angle_that_turns_the_wrist_far_gives_way_to_the_next_good_one() -> N
     assert not own.good
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
     assert WristState.of(SETTING.kinematics, turned.check).good
-    assert turned.turns_rad == pytest.approx((math.radians(10.0),))
+    assert turned.turns_rad == pytest.approx({"T1": math.radians(10.0)})
 
 
 def test_the_wrist_is_turned_away_from_its_singularity() -> None:
@@ -127,7 +132,7 @@ def test_the_wrist_is_turned_away_from_its_singularity() -> None:
 
 def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> None:
     leaning = _leaning(-22.0)
-    wrists = [wrist for turn in turns_rad() if (wrist := _wrist_at(leaning, turn)) is not None]
+    wrists = [wrist for turn in OUTWARDS_RAD if (wrist := _wrist_at(leaning, turn)) is not None]
     assert not any(wrist.good for wrist in wrists)
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
     assert turned.check.passed
@@ -140,7 +145,7 @@ def test_the_wrist_of_each_trajectory_is_judged_by_itself() -> None:
     both = [replace(_leaning(x_mm), identifier=name) for name, x_mm in (("A", 20.0), ("B", -40.0))]
     turned = choose_free_angles(SETTING, both, FREE, SIGHT)
     assert turned.check.passed
-    assert turned.turns_rad[0] == 0.0
+    assert turned.turns_rad["A"] == 0.0
 
 
 def test_a_wrist_is_good_only_away_from_the_singularity_and_alike_at_all_poses() -> None:

@@ -115,7 +115,7 @@ def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -
     far_aside = StereoSight(np.array([0.0, -115.0, -222.0]), np.array([0.0, 115.0, -222.0]))
     turned = choose_free_angles(setting, TRAJECTORIES[:1], FIDUCIALS, far_aside)
     assert turned.check.passed, turned.check.unmet
-    assert turned.turns_rad[0] != 0.0
+    assert turned.turns_rad[TRAJECTORIES[0].identifier] != 0.0
 
 
 def test_a_body_at_home_is_told_by_the_pose_that_the_way_leads_from() -> None:

@@ -12,7 +12,7 @@ from ur5 import Ur5
 from procedures.planning.errors import NotReachable
 from procedures.planning.posture import ranked_branches
 from procedures.planning.reach import check_paths
-from procedures.planning.visits import VisitKind, visits_of
+from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
 from procedures.planning.wrist import WristState
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
@@ -25,14 +25,18 @@ TRAJECTORIES = (
 )
 
 
+def visits(setting: ArmSetting) -> tuple[Visit, ...]:
+    axes = Axes.of(setting, TRAJECTORIES, FIDUCIALS)
+    return visits_of(setting, axes, FIDUCIALS, setting.kinematics.branch_of(setting.start_rad))
+
+
 @pytest.fixture
 def checked(make_arm):
     return check_paths(make_arm(), TRAJECTORIES, FIDUCIALS)
 
 
 def test_every_localization_and_target_is_visited_in_order(make_arm):
-    visits = visits_of(make_arm(), TRAJECTORIES, FIDUCIALS)
-    assert [one.identifier for one in visits] == [
+    assert [one.identifier for one in visits(make_arm())] == [
         "T1/fiducial 0",
         "T1/fiducial 1",
         "T1/fiducial 2",
@@ -45,7 +49,7 @@ def test_every_localization_and_target_is_visited_in_order(make_arm):
 
 
 def test_the_approach_to_a_target_begins_outside_the_entry(make_arm):
-    visit = visits_of(make_arm(), TRAJECTORIES, FIDUCIALS)[-1]
+    visit = visits(make_arm())[-1]
     entry = make_arm().robot_from_ct.apply(TRAJECTORIES[1].entry_mm)
     outside = (
         visit.pose.inverse().apply(entry)[2] - visit.pose.inverse().apply(visit.approach.translation_mm)[2]

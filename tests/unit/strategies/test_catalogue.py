@@ -9,13 +9,20 @@ from procedures.strategies.errors import StrategyNotYet, UnknownStrategy
 from ronna_hw.errors import EXIT_USAGE
 
 
-def test_ocs_localizes_for_every_trajectory():
-    ocs = strategy_named("ocs")
-    assert ocs.name == "ocs"
-    assert ocs.localizes_per_trajectory
+@pytest.mark.parametrize(
+    ("name", "per_trajectory", "approach"),
+    [("ocs", True, True), ("thesis-ocs", True, False), ("nos", False, False), ("jdms", True, True)],
+)
+def test_a_strategy_says_how_often_it_localizes_and_whether_it_controls_the_approach(
+    name, per_trajectory, approach
+):
+    strategy = strategy_named(name)
+    assert strategy.name == name
+    assert strategy.localizes_per_trajectory is per_trajectory
+    assert strategy.controls_approach is approach
 
 
-@pytest.mark.parametrize("name", ["nos", "jdms", "best"])
+@pytest.mark.parametrize("name", ["improved", "best"])
 def test_later_strategies_answer_not_yet(name):
     with pytest.raises(StrategyNotYet, match=r"STR-001.*not yet") as caught:
         strategy_named(name)

@@ -7,10 +7,12 @@ import math
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
+from strategy_arms import ARM
 
 from procedures.strategies.errors import BadTrajectory
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.orientation import back_along_axis, reference_direction, turned_onto
+from procedures.strategies.target import refined_target_pose, target_pose
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
@@ -28,14 +30,14 @@ def trajectory(free_angle_rad: float = 0.0) -> Trajectory:
 
 
 def test_the_tool_axis_runs_from_entry_to_target_and_the_tip_is_at_the_target():
-    pose = OCS.target_pose(trajectory(), room())
+    pose = target_pose(trajectory(), room())
     assert (pose.target, pose.source) == (Frame.ROBOT, Frame.TOOL)
     assert np.allclose(pose.apply([0, 0, 0]), room().apply(trajectory().target_mm))
     assert np.allclose(pose.apply([0, 0, -trajectory().depth_mm]), room().apply(trajectory().entry_mm))
 
 
 def test_at_free_angle_zero_tool_x_is_as_radial_as_the_axis_allows():
-    pose = OCS.target_pose(trajectory(), room())
+    pose = target_pose(trajectory(), room())
     origin, (x, _, z) = pose.translation_mm, pose.rotation_matrix.T
     radial = np.array([origin[0], origin[1], 0.0]) / np.hypot(origin[0], origin[1])
     turns = np.radians(np.arange(0.0, 360.0, 0.5))
@@ -44,7 +46,7 @@ def test_at_free_angle_zero_tool_x_is_as_radial_as_the_axis_allows():
 
 
 def test_the_free_angle_turns_right_handed_about_tool_z():
-    zero, turned = OCS.target_pose(trajectory(), room()), OCS.target_pose(trajectory(0.5), room())
+    zero, turned = target_pose(trajectory(), room()), target_pose(trajectory(0.5), room())
     relative = (zero.inverse() @ Transform(Frame.ROBOT, Frame.TOOL, turned.rigid)).rigid
     assert np.allclose(relative.rotation.as_rotvec(), [0.0, 0.0, 0.5])
     assert np.allclose(relative.translation, 0.0, atol=1e-9)
@@ -52,8 +54,8 @@ def test_the_free_angle_turns_right_handed_about_tool_z():
 
 def test_every_fiducial_is_localized_in_the_orientation_of_the_target():
     poses, target = (
-        OCS.localization_poses(trajectory(0.3), FIDUCIALS, room()),
-        OCS.target_pose(trajectory(0.3), room()),
+        OCS.localization_poses(trajectory(0.3), FIDUCIALS, room(), ARM),
+        target_pose(trajectory(0.3), room()),
     )
     assert len(poses) == 3
     for pose, fiducial in zip(poses, FIDUCIALS, strict=True):
@@ -65,8 +67,8 @@ def test_a_refined_registration_adds_no_turn_about_the_axis():
     coarse = room()
     small = RigidTransform.from_components([0.4, -0.2, 0.3], Rotation.from_rotvec([0.004, -0.003, 0.006]))
     fine = Transform(Frame.ROBOT, Frame.CT, small * coarse.rigid)
-    localized = OCS.localization_poses(trajectory(0.3), FIDUCIALS, coarse)[0]
-    pose = OCS.target_pose(trajectory(0.3), fine, localized_as=localized)
+    localized = OCS.localization_poses(trajectory(0.3), FIDUCIALS, coarse, ARM)[0]
+    pose = refined_target_pose(localized, trajectory(0.3), fine)
     axis = fine.rotation_matrix @ trajectory().axis_ct
     assert np.allclose(pose.rotation_matrix[:, 2], axis)
     change = (pose.rigid.rotation * localized.rigid.rotation.inv()).as_rotvec()
@@ -75,7 +77,7 @@ def test_a_refined_registration_adds_no_turn_about_the_axis():
 
 
 def test_the_same_axis_needs_no_turn():
-    orientation = OCS.target_pose(trajectory(), room()).rigid.rotation
+    orientation = target_pose(trajectory(), room()).rigid.rotation
     unchanged = turned_onto(orientation, orientation.as_matrix()[:, 2])
     assert (unchanged.inv() * orientation).magnitude() < 1e-12
 
@@ -94,7 +96,7 @@ def test_the_reference_direction_is_defined_everywhere(axis, at_mm, expected):
 
 
 def test_the_approach_point_lies_back_along_the_tool():
-    pose = OCS.target_pose(trajectory(), room())
+    pose = target_pose(trajectory(), room())
     back = back_along_axis(pose, 60.0)
     assert np.allclose(back.translation_mm, pose.translation_mm - 60.0 * pose.rotation_matrix[:, 2])
     assert np.allclose(back.rotation_matrix, pose.rotation_matrix)
@@ -102,9 +104,9 @@ def test_the_approach_point_lies_back_along_the_tool():
 
 def test_wrong_frames_are_refused():
     with pytest.raises(FrameMismatch, match="FRM-001"):
-        OCS.target_pose(trajectory(), room().inverse())
+        target_pose(trajectory(), room().inverse())
     with pytest.raises(FrameMismatch, match="FRM-001"):
-        OCS.target_pose(trajectory(), room(), localized_as=room())
+        refined_target_pose(room(), trajectory(), room())
 
 
 @pytest.mark.parametrize(

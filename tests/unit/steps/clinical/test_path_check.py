@@ -7,7 +7,6 @@ from clinical_case import (
     ROBOT_FROM_CT,
     TRAJECTORIES,
     ClinicalCell,
-    OnceForAll,
     checked_plan,
     checked_set_up,
     correspondence,
@@ -23,6 +22,7 @@ from procedures.engine.operator import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.strategies.nos import NEUTRAL, NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
 
@@ -51,12 +51,12 @@ def test_every_localization_and_target_has_joints_that_bring_the_tool_there(cell
 
 
 def test_the_strategy_of_the_case_is_asked_and_recorded(cell: ClinicalCell) -> None:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     stored = check(cell)
     paths = stored.result
-    assert paths.strategy == "once"
-    assert tuple(paths.localizations) == (FIRST,)
-    assert paths.localizations_for(TRAJECTORIES) == paths.localizations[FIRST]
+    assert paths.strategy == "nos"
+    assert tuple(paths.localizations) == (NEUTRAL,)
+    assert paths.localizations_for(None) == paths.localizations[NEUTRAL]
     assert tuple(paths.targets) == TRAJECTORIES
     kinds = {name.partition("-")[2] for name in stored.record.parents}
     assert kinds == {"correspondence", "fiducial_localization", "plan_check", "set_up"}

@@ -8,7 +8,6 @@ from clinical_case import (
     SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
-    OnceForAll,
     checked_plan,
     correspondence,
     global_localization,
@@ -22,6 +21,7 @@ from procedures.engine.case import Stored
 from procedures.engine.errors import GateFailed, NotConfirmed
 from procedures.engine.operator import Topic
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
+from procedures.strategies.nos import NeutralOrientation
 
 Array = NDArray[np.float64]
 
@@ -108,7 +108,7 @@ def test_without_consent_a_predicted_error_beyond_the_margin_is_refused(cell: Cl
 
 
 def test_the_last_trajectory_is_never_left_out(cell: ClinicalCell) -> None:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     with pytest.raises(GateFailed, match=rf"predicted error at {TRAJECTORIES[-1]} exceeds"):
         registered(cell, margin_mm=0.05)
 
@@ -152,7 +152,7 @@ def test_a_registration_serves_the_trajectory_that_was_localized_for(cell: Clini
 
 
 def test_localized_once_it_serves_all_and_each_is_accepted(cell: ClinicalCell) -> None:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     stored = registered(cell)
     assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES
     assert [one.subject.rpartition(" ")[2] for one in cell.operator.asked] == list(TRAJECTORIES)

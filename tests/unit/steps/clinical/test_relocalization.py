@@ -13,7 +13,6 @@ from clinical_case import (
     SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
-    OnceForAll,
     checked_paths,
     checked_plan,
     coarse,
@@ -28,6 +27,7 @@ from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.operator import Question, Topic
 from procedures.engine.result import StepResult
 from procedures.steps.clinical.relocalization import STEP, Relocalization
+from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
@@ -173,7 +173,7 @@ def test_with_the_guide_mounted_nothing_begins(cell: ClinicalCell) -> None:
 
 
 def test_a_strategy_that_localizes_once_measures_for_all_trajectories(cell: ClinicalCell) -> None:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     stored = relocalize(cell)
     assert stored.record.trajectory is None
     assert [str(key) for key in cell.begin(STEP).order.sequence] == ["relocalization"]

@@ -13,7 +13,6 @@ from clinical_case import (
     SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
-    OnceForAll,
     checked_paths,
     checked_plan,
     coarse,
@@ -36,6 +35,7 @@ from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
+from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -122,7 +122,7 @@ def test_the_guide_is_held_as_the_spheres_were_localized(cell: ClinicalCell) -> 
 def test_a_strategy_that_holds_targets_as_planned_has_them_turned_as_the_paths_were_checked(
     cell: ClinicalCell,
 ) -> None:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     run(begin(cell, turn_rad=0.3), f"positioning:{LAST}")
     held = cell.case.get(PositionedGuide, LAST).result.tool_pose.transform
     checked = checked_paths(cell, turn_rad=0.3).targets[LAST].tool_pose.transform
@@ -249,7 +249,7 @@ def test_a_target_that_is_not_clear_is_refused_by_the_name_of_its_trajectory(cel
 
 
 def after_a_fault(cell: ClinicalCell) -> Engine:
-    cell.strategy = OnceForAll()
+    cell.strategy = NeutralOrientation()
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
         replace(given(registered_robot()), scope=Scope.LOCALIZATION),

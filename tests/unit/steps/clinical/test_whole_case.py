@@ -8,7 +8,6 @@ from clinical_case import (
     ROBOT_FROM_CT,
     TRAJECTORIES,
     ClinicalCell,
-    OnceForAll,
     checked_plan,
     global_localization,
     imported_ct,
@@ -21,7 +20,8 @@ from procedures.engine.step import StepSpec
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.strategies.ocs import OrientationCorrection
+from procedures.strategies.catalogue import STRATEGIES
+from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.strategy import Strategy
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -37,7 +37,7 @@ def steps(*instead: StepResult) -> tuple[StepSpec[StepResult] | StepResult, ...]
 @pytest.fixture(scope="module")
 def once(tmp_path_factory: pytest.TempPathFactory) -> ClinicalCell:
     """The finished case."""
-    cell = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=OnceForAll())
+    cell = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=NeutralOrientation())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
         cell.begin(*steps()).run_to()
@@ -71,7 +71,7 @@ def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) 
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
-@pytest.mark.parametrize("strategy", [OnceForAll(), OrientationCorrection()], ids=lambda one: one.name)
+@pytest.mark.parametrize("strategy", STRATEGIES, ids=lambda one: one.name)
 def test_without_a_trajectory_that_cannot_be_reached_the_others_are_done_to_the_end(
     tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
 ) -> None:

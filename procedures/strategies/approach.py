@@ -1,0 +1,25 @@
+"""The direction in which each joint arrives at a pose that is entered along the tool axis.
+
+The play of a gear shows on the side that the joint comes from. Arriving alike at fiducials and target keeps
+it the same in all, so that the registration takes it out.
+"""
+
+from __future__ import annotations
+
+from procedures.strategies.arm_in_branch import Joints
+from procedures.strategies.orientation import back_along_axis
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.pose import Pose
+from ronna_hw.frames import Transform
+
+LAST_STRETCH_MM = 5.0  # of the line to the pose: how each joint turns there decides its backlash
+
+
+def arrival_signs(
+    kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
+) -> tuple[int, ...]:
+    """Direction, +1 or -1, in which each joint arrives at a pose ROBOT <- TOOL with the joints `at_rad`."""
+    before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
+    branch = kinematics.branch_of(at_rad)
+    joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
+    return tuple(1 if after >= earlier else -1 for earlier, after in zip(joints, at_rad, strict=True))

@@ -1,0 +1,64 @@
+"""NOS, neutral orientation strategy: localize every fiducial once, with the tool pointing straight down.
+
+One set of localizations and one registration serve all targets. The price: between the neutral orientation
+and that of a target, an error of the tool frame turns with the tool and does not cancel.
+
+The thesis does not state its neutral angles. Ours: tool z down, tool x radially away from the robot's base,
+as at free angle 0 of every trajectory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.free_turns import OUTWARDS_RAD
+from procedures.strategies.orientation import UP, require_frames, tool_pose
+from procedures.strategies.target import orientation_along
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.frames import Frame, Transform
+
+NEUTRAL = "neutral orientation"  # has a space, so no planned trajectory can be called so
+LENGTH_MM = 100.0  # of the axis that stands for the orientation; any will do
+
+
+@dataclass(frozen=True)
+class NeutralOrientation:
+    """The strategy `nos`."""
+
+    name: str = "nos"
+    controls_approach: bool = False
+    localizes_per_trajectory: bool = False
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """The vertical through the middle of the fiducials (n, 3) in CT mm; nothing where there are none.
+
+        Raises FRM-001 on other frames.
+        """
+        require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+        if not len(points):
+            return ()
+        middle = robot_from_ct.apply(points.mean(axis=0))
+        entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
+        return (Trajectory(NEUTRAL, tuple(entry), tuple(target)),)
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the neutral orientation."""
+        orientation = orientation_along(along, robot_from_ct)
+        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+        return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
+
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[float, ...]:
+        """From free angle 0 outwards."""
+        return OUTWARDS_RAD

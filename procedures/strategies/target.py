@@ -1,0 +1,39 @@
+"""The tool at a target: tip on the target, z along the trajectory, x by the free angle."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.strategies.orientation import require_frames, tool_orientation, tool_pose, turned_onto
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.frames import Frame, Transform
+
+
+def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
+    """The pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
+    return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.target_mm))
+
+
+def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
+    """The pose at the target by a finer transform, where `planned` is the one by the coarse transform.
+
+    The orientation is turned onto the finer axis by the smallest rotation, so that no angle about the axis
+    creeps in between localization and target. Raises FRM-001 on other frames.
+    """
+    require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+    require_frames(planned, Frame.ROBOT, Frame.TOOL)
+    orientation = turned_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
+    return tool_pose(orientation, robot_from_ct.apply(trajectory.target_mm))
+
+
+def orientation_along(trajectory: Trajectory, robot_from_ct: Transform) -> Rotation:
+    """Rotation robot <- tool at the target of a trajectory. Raises FRM-001 on other frames."""
+    require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
+    target = robot_from_ct.apply(trajectory.target_mm)
+    return tool_orientation(_axis(trajectory, robot_from_ct), target, trajectory.free_angle_rad)
+
+
+def _axis(trajectory: Trajectory, robot_from_ct: Transform) -> NDArray[np.float64]:
+    return np.asarray(robot_from_ct.rotation_matrix @ trajectory.axis_ct)
