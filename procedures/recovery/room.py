@@ -10,11 +10,12 @@ import numpy as np
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_reading import read_room
 from procedures.recovery.comparison import Comparison
 from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.room_check import read_room, watch_over
+from procedures.steps.clinical.room_check import watch_over
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.head_looks import ENDPOINTS
+from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import RoomReading, RoomWatch
-from procedures.steps.clinical.room_check import FRAMES
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.orientation import back_along_axis

@@ -6,8 +6,6 @@ that is asked faster than it measures gives the same one again; those do not cou
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -19,21 +17,20 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.workcell import MountedTool, Workcell
+from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import (
+    FRAMES,
+    frames_at_rest,
+    mean_of,
+    poses_of,
+    robot_from_marker,
+)
 from ronna_hw.calibration import Numbers3
-from ronna_hw.clock import Clock
-from ronna_hw.devices import OpticalTracker
-from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, TrackerFrame, Validity
+from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import StrayAverage, average_strays
-from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.frames import Frame, Transform
+from ronna_hw.frames import Transform
 
-FRAMES = 60  # one second of a 60 Hz tracker
-FRAME_S = 1 / 60
-READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 LEAST_FRAMES_WITH_TOOL = 30
-MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
 
@@ -108,63 +105,9 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
     return spread_mm
 
 
-def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
-    """Nominal pose ROBOT <- MARKER of the reference frame on the arm."""
-    frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    flange = workcell.arm.kinematics.flange_pose(joints_rad)
-    return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
-
-
-def frames_at_rest(
-    tracker: OpticalTracker,
-    clock: Clock,
-    progress: Callable[[float], None] = lambda _share: None,
-    count: int = FRAMES,
-) -> tuple[list[TrackerFrame], int]:
-    """As `fresh_frames`, with the tracking begun for them and ended after them."""
-    tracker.activate()
-    try:
-        return fresh_frames(tracker, clock, progress, count)
-    finally:
-        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
-            tracker.deactivate()
-
-
-def fresh_frames(
-    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
-) -> tuple[list[TrackerFrame], int]:
-    """So many measurements, each another one, and how many readings were lost on the way.
-
-    A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 when the
-    tracker gives too few in time, and the driver's own error when the line is too bad.
-    """
-    limit_s = clock.now_s() + READING_LIMIT_S
-    frames: list[TrackerFrame] = []
-    lost = 0
-    while len(frames) < count:
-        try:
-            frame = tracker.read_frame()
-        except (LinkTimeout, ProtocolError):
-            lost += 1
-            if lost > MOST_LOST_READINGS or tracker.state is not Lifecycle.ACTIVE:
-                raise
-            limit_s += READING_LIMIT_S / count
-            continue
-        if frame.validity is not Validity.STALE:
-            frames.append(frame)
-            progress(len(frames) / count)
-        elif clock.now_s() > limit_s:
-            raise GateFailed(
-                "the tracker gives no new measurements", expected=f"{count}", got=f"{len(frames)}"
-            )
-        else:
-            clock.sleep(FRAME_S / 2)
-    return frames, lost
-
-
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it."""
-    poses = _poses(frames, tool)
+    poses = poses_of(frames, tool)
     if len(poses) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
         raise GateFailed(
@@ -172,30 +115,7 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
             action=f"{action}, then repeat the step.",
         )
-    return _mean(poses)
-
-
-def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
-    """As `average_pose`, but None when fewer than `least` frames show it."""
-    poses = _poses(frames, tool)
-    return _mean(poses) if len(poses) >= least else None
-
-
-def _poses(frames: list[TrackerFrame], tool: str) -> list[Transform]:
-    readings = [frame.tool(tool) for frame in frames]
-    return [
-        reading.transform(Frame.TRACKER, Frame.MARKER)
-        for reading in readings
-        if reading.validity is Validity.OK
-    ]
-
-
-def _mean(poses: list[Transform]) -> Transform:
-    from scipy.spatial.transform import RigidTransform, Rotation
-
-    rotation = Rotation.from_matrix(np.array([pose.rotation_matrix for pose in poses])).mean()
-    translation = np.mean([pose.translation_mm for pose in poses], axis=0)
-    return Transform(Frame.TRACKER, Frame.MARKER, RigidTransform.from_components(translation, rotation))
+    return mean_of(poses)
 
 
 def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:

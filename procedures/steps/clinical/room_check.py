@@ -8,21 +8,11 @@ import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.global_localization import (
-    GlobalLocalization,
-    frames_at_rest,
-    mean_pose,
-    robot_from_marker,
-)
+from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.workcell import Workcell
-from ronna_hw.clock import Clock
-from ronna_hw.devices.strays import average_strays
-from ronna_hw.frames import Transform
-
-FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 0.05 mm
-LEAST_SHARE = 0.5  # of the frames that must show what is averaged
 
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
@@ -84,17 +74,3 @@ def watch_over(
         spheres = spheres[[room for _, room in pairs]]
     begun = RoomReading(workcell.arm.kinematics.flange_pose(localized.joints_rad), np.zeros(3), spheres)
     return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
-
-
-def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -> RoomReading:
-    """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
-    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
-    groups = average_strays(frames).groups
-    spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
-    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * FRAMES))
-    joints = workcell.joints_rad()
-    frame_mm = None
-    if seen is not None:
-        by_arm = robot_from_marker(workcell, joints)
-        frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
-    return RoomReading(workcell.arm.kinematics.flange_pose(joints), frame_mm, spheres)

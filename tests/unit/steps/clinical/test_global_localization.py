@@ -10,14 +10,9 @@ import pytest
 from clinical_case import ClinicalCell, checked_set_up
 
 from procedures.engine.errors import GateFailed
-from procedures.steps.clinical.global_localization import (
-    FRAMES,
-    MOST_LOST_READINGS,
-    STEP,
-    average_pose,
-    fresh_frames,
-)
+from procedures.steps.clinical.global_localization import STEP, average_pose
 from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, fresh_frames
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -91,7 +86,7 @@ def read_from(tracker: object) -> tuple[list[TrackerFrame], int]:
 
 
 def test_a_lost_reply_costs_a_reading_and_not_the_case(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.steps.clinical.global_localization.MOST_LOST_READINGS", FRAMES)
+    monkeypatch.setattr("procedures.workcell.tracker_look.MOST_LOST_READINGS", FRAMES)
     frames, lost = read_from(LineThatLoses(1))
     assert (len(frames), lost) == (FRAMES, FRAMES // 2 - 1)
 

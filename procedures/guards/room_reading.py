@@ -1,0 +1,29 @@
+"""One look of the tracker at the room: the frame on the arm and the spheres, while the arm rests."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.guards.room_watch import RoomReading
+from procedures.workcell import Workcell
+from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
+from ronna_hw.clock import Clock
+from ronna_hw.devices.strays import average_strays
+from ronna_hw.frames import Transform
+
+FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 0.05 mm
+LEAST_SHARE = 0.5  # of the frames that must show what is averaged
+
+
+def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -> RoomReading:
+    """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
+    groups = average_strays(frames).groups
+    spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
+    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * FRAMES))
+    joints = workcell.joints_rad()
+    frame_mm = None
+    if seen is not None:
+        by_arm = robot_from_marker(workcell, joints)
+        frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
+    return RoomReading(workcell.arm.kinematics.flange_pose(joints), frame_mm, spheres)
