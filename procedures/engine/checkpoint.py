@@ -9,7 +9,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from procedures.engine.errors import GuardUnmet, OperatorAborted
 from procedures.engine.machine import PAUSED, SUSPENDED
@@ -18,6 +18,7 @@ from ronna_hw.errors import RonnaError
 
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
 CHOICES = "wait goes on as soon as it is as it must be, leave ends the step here with the arm at rest"
+WITHOUT = "continue goes on without it for a while"
 LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
 PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the operator is asked
 
@@ -32,6 +33,25 @@ class Guard(Protocol):
 
     def unmet(self) -> str | None:
         """Why the case cannot go on now, in plain words, or None. Quick; raises only what ends the step."""
+        ...
+
+
+@runtime_checkable
+class DispensableGuard(Guard, Protocol):
+    """One that the operator may decide to do without for a while."""
+
+    @property
+    def topic(self) -> Topic:
+        """Of the question."""
+        ...
+
+    @property
+    def patience_s(self) -> float:
+        """Theatre time to be met by itself, in place of `PATIENCE_S`."""
+        ...
+
+    def excuse(self) -> None:
+        """Be met for a while."""
         ...
 
 
@@ -97,7 +117,7 @@ class Checkpoint:
 
         Raises PRO-004, PRO-017.
         """
-        if not self.wanted:
+        if not self.wanted and not self._any_unmet():
             self.pause(f"{what} was stopped")
         self.here(f"{what} was stopped; continuing {redo}")
 
@@ -118,18 +138,32 @@ class Checkpoint:
                 raise OperatorAborted("the operator ended the procedure while it was paused")
         self._meet_wishes(where)  # somebody may have wished again meanwhile
 
+    def _any_unmet(self) -> bool:
+        with self.beside():
+            return any(guard.unmet() is not None for guard in self.guards)
+
     def _meet(self, guard: Guard, where: str) -> None:
         reason = guard.unmet()
         if reason is None:
             return
+        patience_s = guard.patience_s if isinstance(guard, DispensableGuard) else PATIENCE_S
         with self._rest(SUSPENDED, f"{guard.name}: {reason}"):
             waited_s = 0.0
             while (reason := guard.unmet()) is not None:
-                if waited_s >= PATIENCE_S:
-                    subject = f"{guard.name}: {reason}"
-                    question = Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))
-                    if self._ask(question) != WAIT:
+                if waited_s >= patience_s:
+                    answer = self._ask(_question(guard, reason, where))
+                    if answer == GO_ON and isinstance(guard, DispensableGuard):
+                        guard.excuse()
+                        continue
+                    if answer != WAIT:
                         raise GuardUnmet(f"{guard.name}: {reason}")
-                    waited_s = 0.0
+                    waited_s, patience_s = 0.0, PATIENCE_S
                 self._sleep(LOOK_AGAIN_S)
                 waited_s += LOOK_AGAIN_S
+
+
+def _question(guard: Guard, reason: str, where: str) -> Question:
+    subject = f"{guard.name}: {reason}"
+    if isinstance(guard, DispensableGuard):
+        return Question(guard.topic, subject, f"{where}; {CHOICES}, {WITHOUT}", (WAIT, GO_ON, LEAVE))
+    return Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))

@@ -4,6 +4,6 @@ Guards are asked at every checkpoint: before each motion and whenever a step say
 suspends the case with a reason in plain words, until it is met or the operator leaves the step.
 """
 
-from procedures.guards.standing import patient_watch, standing_guards
+from procedures.guards.standing import patient_watch, sight_guard, standing_guards
 
-__all__ = ["patient_watch", "standing_guards"]
+__all__ = ["patient_watch", "sight_guard", "standing_guards"]

@@ -1,8 +1,8 @@
 """Watches the patient with the tracker while the arm moves, and while an instrument is at its target.
 
 A thread of its own reads the tracker; it stops the arm when the spheres on the head are not where they were
-localized. It reads every third frame, and every frame while there is doubt. What it saw is told by the thread
-that moves, when the motion has ended.
+localized, or when a guide approaches them unseen for too long. It reads every third frame, and every frame
+while there is doubt. What it saw is told by the thread that moves, when the motion has ended.
 """
 
 from __future__ import annotations
@@ -10,12 +10,13 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 from procedures.engine.workspace import Workspace
-from procedures.guards.errors import PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.head_frames import HeadFrames
+from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
 from procedures.workcell import MountedTool, Workcell
 from ronna_hw.clock import Clock
@@ -28,9 +29,13 @@ from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
 FRAME_S = 1 / 60  # of the tracker's frame counter
 PASSED_FRAMES = 2  # unread, while there is no doubt
 PASSED_S = (PASSED_FRAMES - 0.5) * FRAME_S  # theatre time
-LONGEST_UNSEEN_S = 5.0  # theatre time under way; then the operator is told
+LONGEST_UNSEEN_S = 5.0  # theatre time under way; then it is a finding
 FIRST_FRAME_S = 1.0  # host time to wait for the first frame; without it the motion begins all the same
+UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracker has failed
 READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
+
+MOVED = "the head, or the tracker, has moved"
+UNSEEN = "the tracker has not seen the head for too long"
 
 
 @dataclass
@@ -44,6 +49,7 @@ class MotionWatch:
     find: Callable[[str], None]
     tell: Callable[[str], object]
     void: Callable[[RonnaError], None]
+    beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while it reads for itself
     _room: RoomWatch | None = None
     _head: HeadFrames = field(init=False)
     _unseen_s: float = 0.0
@@ -57,7 +63,14 @@ class MotionWatch:
             return
         if self._room is not room:
             self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
-        looking = _Looking(self.workcell, self.clock, arm_moves, self._head, lambda: self._alarm(what))
+        looking = _Looking(
+            self.workcell,
+            self.clock,
+            arm_moves,
+            room,
+            self._head,
+            lambda why, stop: self._alarm(what, why, stop),
+        )
         looking.begin()
         try:
             yield
@@ -79,18 +92,15 @@ class MotionWatch:
             return False
         return self.when is WatchPatient.ALWAYS or self.workcell.tool is MountedTool.GUIDE
 
-    def _alarm(self, what: str) -> None:
-        self.tell(f"the head, or the tracker, has moved during {what}: the arm is stopped")
-        self.workcell.stop()
+    def _alarm(self, what: str, why: str, stop: bool) -> None:
+        self.tell(f"{why} during {what}" + (": the arm is stopped" if stop else ""))
+        if stop:
+            self.workcell.stop()
 
     def _conclude(self, seen: _Looking, what: str) -> None:
         if seen.moved_mm is not None:
+            moved = self._named(seen.room, seen.moved_mm, what)
             self.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
-            moved = PatientMoved(
-                f"the head, or the tracker, has moved during {what}",
-                limit=f"{PATIENT_LIMIT_MM:g} mm",
-                got=f"{seen.moved_mm:.2f} mm",
-            )
             self.void(moved)
             raise moved
         if seen.problem is not None:
@@ -100,6 +110,19 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not told:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
+    def _named(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
+        """What has moved, by one more reading at rest: that compares the frame on the arm as well."""
+        try:
+            with self.beside():
+                room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
+        except (BaseShifted, PatientMoved) as told:
+            return type(told)(f"{told.what}, during {what}", limit=told.limit, got=told.got)
+        except RonnaError as problem:  # what was seen is told all the same
+            self.find(f"nothing more was read after {what}: {problem.summary}")
+        return PatientMoved(
+            f"{MOVED} during {what}", limit=f"{PATIENT_LIMIT_MM:g} mm", got=f"{moved_mm:.2f} mm"
+        )
+
 
 @dataclass
 class _Looking:
@@ -108,18 +131,19 @@ class _Looking:
     workcell: Workcell
     clock: Clock
     arm_moves: bool
+    room: RoomWatch
     head: HeadFrames
-    alarm: Callable[[], None]
+    alarm: Callable[[str, bool], None]  # why, and whether the arm is to stop
     moved_mm: float | None = None
     problem: RonnaError | None = None
     has_seen: bool = False
     unseen_s: float = 0.0
+    _overdue: bool = False
+    _stopping: threading.Thread | None = None
 
     def __post_init__(self) -> None:
         self._ending, self._first = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
-        # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
-        self._stopping = threading.Thread(target=self.alarm, name="stop by the patient watch", daemon=True)
 
     def begin(self) -> None:
         """Start; returns when the first frame has been read."""
@@ -130,7 +154,7 @@ class _Looking:
         """Stop looking; what was seen stands in the fields."""
         self._ending.set()
         self._thread.join()
-        if self.moved_mm is not None:
+        if self._stopping is not None:
             self._stopping.join()
         return self
 
@@ -146,10 +170,13 @@ class _Looking:
             if tracker.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
                 with contextlib.suppress(RonnaError):
                     tracker.deactivate()
+        while not self._ending.wait(UNSEEN_LOOK_S):  # nothing looks any more, but the time counts
+            self._meet_unseen()
 
     def _read(self) -> None:
         tracker, began_s = self.workcell.tracker, self.clock.now_s()
         while not self._ending.is_set():
+            self._meet_unseen()
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
             except (LinkTimeout, ProtocolError):  # costs one frame
@@ -161,15 +188,30 @@ class _Looking:
                 continue
             self.head.take(frame)
             self._first.set()
+            now_s = self.clock.now_s()
             if self.head.seen:
-                self.has_seen, began_s = True, self.clock.now_s()
-            self.unseen_s = self.clock.now_s() - began_s
+                self.has_seen, began_s, self.room.seen_s = True, now_s, now_s
+            self.unseen_s = now_s - began_s
             if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 self.moved_mm = self.head.moved_mm
-                self._stopping.start()
+                self._begin_alarm(MOVED, stop=True)
             if self.head.doubtful:
                 continue
             if self.arm_moves:
                 self.clock.sleep(PASSED_S)
             else:  # host time: whoever waits for theatre time makes a simulated arm at rest hurry
                 self._ending.wait(PASSED_S)
+
+    def _meet_unseen(self) -> None:
+        if not self._overdue and self.room.overdue(self.clock.now_s()):
+            self._overdue = True
+            self._begin_alarm(UNSEEN, stop=self.arm_moves)
+
+    def _begin_alarm(self, why: str, *, stop: bool) -> None:
+        # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
+        if self._stopping is not None:
+            self._stopping.join()
+        self._stopping = threading.Thread(
+            target=self.alarm, args=(why, stop), name="stop by the patient watch", daemon=True
+        )
+        self._stopping.start()

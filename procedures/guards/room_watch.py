@@ -8,6 +8,7 @@ was in the same orientation before. Every reading is such a reference for those 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -31,6 +32,8 @@ NEAR_HEAD_MM = 60.0  # from a known sphere: what reflects there is taken for a s
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
 FARTHEST_MM = 150.0  # between poses that are compared: the tracker's own bias changes with the place
 SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
+# Theatre time that a guide may approach a head that nothing sees. The way onto a target takes some 5 s.
+MOST_UNSEEN_S = 10.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,18 @@ class RoomReading:
 
 
 @dataclass
+class Approach:
+    """A guide on its way to the head, or in it. `excused_s`: when the operator last went on without sight.
+
+    Only while it is under way the time without sight is bounded: nothing holds up the way out.
+    """
+
+    arm_hides_head: Callable[[], bool]
+    under_way: bool = False
+    excused_s: float = -math.inf
+
+
+@dataclass
 class RoomWatch:
     """What one global localization has found, and the readings since."""
 
@@ -55,11 +70,29 @@ class RoomWatch:
     spheres_mm: Array  # (n, 3) those on the head, tracker frame
     references: list[RoomReading] = field(default_factory=list)
     hidden_from: Transform | None = None  # where the last reading showed too little of the head
+    seen_s: float = 0.0  # theatre time at which the head was last seen in its place
+    approach: Approach | None = None
 
-    def check(self, reading: RoomReading) -> list[str]:
+    def unseen_s(self, now_s: float) -> float:
+        """Theatre time since the head was seen, or since the operator went on without."""
+        excused_s = -math.inf if self.approach is None else self.approach.excused_s
+        return now_s - max(self.seen_s, excused_s)
+
+    def overdue(self, now_s: float) -> bool:
+        """Whether a guide approaches a head that was not seen for too long."""
+        under_way = self.approach is not None and self.approach.under_way
+        return under_way and self.unseen_s(now_s) > MOST_UNSEEN_S
+
+    @property
+    def arm_hides_head(self) -> bool:
+        """Whether the arm is expected to hide the head as it stands now."""
+        return self.approach is not None and self.approach.arm_hides_head()
+
+    def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
         """Compare a reading with those before and keep it; returns what could not be compared, in words.
 
-        Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has.
+        Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has, PRO-022 when a sphere near
+        it is in no known place.
         """
         findings: list[str] = []
         base_mm = self.base_shift_mm(reading)
@@ -77,7 +110,8 @@ class RoomWatch:
             raise _base_shifted(base_mm, head_mm, limit_mm)
         few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
-            raise _patient_moved(few, self.robot_from_tracker.rotation_matrix @ few.mean_mm, FEW_LIMIT_MM)
+            few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
+            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, told_apart=base_mm is not None)
         if head is None and (strange := self._strange(reading)):
             raise PatientUnseen(
                 f"the tracker sees {strange} of the spheres near the head in no known place",
@@ -85,10 +119,13 @@ class RoomWatch:
             )
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
             if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
-                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM)
+                apart = base_mm is not None and (same or float(np.linalg.norm(head_mm)) >= limit_mm)
+                raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM, told_apart=apart)
             findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
         if reading.frame_mm is not None:
             self.references.append(reading)
+        if head is not None:
+            self.seen_s = now_s
         return findings
 
     def base_shift_mm(self, reading: RoomReading) -> Array | None:
@@ -148,9 +185,11 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
     )
 
 
-def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float) -> PatientMoved:
+def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_apart: bool) -> PatientMoved:
+    # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
+    what = "the head" if told_apart else "the head, or the tracker,"
     return PatientMoved(
-        f"the head has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
+        f"{what} has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
         limit=f"{limit_mm:g} mm",
         got=f"{head.rms_mm:.2f} mm",
     )

@@ -11,6 +11,7 @@ from procedures.engine.events import Finding
 from procedures.engine.step import StepKey
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
+from procedures.guards.head_in_sight import HeadInSight
 from procedures.guards.line_of_sight import LineOfSight
 from procedures.guards.motion_watch import MotionWatch
 from procedures.guards.mounted_tool import ToolStillMounted
@@ -43,4 +44,13 @@ def patient_watch(engine: Engine, localization: StepKey) -> MotionWatch:
         find=engine.find,
         tell=lambda text: engine.events.publish(Finding(text=text)),
         void=lambda moved: engine.void(localization, moved),
+        beside=engine.checkpoint.beside,
+    )
+
+
+def sight_guard(engine: Engine, localization: StepKey) -> HeadInSight:
+    """The guard that bounds how long a guide approaches a head that nothing sees."""
+    setting = engine.setting
+    return HeadInSight(
+        setting.workcell, setting.clock, setting.workspace, lambda moved: engine.void(localization, moved)
     )

@@ -44,6 +44,5 @@ class TrackerSight:
         eyes = np.broadcast_to(eyes.T[:, None, :, None], shape)
         spheres = np.broadcast_to(spheres.T[:, None, None, :], shape)
         radii = np.array(bodies.moving_radii_mm)[:, None, None]
-        hidden = segment_distances(starts, stops, eyes, spheres) < radii
-        seen: NDArray[np.bool_] = ~hidden.any(axis=(0, 1))
-        return seen
+        hidden: NDArray[np.bool_] = np.asarray(segment_distances(starts, stops, eyes, spheres) < radii)
+        return np.asarray(~hidden.any(axis=(0, 1)))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
+from procedures.engine.checkpoint import GO_ON as CONTINUE
 from procedures.engine.checkpoint import LEAVE, WAIT
 from procedures.engine.errors import GateFailed, GuardUnmet, OperatorAborted
 from procedures.engine.operator import NO, YES, Question, Topic
@@ -87,6 +88,17 @@ GUARD_UNMET = Branch(
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
+)
+HEAD_UNSEEN = Branch(
+    "a guide is near a head that the tracker has not seen for 10 s",
+    "theatre time since three known spheres were in their places, under way and at the target",
+    ("positioning", "at_target"),
+    "the arm stops and the case is suspended: it waits for sight, or the operator goes on without it for as "
+    "long again, or leaves the step",
+    Ending.ASK,
+    (GuardUnmet,),
+    Topic.HEAD_UNSEEN,
+    (WAIT, CONTINUE, LEAVE),
 )
 AMBIGUOUS = Branch(
     "the spheres of CT and room match in several ways, or in none",
@@ -208,7 +220,16 @@ ABORTED = Branch(
 )
 
 BRANCHES = (
-    *(SPHERE_COUNT, CT_DISAGREEMENT, SIGHT_LOST, GUARD_UNMET, AMBIGUOUS, SPHERE_FAILED, WRONG_SPHERE),
+    *(
+        SPHERE_COUNT,
+        CT_DISAGREEMENT,
+        SIGHT_LOST,
+        GUARD_UNMET,
+        HEAD_UNSEEN,
+        AMBIGUOUS,
+        SPHERE_FAILED,
+        WRONG_SPHERE,
+    ),
     *(REFERENCE_MOVED, MOVED_SPHERE, FIT_DISAGREES, BEYOND_MARGIN, UNREACHABLE, NOT_CLEAR_NOW, ARM_FAULT),
     *(KEPT_REGISTRATION, WRONG_TOOL, ABORTED),
 )

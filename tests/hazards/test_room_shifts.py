@@ -160,7 +160,7 @@ def test_a_head_that_moves_while_the_spheres_are_localized_voids_them(tmp_path: 
         return False  # the way is clear
 
     cell.arm.blocked = move_the_head
-    with pytest.raises(PatientMoved, match="the head has moved"):
+    with pytest.raises(PatientMoved, match="has moved"):
         engine.run_to()
     assert not engine.case.stands(engine.order.find(f"relocalization:{FIRST}"))
 

@@ -41,14 +41,15 @@ def frames_to_alarm(trial: int, head_mm: float) -> int | None:
     frame, last = 0, BEFORE_FRAMES + 2 * MOTION_FRAMES
     while frame < last:
         sight = moved if frame >= shift else still
-        head.take(_frame(sight.measured(generator.standard_normal(spheres_mm.shape)), generator))
+        head.take(shuffled_frame(sight.measured(generator.standard_normal(spheres_mm.shape)), generator))
         if head.moved_mm is not None and head.moved_mm >= PATIENT_LIMIT_MM:
             return frame - shift + UNTIL_ORDERED
         frame += 1 if head.doubtful else 1 + PASSED_FRAMES
     return None
 
 
-def _frame(places_mm: Array, generator: np.random.Generator) -> TrackerFrame:
+def shuffled_frame(places_mm: Array, generator: np.random.Generator) -> TrackerFrame:
+    """A frame that shows spheres (n, 3) in any order."""
     shuffled = generator.permutation(places_mm).tolist()
     strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in shuffled)
     return TrackerFrame(Stamp(1, 0, 0.0), Validity.OK, (), strays)

@@ -54,19 +54,19 @@ class TrackedCase:
         self.scene = named_scene("default", seed=self.seed)
         self.generator = np.random.default_rng([self.seed, 26])
         truth = self.scene
-        self._kinematics = kr6_r900(truth.arm.variant)
+        self.kinematics = kr6_r900(truth.arm.variant)
         self._arm = TrueArm(truth.arm, self.seed)
         self._optics = Optics(truth.tracker, self.seed, SPECTRA.volumes)
-        self._tracker_from_robot = inverse(matrix_of(truth.tracker.robot_from_tracker))
+        self.tracker_from_robot = inverse(matrix_of(truth.tracker.robot_from_tracker))
         self._flange_from_marker = matrix_of(truth.mount.flange_from_tool_true) @ matrix_of(
             truth.mount.tool_from_marker_true
         )
         self._body_mm = np.array(truth.tracker.tools[0].markers_mm)
         robot_from_ct = matrix_of(truth.head.robot_from_ct)
-        self._spheres_mm = apply(robot_from_ct, [each.centre_ct_mm for each in truth.head.fiducials])
+        self.spheres_mm = apply(robot_from_ct, [each.centre_ct_mm for each in truth.head.fiducials])
         theatre = parse_theatre(theatre_content(truth, ENDPOINTS, "host:", {}, 1.0))
         assert theatre.calibration is not None
-        self._records: Calibrations = theatre.calibration
+        self.records: Calibrations = theatre.calibration
         self._poses: dict[JointVector, tuple[Transform, Array]] = {}  # nominal and true flange
 
     @cached_property
@@ -105,7 +105,7 @@ class TrackedCase:
     def begin(self) -> RoomWatch:
         """The watch after a global localization at home."""
         spheres, frame = self._seen(self.home_rad, STILL, STILL, GLOBAL_FRAMES)
-        flange = self._kinematics.flange_pose(self.home_rad)
+        flange = self.kinematics.flange_pose(self.home_rad)
         robot_from_tracker = self._frame_by_arm(flange) @ frame.inverse()
         reading = RoomReading(flange, np.zeros(3), spheres)
         return RoomWatch("trial", robot_from_tracker, spheres, [reading])
@@ -119,6 +119,14 @@ class TrackedCase:
         seen = watch.robot_from_tracker @ frame
         return RoomReading(flange, seen.translation_mm - self._frame_by_arm(flange).translation_mm, spheres)
 
+    def measured(self, spheres_mm: Array) -> Array:
+        """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""
+        return self._measured(apply(self.tracker_from_robot, spheres_mm), 1)
+
+    def true_flange(self, joints: JointVector) -> Array:
+        """Where the arm truly is (4, 4) with its encoders at these joints."""
+        return self._at(joints)[1]
+
     def direction(self) -> Array:
         """A random unit vector."""
         way = self.generator.standard_normal(3)
@@ -128,8 +136,8 @@ class TrackedCase:
         self, joints: JointVector, head_mm: Array, cart_mm: Array, frames: int
     ) -> tuple[Array, Transform]:
         flange = matrix_from(cart_mm, np.eye(3)) @ self._at(joints)[1]
-        markers = apply(self._tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
-        spheres = apply(self._tracker_from_robot, self._spheres_mm + head_mm)
+        markers = apply(self.tracker_from_robot @ flange @ self._flange_from_marker, self._body_mm)
+        spheres = apply(self.tracker_from_robot, self.spheres_mm + head_mm)
         points = self._measured(np.vstack([markers, spheres]), frames)
         fit = fit_rigid_body(self._body_mm, points[: len(markers)])
         pose = matrix_from(fit.translation_mm, fit.rotation)
@@ -138,7 +146,7 @@ class TrackedCase:
     def _at(self, joints: JointVector) -> tuple[Transform, Array]:
         if joints not in self._poses:
             true = self._arm.moving(joints, FLANKS)
-            self._poses[joints] = (self._kinematics.flange_pose(joints), true)
+            self._poses[joints] = (self.kinematics.flange_pose(joints), true)
         return self._poses[joints]
 
     def _measured(self, points_mm: Array, frames: int) -> Array:
@@ -146,11 +154,11 @@ class TrackedCase:
         return sight.measured(self.generator.standard_normal(points_mm.shape) / math.sqrt(frames))
 
     def _frame_by_arm(self, flange: Transform) -> Transform:
-        records = self._records
+        records = self.records
         tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         return flange @ tool @ records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
 
     def _joints(self, pose: Transform) -> JointVector:
-        tool = self._records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+        tool = self.records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         flange = Pose.from_transform(pose @ tool.inverse())
-        return self._kinematics.solve_branch(flange, self._kinematics.branch_of(self.home_rad), self.home_rad)
+        return self.kinematics.solve_branch(flange, self.kinematics.branch_of(self.home_rad), self.home_rad)

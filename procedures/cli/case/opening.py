@@ -253,7 +253,7 @@ def _make_engine(
     from procedures.engine.journal import Entry, Journal
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.engine.step import StepKey
-    from procedures.guards import patient_watch, standing_guards
+    from procedures.guards import patient_watch, sight_guard, standing_guards
     from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
     from procedures.workcell import Workcell
@@ -328,5 +328,7 @@ def _make_engine(
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
-    engine.checkpoint.watching = patient_watch(engine, StepKey(GlobalLocalization.kind)).watching
+    localization = StepKey(GlobalLocalization.kind)
+    engine.checkpoint.guards.append(sight_guard(engine, localization))
+    engine.checkpoint.watching = patient_watch(engine, localization).watching
     return engine

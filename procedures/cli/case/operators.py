@@ -33,7 +33,7 @@ class ScriptedOperator:
         """The first answer."""
         if (person := self._persons.get(question.topic)) is not None:
             return person.ask(question)
-        if question.topic is Topic.GUARD:
+        if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:
                 return question.silence

@@ -12,6 +12,7 @@ from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.room_check import head_must_show
 
 POSITION_LIMIT_MM = 0.05  # nominal tip against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
@@ -45,10 +46,12 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         trajectory=context.trajectory,
         timeout_s=None,
     )
-    with context.watching(f"the hold at {context.trajectory}"):
-        answer = context.choose(question)
-    if answer != DONE:
-        raise NotConfirmed(f"nobody said that the work at {context.trajectory} is done", action=STAYS)
+    with head_must_show(context):
+        with context.watching(f"the hold at {context.trajectory}"):
+            answer = context.choose(question)
+        if answer != DONE:
+            raise NotConfirmed(f"nobody said that the work at {context.trajectory} is done", action=STAYS)
+        context.progress(1.0, f"the work at {context.trajectory} is done")
     return Outcome(
         ReachedTarget(tool_pose=FramedPose.of(reached), nominal_error_mm=error_mm),
         summary=f"nominal tip within {error_mm:.4f} mm of the command",

@@ -8,6 +8,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.workcell import MountedTool
+from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.frames import Transform
 
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
@@ -30,9 +31,11 @@ def surround_stereo_head(context: StepContext) -> None:
     workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool))
 
 
-def surround_guide(context: StepContext, robot_from_ct: Transform) -> None:
+def surround_guide(context: StepContext, robot_from_ct: Transform) -> Surroundings:
     """Tell the arm what is around while the guide hangs on it, by this trajectory's registration."""
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
     guide = workcell.flange_from(MountedTool.GUIDE)
-    workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory))
+    surroundings = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
+    workcell.surround(surroundings)
+    return surroundings

@@ -19,7 +19,14 @@ from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_hidden, require_head_seen
+from procedures.steps.clinical.room_check import (
+    ROOM_READS,
+    check_room,
+    expected_sight,
+    head_hidden,
+    head_must_show,
+    require_head_seen,
+)
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool
@@ -27,6 +34,7 @@ from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.frames import Transform
 
 BY_HOME = "home, where the tracker sees the head past the arm, then "
+UNWATCHED = "; the arm is expected to hide the head from the tracker there"
 REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, NotClear)  # anything moves
 
 
@@ -45,15 +53,17 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
-    surround_guide(context, robot_from_ct)
+    expected = expected_sight(context, surround_guide(context, robot_from_ct))
+    planned = paths.targets[trajectory]
     with _named(trajectory):
-        standoff_rad = workcell.joints_at(insertion.standoff, paths.targets[trajectory].standoff_rad)
+        standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad)
+    hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
     workcell.confirm_motion(
         Topic.APPROACH,
         f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
         f"{insertion.travel_mm:.0f} mm along the axis onto the target, {insertion.depth_mm:.0f} mm beyond "
-        "the entry",
+        f"the entry{UNWATCHED if hidden else ''}",
         [workcell.facts(workcell.home_rad if by_home else standoff_rad)],
         trajectory,
     )
@@ -64,13 +74,14 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         workcell.return_home()
         check_room(context, f"at home, before {trajectory}")
     require_head_seen(context, f"before {trajectory}")
-    context.progress(0.0, f"moving over {trajectory}")
-    with _named(trajectory):
-        workcell.go(standoff_rad)
-        check_room(context, f"over {trajectory}")
-        context.progress(0.5, f"moving along {trajectory}")
-        reached = workcell.insert(insertion)
-    check_room(context, f"at {trajectory}")
+    with head_must_show(context):
+        context.progress(0.0, f"moving over {trajectory}")
+        with _named(trajectory):
+            workcell.go(standoff_rad)
+            check_room(context, f"over {trajectory}")
+            context.progress(0.5, f"moving along {trajectory}")
+            reached = workcell.insert(insertion)
+        check_room(context, f"at {trajectory}")
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.target), joints_rad=reached.joints_rad),
         summary="the guide is on its axis",

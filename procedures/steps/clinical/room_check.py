@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 
 import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.room_watch import Approach, RoomReading, RoomWatch
+from procedures.planning.tracker_sight import TrackerSight
+from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.workcell import Workcell
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.devices.readings import JointVector
 
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
@@ -25,7 +31,8 @@ def check_room(context: StepContext, where: str) -> None:
     """
     watch = _watch(context)
     try:
-        findings = watch.check(read_room(context.workcell, context.setting.clock, watch.robot_from_tracker))
+        reading = read_room(context.workcell, context.setting.clock, watch.robot_from_tracker)
+        findings = watch.check(reading, context.setting.clock.now_s())
     except (BaseShifted, PatientMoved) as moved:
         context.setting.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
         context.void(GlobalLocalization, moved)
@@ -49,6 +56,47 @@ def head_hidden(context: StepContext) -> bool:
     if watch is None or watch.hidden_from is None:
         return False
     return watch.hides_head(workcell.arm.kinematics.flange_pose(workcell.joints_rad()))
+
+
+@dataclass(frozen=True)
+class ExpectedSight:
+    """What the tracker is expected to see past the guide, by the bodies that the arm is told of."""
+
+    context: StepContext
+    sight: TrackerSight
+    surroundings: Surroundings
+
+    def hidden_at(self, joints_rad: JointVector) -> bool:
+        """Whether fewer spheres than are needed would be seen with the arm there."""
+        arm = self.context.workcell.arm.kinematics
+        return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
+
+    def hidden_now(self) -> bool:
+        """The same where the arm stands."""
+        return self.hidden_at(self.context.workcell.joints_rad())
+
+
+def expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
+    """Of the standing localization's spheres, past the guide; the watch knows it from here on."""
+    watch = _watch(context)
+    expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
+    watch.approach = Approach(expected.hidden_now)
+    return expected
+
+
+@contextmanager
+def head_must_show(context: StepContext) -> Iterator[None]:
+    """Within, the head may go unseen for a bounded time only; then the case suspends."""
+    watch = context.setting.workspace.find(RoomWatch)
+    approach = None if watch is None else watch.approach
+    if approach is None:
+        yield
+        return
+    approach.under_way = True
+    try:
+        yield
+    finally:
+        approach.under_way = False
 
 
 def _watch(context: StepContext) -> RoomWatch:

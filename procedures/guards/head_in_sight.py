@@ -1,0 +1,63 @@
+"""While a guide approaches the head, or an instrument is in it, the tracker must see the head now and then.
+
+A head that moves while every sphere is covered is noticed when one is seen again. This bounds how long that
+may take: then the case suspends, and the operator decides whether it goes on without sight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from procedures.engine.operator import Topic
+from procedures.engine.workspace import Workspace
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import read_room
+from procedures.guards.room_watch import RoomWatch
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.errors import RonnaError
+
+PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none where the arm itself is in the way
+
+
+@dataclass
+class HeadInSight:
+    """Asked at checkpoints. Looks itself once the time is over; `void` ends the localization's standing."""
+
+    workcell: Workcell
+    clock: Clock
+    workspace: Workspace
+    void: Callable[[RonnaError], None]
+    name: str = "head"
+    topic: Topic = Topic.HEAD_UNSEEN
+
+    @property
+    def patience_s(self) -> float:
+        """How long to wait before the operator is asked."""
+        room = self.workspace.find(RoomWatch)
+        return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
+
+    def unmet(self) -> str | None:
+        """Why the head is not watched, once that has lasted. Raises PRO-019, PRO-020, PRO-022."""
+        room = self.workspace.find(RoomWatch)
+        if room is None or not room.overdue(self.clock.now_s()):
+            return None
+        try:
+            room.check(read_room(self.workcell, self.clock, room.robot_from_tracker), self.clock.now_s())
+        except (BaseShifted, PatientMoved, PatientUnseen) as moved:
+            if not isinstance(moved, PatientUnseen):
+                self.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
+                self.void(moved)
+            raise
+        now_s = self.clock.now_s()
+        if not room.overdue(now_s):
+            return None
+        why = "the arm is in the way" if room.arm_hides_head else "clear the line between tracker and head"
+        return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
+
+    def excuse(self) -> None:
+        """The operator goes on without sight: the time begins again."""
+        room = self.workspace.find(RoomWatch)
+        if room is not None and room.approach is not None:
+            room.approach.excused_s = self.clock.now_s()

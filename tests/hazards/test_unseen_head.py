@@ -1,0 +1,149 @@
+"""Hazard 12: every sphere is covered while a guide approaches the head or is in it, and that is bounded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell
+from waiting import eventually
+from watched_case import findings, on_the_way, positioned, watched
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import GuardUnmet
+from procedures.engine.operator import Question, Topic
+from procedures.engine.step import StepKey
+from procedures.guards import sight_guard
+from procedures.guards.errors import PatientMoved
+from ronna_hw.errors import DeviceError
+
+pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("HEAD_UNSEEN")]
+
+UNSEEN_S = 0.2
+NOTHING_MM = SPHERES_MM[:0]
+
+
+@pytest.fixture(autouse=True)
+def soon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+    monkeypatch.setattr("procedures.guards.room_watch.MOST_UNSEEN_S", UNSEEN_S)
+    monkeypatch.setattr("procedures.guards.head_in_sight.PATIENCE_S", 0.0)
+
+
+def guarded(cell: ClinicalCell) -> Engine:
+    engine = watched(cell)
+    engine.checkpoint.guards.append(sight_guard(engine, StepKey("global_localization")))
+    return engine
+
+
+def answering(cell: ClinicalCell, answer: str, meanwhile: Callable[[], None] = lambda: None) -> None:
+    """The operator answers the question about the unseen head."""
+    otherwise = cell.operator.ask
+
+    def ask(question: Question) -> str:
+        first = otherwise(question)
+        if question.topic is not Topic.HEAD_UNSEEN:
+            return first
+        meanwhile()
+        return answer
+
+    cell.operator.ask = ask  # type: ignore[method-assign]
+
+
+def covered(cell: ClinicalCell) -> Callable[[], None]:
+    """All spheres are covered, and the motion goes on until somebody stops it."""
+
+    def cover() -> None:
+        cell.tracker.spheres_mm = NOTHING_MM
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.interruptions = 1
+
+    return cover
+
+
+def topics(cell: ClinicalCell) -> list[Topic]:
+    return [question.topic for question in cell.operator.asked]
+
+
+def test_a_head_that_is_covered_on_the_way_stops_the_arm_and_the_case_is_suspended(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+    answering(cell, "leave")
+    on_the_way(cell, covered(cell))
+    with pytest.raises(GuardUnmet, match=r"PRO-017.*has not seen the head for \d+ s"):
+        positioned(engine)
+    assert cell.arm.motions == []
+    assert ("rested", "") in cell.entries("rested")
+    assert engine.machine.state == "held"
+    engine.retreat_home()  # the way out is not held up
+    assert cell.workcell.at_home
+
+
+def test_the_operator_may_go_on_without_sight_and_the_motion_is_asked_about_anew(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+    answering(cell, "continue")
+    on_the_way(cell, covered(cell))
+    positioned(engine)
+    asked = topics(cell)
+    assert Topic.PAUSE not in asked
+    assert asked[asked.index(Topic.HEAD_UNSEEN) + 1] is Topic.FIRST_MOTION
+
+
+def test_a_head_that_moved_while_it_was_covered_is_noticed_when_it_is_seen_again(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+
+    def show() -> None:
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 0.5, 0.0))
+
+    answering(cell, "wait", show)
+    on_the_way(cell, covered(cell))
+    with pytest.raises(PatientMoved):
+        positioned(engine)
+    assert cell.arm.motions == []
+    assert cell.entries("voided") == [("voided", "global_localization")]
+
+
+def test_work_at_a_target_that_was_not_watched_is_not_done_unasked(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+    positioned(engine)
+    answer = cell.operator.ask
+    told: list[str] = []
+    reader = engine.events.subscribe()
+
+    def cover_and_answer(question: Question) -> str:
+        if question.topic is Topic.AT_TARGET:
+            cell.tracker.spheres_mm = NOTHING_MM
+            eventually(lambda: any("too long" in str(one.what) for one in reader.read(0.1).events))
+            told.append(f"at once, after {cell.arm.stops} stops")
+        return "leave" if question.topic is Topic.HEAD_UNSEEN else answer(question)
+
+    cell.operator.ask = cover_and_answer  # type: ignore[method-assign]
+    with pytest.raises(GuardUnmet, match="PRO-017"):
+        engine.run_step(engine.order.find(f"at_target:{FIRST}"))
+    assert told == ["at once, after 0 stops"]  # it rests already
+    assert engine.instrument_in == FIRST
+
+
+def test_the_time_counts_when_the_tracker_fails_under_way(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+    answering(cell, "leave")
+    read = cell.tracker.read_frame
+
+    def fail(_timeout_s: float = 1.0) -> None:
+        cell.tracker.read_frame = read  # type: ignore[method-assign]
+        raise DeviceError("it is too hot")
+
+    def break_it() -> None:
+        cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
+        covered(cell)()
+
+    on_the_way(cell, break_it)
+    with pytest.raises(GuardUnmet):
+        positioned(engine)
+    assert any("nothing watched the head" in text for text in findings(cell))

@@ -1,0 +1,58 @@
+"""A case that stands before its first positioning, watched by the tracker, and what happens on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from clinical_case import (
+    FIRST,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    coarse,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+)
+
+from procedures.engine.engine import Engine
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.step import StepKey
+from procedures.guards import patient_watch
+from procedures.steps.clinical import at_target, positioning
+from procedures.workcell import MountedTool
+from ronna_hw.devices.readings import JointVector
+
+
+def watched(cell: ClinicalCell) -> Engine:
+    """An engine that stands before the first positioning, with the guide mounted."""
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(checked_set_up(cell), *coarse(), registered_robot(), mounted_guide(), checked_paths(cell)),
+        *(checked_plan(), localized_fiducials(), positioning.STEP, at_target.STEP),
+    )
+    engine.checkpoint.watching = patient_watch(engine, StepKey("global_localization")).watching
+    engine.run_to(engine.order.sequence[7])
+    return engine
+
+
+def on_the_way(cell: ClinicalCell, meanwhile: Callable[[], None]) -> None:
+    """Do something while the first motion is under way."""
+    clear = cell.arm.blocked
+
+    def under_way(_start: JointVector, _target: JointVector) -> bool:
+        cell.arm.blocked = clear
+        meanwhile()
+        return False
+
+    cell.arm.blocked = under_way
+
+
+def findings(cell: ClinicalCell) -> list[str]:
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    return [str(line["text"]) for line in lines if line["entry"] == "finding"]
+
+
+def positioned(engine: Engine) -> None:
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
