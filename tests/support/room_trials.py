@@ -79,8 +79,8 @@ class TrackedCase:
         """Home, over the last sphere of each trajectory, home, then over and at each target."""
         strategy = strategy_named("ocs")
         tool = self.scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
-        branch = self._kinematics.branch_of(self.home_rad)
-        arm = ArmInBranch(self._kinematics, tool, tool, branch, self.home_rad)
+        branch = self.kinematics.branch_of(self.home_rad)
+        arm = ArmInBranch(self.kinematics, tool, tool, branch, self.home_rad)
         head = self.scene.head
         robot_from_ct = head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
         centres = np.array([each.centre_ct_mm for each in head.fiducials])
