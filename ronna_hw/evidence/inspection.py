@@ -247,7 +247,7 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
 def _why_unread(error: OSError | InputRefused) -> str:
     if isinstance(error, InputRefused):
         return error.summary
-    if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO):
+    if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
         return "exchanged: no regular file"
     return f"cannot be read: {error.strerror}"
 

@@ -8,11 +8,19 @@ import stat
 from pathlib import Path
 from typing import BinaryIO
 
+NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
-def open_regular(path: Path) -> BinaryIO:
-    """A file, to be read. Raises OSError, also for a link, a pipe or a device, and never waits for one."""
-    file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    if not stat.S_ISREG(os.fstat(file).st_mode):
+
+def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
+    """A file, to be read. Raises OSError, also for a pipe or a device, and never waits for one.
+
+    Without `linked` also for a link.
+    """
+    follow = 0 if linked else os.O_NOFOLLOW
+    file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)
+    mode = os.fstat(file).st_mode
+    if not stat.S_ISREG(mode):
         os.close(file)
-        raise OSError(errno.EINVAL, "not a regular file", str(path))
+        number, reason = (errno.EISDIR, "is a directory") if stat.S_ISDIR(mode) else NOT_REGULAR
+        raise OSError(number, reason, str(path))
     return os.fdopen(file, "rb")

@@ -7,6 +7,7 @@ In place of direction and bytes a line may carry a `note`. A torn last line, as 
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -15,6 +16,7 @@ from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices.byte_sink import Direction
+from ronna_hw.host.regular_file import open_regular
 
 BYTES_FOLDER = "bytes"
 FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written in turn
@@ -59,7 +61,7 @@ def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
 
 
 def _read(link: str, path: Path) -> Iterable[LinkLine]:
-    with path.open(encoding="ascii", errors="replace") as file:
+    with io.TextIOWrapper(open_regular(path), encoding="ascii", errors="replace") as file:
         for text in file:
             if not text.startswith(_BEGINNING):
                 continue  # torn

@@ -14,6 +14,7 @@ from procedures.engine.errors import NotRecorded
 from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
+from ronna_hw.host.regular_file import open_regular
 from ronna_hw.recording.device_calls import ANSWERS, PROPERTIES
 from ronna_hw.recording.pixel_coding import unpack_pixels
 from ronna_hw.recording.reading_coding import GetPixels, as_recorded
@@ -79,7 +80,7 @@ class RecordedAnswers:
         at, count, shape = where["at"], where["bytes"], where["shape"]
         if not isinstance(at, int) or not isinstance(count, int) or not isinstance(shape, list):
             raise NotRecorded("a reference to pixels is damaged")
-        with self._pixels.open("rb") as file:
+        with open_regular(self._pixels) as file:
             file.seek(at)
             packed = file.read(count)
         try:

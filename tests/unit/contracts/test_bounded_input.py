@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -60,6 +62,41 @@ def test_hostile_toml_is_refused_with_the_code_of_its_reader(
         read(path)
 
 
+def named_pipe(path: Path) -> Path:
+    os.mkfifo(path)
+    return path
+
+
+def named_socket(path: Path) -> Path:
+    with socket.socket(socket.AF_UNIX) as bound:
+        bound.bind(str(path))
+    return path
+
+
+NO_FILES: dict[str, Callable[[Path], Path]] = {
+    "pipe": named_pipe,
+    "socket": named_socket,
+    "device": lambda _path: Path("/dev/zero"),
+}
+
+
+@pytest.mark.parametrize(
+    "read", [read_picks, *(reader for reader, _ in TOML_FILES)], ids=lambda one: one.__name__
+)
+@pytest.mark.parametrize("made", NO_FILES.values(), ids=NO_FILES)
+def test_what_is_no_file_is_refused_by_its_path_and_not_waited_for(
+    tmp_path: Path, read: Callable[[Path], Any], made: Callable[[Path], Path]
+) -> None:
+    path = made(tmp_path / "given.toml")
+    with pytest.raises(RonnaError, match=f"{path} is no regular file"):
+        read(path)
+
+
+def test_a_file_that_cannot_be_read_is_named() -> None:
+    with pytest.raises(OSError, match="/proc/self/mem"):
+        read_bounded(Path("/proc/self/mem"), 100)
+
+
 def test_toml_of_our_own_forms_passes() -> None:
     assert parse_toml('series = "1.2.840.10008.5.1.4.1.1.2"\n"a.b".c."d.e" = [[1.5, [2]], {x = {y = 3}}]')
 
@@ -112,9 +149,9 @@ def test_hostile_files_of_a_run_are_refused(tmp_path: Path, name: str) -> None:
 def test_a_file_is_read_no_further_than_its_bound() -> None:
     with (
         bounded_cost(10 << 20, 1.0),
-        pytest.raises(InputRefused, match=r"zero is too large; limit 1000 bytes"),
+        pytest.raises(InputRefused, match=r"cpuinfo is too large; limit 100 bytes"),
     ):
-        read_bounded(Path("/dev/zero"), 1000)  # without end, and of size 0 as the file system tells
+        read_bounded(Path("/proc/cpuinfo"), 100)  # of size 0 as the file system tells
 
 
 @pytest.mark.parametrize(
