@@ -28,6 +28,7 @@ from procedures.engine.operator import Topic
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
 from ronna_hw.host.interruption import interruption_deferred
+from ronna_hw.host.open_files import require_open_files
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
     from ronna_hw.config import Calibrations, DeviceConfig
     from ronna_hw.devices.lifecycle import Device
     from ronna_hw.theatre import Theatre
+
+OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
 
 @dataclass(frozen=True)
@@ -94,6 +97,7 @@ def opened_engine(
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 
+    require_open_files(OPEN_FILES)
     goes_on = resumption is not None and not resumption.left.untouched
     with contextlib.ExitStack() as stack:
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))

@@ -1,0 +1,24 @@
+"""How many files and sockets this program may have open at once, known before it opens the first."""
+
+from __future__ import annotations
+
+import resource
+
+from ronna_hw.errors import RonnaError
+
+
+class TooFewOpenFiles(RonnaError):
+    """The system lets this program have too few files and sockets open for what it is asked to do."""
+
+    code = "PRC-002"
+    action = "Allow more, with ulimit -n in this shell or LimitNOFILE of the service, and start again."
+
+
+def require_open_files(needed: int) -> None:
+    """Raise PRC-002 where not so many may be open; a soft limit is raised as far as that takes."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft == resource.RLIM_INFINITY or soft >= needed:
+        return
+    if hard != resource.RLIM_INFINITY and hard < needed:
+        raise TooFewOpenFiles("too few files may be open at once", expected=f"{needed}", got=f"{hard}")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))
