@@ -115,7 +115,7 @@ def run_command(
         answers=answers,
         out=out,
     )
-    follow_case(request, as_json=as_json, verbose=verbose)
+    follow_case(request, as_json=as_json)
 
 
 @app.command("step")

@@ -70,6 +70,7 @@ class MotionWatch:
             room,
             self._head,
             lambda why, stop: self._alarm(what, why, stop),
+            self.tell,
         )
         looking.begin()
         try:
@@ -134,12 +135,14 @@ class _Looking:
     room: RoomWatch
     head: HeadFrames
     alarm: Callable[[str, bool], None]  # why, and whether the arm is to stop
+    tell: Callable[[str], object]
     moved_mm: float | None = None
     problem: RonnaError | None = None
     has_seen: bool = False
     unseen_s: float = 0.0
     _overdue: bool = False
     _stopping: threading.Thread | None = None
+    _silence_told: bool = False
 
     def __post_init__(self) -> None:
         self._ending, self._first = threading.Event(), threading.Event()
@@ -163,8 +166,9 @@ class _Looking:
         try:
             tracker.activate()
             self._read()
-        except RonnaError as problem:  # told when the motion ends; what lasts is latched by the tracker
+        except RonnaError as problem:  # recorded when the motion ends; what lasts is latched by the tracker
             self.problem = problem
+            self._tell_silence(problem)
         finally:
             self._first.set()
             if tracker.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
@@ -179,9 +183,11 @@ class _Looking:
             self._meet_unseen()
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
-            except (LinkTimeout, ProtocolError):  # costs one frame
+            except (LinkTimeout, ProtocolError) as problem:  # costs one frame
                 if tracker.state is not Lifecycle.ACTIVE:
                     raise
+                if isinstance(problem, LinkTimeout):
+                    self._tell_silence(problem)
                 continue
             if frame.validity is Validity.STALE:
                 self._ending.wait(FRAME_S / 2)
@@ -215,3 +221,9 @@ class _Looking:
             target=self.alarm, args=(why, stop), name="stop by the patient watch", daemon=True
         )
         self._stopping.start()
+
+    def _tell_silence(self, problem: RonnaError) -> None:
+        """Once, and at once: the motion that nothing watches any more may take its time."""
+        if not self._silence_told:
+            self._silence_told = True
+            self.tell(f"the tracker is silent, nothing watches the head: {problem.summary}")

@@ -28,11 +28,13 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=printable(title), title_justify="left")
+    table = Table()
     for column, width in zip(columns, widths, strict=True):
         table.add_column(Text(column), width=width, overflow="fold")
     for row in table_rows[1:]:
         table.add_row(*(Text(cell) for cell in row))
+    sys.stdout.write(f"{printable(title)}\n")  # a title of the table wraps at its width
+    sys.stdout.flush()
     Console().print(table)
 
 

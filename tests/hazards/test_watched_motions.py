@@ -108,14 +108,19 @@ def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
 def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
-    read = cell.tracker.read_frame
+    read, reader = cell.tracker.read_frame, engine.events.subscribe()
 
     def fail(_timeout_s: float = 1.0) -> None:
         cell.tracker.read_frame = read  # type: ignore[method-assign]
         raise DeviceError("it is too hot")
 
+    def told() -> bool:
+        said = [one.what for one in reader.read(0.1).events]
+        return any(isinstance(one, Finding) and "nothing watches the head" in one.text for one in said)
+
     def break_it() -> None:
         cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
+        eventually(told)  # while the arm is on its way
         eventually(lambda: cell.tracker.state is Lifecycle.CONFIGURED)
 
     on_the_way(cell, break_it)

@@ -90,9 +90,10 @@ class Commands:
 
 def one_error(stderr: str) -> Sequence[str]:
     """The lines of an error message off a terminal: one or two, no box, no trace. A simulated theatre tells
-    its control port before.
+    its control port before, a case what it did.
     """
-    lines = [line for line in stderr.strip().splitlines() if not line.startswith("control port tcp://")]
+    before = ("control port tcp://", "done ", "note: ")
+    lines = [line for line in stderr.strip().splitlines() if not line.startswith(before)]
     assert 1 <= len(lines) <= 2, stderr
     assert "Traceback" not in stderr
     assert not any(character in stderr for character in "╭╰│")

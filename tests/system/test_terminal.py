@@ -104,6 +104,7 @@ def test_ctrl_c_once_pauses_and_only_the_listed_words_go_on(terminal: Terminal) 
     terminal.type("continue\n")
     assert terminal.rest() == 0
     assert "error mm" in terminal.text
+    assert len(re.findall(r"report /\S+", terminal.text)) == 1
 
 
 def test_ctrl_c_twice_stops_the_arm_and_twice_more_at_the_question_ends_the_command(

@@ -56,6 +56,17 @@ def entry_of(event: Event) -> Entry | None:
             return None
 
 
+def done_or_note(event: Event) -> str | None:
+    """One plain line: the step that is done, and findings; None for the rest."""
+    match event.what:
+        case StepState(step=step, state="done", summary=summary):
+            return f"done {step}: {summary}"
+        case Finding(text=text):
+            return f"note: {text}"
+        case _:
+            return None
+
+
 def in_words(case: CaseState) -> str:
     """A state and its reason; why a case is held, the step that failed has said."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state

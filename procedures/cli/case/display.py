@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.leaving_report import leave_report, seal_run, tell_way_on
 from procedures.cli.case.opening import Watcher
@@ -16,7 +17,7 @@ from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
-from procedures.engine.events import Event, StepState
+from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
 
@@ -26,12 +27,12 @@ if TYPE_CHECKING:
 
 
 @contextlib.contextmanager
-def following(*, quiet: bool, verbose: bool) -> Iterator[Watcher]:
-    """Follow a run by its events: live on a terminal, one line per step with `verbose` elsewhere."""
+def following(*, quiet: bool) -> Iterator[Watcher]:
+    """Follow a run by its events: live on a terminal, one line per step and finding elsewhere."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
             lines = Watcher(room_open=tell)
-            if verbose:
+            if not quiet:
                 lines = replace(lines, opened=lambda engine: _write_lines_of(engine, stack))
             yield lines
             return
@@ -74,8 +75,8 @@ def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
 
 def _write_lines(events: Sequence[Event]) -> None:
     for event in events:
-        if isinstance(event.what, StepState) and event.what.state == "done":
-            tell(f"{event.what.step}: {event.what.summary}")
+        if (line := done_or_note(event)) is not None:
+            tell(line)
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
@@ -111,7 +112,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
         sys.stdout.write(f"report {outcome.report}\n")
 
 
-def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
+def follow_case(request: CaseRequest, *, as_json: bool) -> None:
     """Run a case and show it; with JSON one object also for a run that did not end."""
     check_request(request)
     folder = new_run_folder(request)
@@ -121,7 +122,6 @@ def follow_case(request: CaseRequest, *, as_json: bool, verbose: bool) -> None:
             folder,
             lambda watcher: run_case(request, folder, watcher),
             as_json=as_json,
-            verbose=verbose,
         )
 
 
@@ -131,11 +131,10 @@ def follow(
     run: Callable[[Watcher], FinishedRun],
     *,
     as_json: bool,
-    verbose: bool,
 ) -> None:
     """Show a run while it runs and what it came to, and leave its report."""
     try:
-        with following(quiet=as_json, verbose=verbose) as watcher:
+        with following(quiet=as_json) as watcher:
             outcome = run(watcher)
     except BaseException as problem:  # also an interruption: every run leaves a report
         forget_if_empty(folder)
@@ -146,6 +145,6 @@ def follow(
         if as_json:
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
         raise
-    report = leave_report(folder)
+    report = leave_report(folder, told=False)  # the outcome names it
     seal_run(folder)
     show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)

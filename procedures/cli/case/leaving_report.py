@@ -32,7 +32,9 @@ def error_of(problem: BaseException) -> RunError | None:
     return RunError(code=error.code, what=error.what)
 
 
-def leave_report(folder: Path, error: RunError | None = None, *, with_truth: bool = False) -> Path | None:
+def leave_report(
+    folder: Path, error: RunError | None = None, *, with_truth: bool = False, told: bool = True
+) -> Path | None:
     """Write the report of a run that has ended; None when there is no folder or it cannot be written.
 
     Without the truth, which takes the verifier a second, an exit is not held up.
@@ -46,7 +48,7 @@ def leave_report(folder: Path, error: RunError | None = None, *, with_truth: boo
     except Exception as problem:  # the run's own ending is what matters
         tell(f"the report could not be written: {problem}")
         return None
-    if on_terminal(sys.stderr):
+    if told and on_terminal(sys.stderr):
         tell(f"report {path}")
     return path
 

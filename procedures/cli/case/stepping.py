@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.commands import COMMANDS
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.leaving_report import leaving_report
@@ -11,7 +12,7 @@ from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
 from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
-from procedures.engine.events import Event, StepState
+from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import say, tell
 
@@ -30,13 +31,13 @@ def step_through(request: CaseRequest) -> None:
         prompt = Prompt("step> ", say, asking=interrupts.asking, after=catch_up)
         watcher = Watcher(room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt)
         with opened_case(request, folder, watcher) as engine:
-            followers.append(EventFollower(engine.events, _tell_done))
+            followers.append(EventFollower(engine.events, _say_lines))
             followers[0].start()
             say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
             prompt.follow(engine)
 
 
-def _tell_done(events: Sequence[Event]) -> None:
+def _say_lines(events: Sequence[Event]) -> None:
     for event in events:
-        if isinstance(event.what, StepState) and event.what.state == "done":
-            say(f"done {event.what.step}: {event.what.summary}")
+        if (line := done_or_note(event)) is not None:
+            say(line)

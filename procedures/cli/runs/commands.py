@@ -50,7 +50,7 @@ def resume_command(
     set_up_logging(verbose)
     from procedures.cli.runs.resume import resume
 
-    resume(run_folder, accept=accept, answers=answers, as_json=as_json, verbose=verbose)
+    resume(run_folder, accept=accept, answers=answers, as_json=as_json)
 
 
 def home_command(

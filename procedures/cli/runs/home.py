@@ -25,7 +25,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             _say(left, nothing, moved=False, as_json=as_json)
             return
         make_ready(left)
-        with leaving_report(left.run.path), following(quiet=as_json, verbose=False) as watcher:
+        with leaving_report(left.run.path), following(quiet=as_json) as watcher:
             from procedures.recovery import bring_home
 
             with opened_case(request, left.run.path, watcher, Resumption(left, accept)) as engine:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from procedures.reporting.outcome import FinishedRun
 
 
-def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, verbose: bool) -> None:
+def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
     """Take a run up again and finish it; a finished one is shown.
 
     Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, and what devices and steps raise.
@@ -32,7 +32,7 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
             outcome = _as_it_ended(request, left)
             if not is_sealed(left.run.path):  # it was killed between its last line and its seal
                 make_ready(left)
-                report = leave_report(left.run.path)
+                report = leave_report(left.run.path, told=False)
                 seal_run(left.run.path)
                 outcome = outcome.model_copy(update={"report": report and str(report)})
             show_outcome(outcome, as_json=as_json)
@@ -43,7 +43,6 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool, v
             left.run.path,
             lambda watcher: _go_on(request, left, watcher, accepted=accept),
             as_json=as_json,
-            verbose=verbose,
         )
 
 

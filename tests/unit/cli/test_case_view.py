@@ -9,6 +9,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 
 from procedures.cli.case.case_view import CaseView, entry_of
+from procedures.cli.case.display import following
 from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
 from procedures.engine.events import Event
@@ -47,3 +48,17 @@ def test_why_a_case_is_held_is_told_once_in_lines(events: list[Event]) -> None:
     assert text.count(REASON) == 1
     assert entry_of(events[-1]) is None
     assert text.endswith("held")
+
+
+@pytest.mark.parametrize("quiet", [False, True])
+def test_without_a_terminal_each_step_and_each_finding_has_its_line_unless_quiet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], quiet: bool
+) -> None:
+    engine = RecordingCell(tmp_path).engine(plain_order("T1"))
+    with following(quiet=quiet) as watcher:
+        watcher.opened(engine)
+        engine.run_to(engine.order.find("image"))
+        engine.find("the tracker is silent")
+        engine.events.end()
+    told = capsys.readouterr().err.splitlines()
+    assert [line.partition(":")[0] for line in told] == ([] if quiet else ["done image", "note"])

@@ -285,6 +285,16 @@ def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
     assert "\t" not in printed
 
 
+def test_the_title_of_a_narrow_table_stays_on_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
+    monkeypatch.setenv("COLUMNS", "80")
+    title = "Run 20261121T045328-s3-07d9: error of the needle tip against truth"
+    console.print_table(title, ["target", "error mm"], [["T1", "0.18"]])
+    assert capsys.readouterr().out.splitlines()[0] == title
+
+
 def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -109,9 +109,7 @@ def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path, command:
 
 
 @pytest.mark.hazard(42)
-@pytest.mark.parametrize(
-    ("lead", "options"), [(follow_case, {"as_json": False, "verbose": False}), (step_through, {})]
-)
+@pytest.mark.parametrize(("lead", "options"), [(follow_case, {"as_json": False}), (step_through, {})])
 def test_who_leads_a_case_holds_its_run_from_before_anything_is_opened(
     tmp_path: Path,
     lead: Callable[..., None],
