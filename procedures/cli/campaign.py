@@ -49,6 +49,7 @@ class MethodChoice(StrEnum):
     VALIDATED = "thesis-validated"
 
 
+THESIS_RUNS = 10_000  # per patient and cell
 Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
 Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
 
@@ -56,8 +57,9 @@ Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
 @app.command()
 def correspondence(
     runs: Annotated[
-        int, typer.Option("--runs", min=1, help="Runs per patient and cell; 10000 in the thesis.")
-    ] = 10_000,
+        int | None,
+        typer.Option("--runs", min=1, help="Runs per patient and cell [10000], or readings [1415]."),
+    ] = None,
     sweep: Annotated[
         bool,
         typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
@@ -77,7 +79,8 @@ def correspondence(
         ),
     ] = None,
     xframe: Annotated[
-        bool, typer.Option("--xframe", help="The x-shaped frame: 17 scans, --runs readings each.")
+        bool,
+        typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
     ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
@@ -92,7 +95,7 @@ def correspondence(
     The thesis method is run as it finds its pairs, and with their validation against the stated errors.
     """
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
-    from procedures.studies import correspondence_tables, x_frame
+    from procedures.studies import correspondence_tables
     from procedures.studies.correspondence import (
         OF_THE_THESIS,
         USUAL_TOLERANCES_MM,
@@ -102,10 +105,12 @@ def correspondence(
 
     if (xframe or sweep) and (methods or tolerances_mm):
         raise UsageMistake("--method and --e belong to neither --sweep nor --xframe: both have their own")
+    if xframe and sweep:
+        raise UsageMistake("--sweep and --xframe are studies of their own: give one of them")
     if xframe:
-        frame = x_frame.XFrameStudy(runs, seed)
-        _run(frame, x_frame.tables, x_frame.plots, workers, scheduler, out, as_json, verbose)
+        _clinical(runs, seed, workers, scheduler, out, as_json, verbose)
         return
+    runs = runs or THESIS_RUNS
     chosen = tuple(Method[one.name] for one in dict.fromkeys(methods)) if methods else tuple(Method)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(runs, seed, chosen, values_mm)
@@ -115,6 +120,27 @@ def correspondence(
         )
     plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
     _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json, verbose)
+
+
+def _clinical(
+    readings: int | None,
+    seed: int,
+    workers: int | None,
+    scheduler: str | None,
+    out: Path | None,
+    as_json: bool,
+    verbose: bool,
+) -> None:
+    """The readings are taken first and kept in the folder of the study."""
+    from procedures.studies import clinical_pairing as clinical
+    from procedures.studies.frame_readings import recorded_readings
+
+    console.set_up_logging(verbose)
+    folder = out or Path("campaigns") / clinical.ClinicalStudy.name
+    with console.progress_bar("readings of the tracker") as progress:
+        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, seed, progress)
+    study = clinical.ClinicalStudy(taken, seed)
+    _run(study, clinical.tables, clinical.plots, workers, scheduler, folder, as_json, verbose)
 
 
 @app.command()
@@ -148,6 +174,12 @@ def localization(
     frames: Annotated[
         bool, typer.Option("--frames", help="Only the sets of the x-shaped frame (tables 2 and 3).")
     ] = False,
+    thesis: Annotated[
+        bool,
+        typer.Option(
+            "--thesis", help="Only the thesis protocol: 20 scans, 116 spheres, scanners with scale errors."
+        ),
+    ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -161,6 +193,16 @@ def localization(
     from procedures.studies.localization_goals import tables_and_goals
     from procedures.studies.localization_tables import plots
 
+    if thesis + tuning + frames > 1:
+        raise UsageMistake("--thesis, --tuning and --frames are studies of their own: give one of them")
+    if thesis:
+        from procedures.studies import thesis_localization_tables
+        from procedures.studies.thesis_localization import ThesisLocalizationStudy
+
+        protocol = ThesisLocalizationStudy(seed)
+        told = thesis_localization_tables
+        _run(protocol, told.tables, told.plots, workers, scheduler, out, as_json, verbose)
+        return
     study = LocalizationStudy(volumes, sets, seed)
     if tuning:
         study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning")

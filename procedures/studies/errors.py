@@ -52,3 +52,10 @@ class NotForJudging(ConfigurationError):
 
     code = "STU-007"
     action = "Remove it from the judging families, or state its purpose in the phantom."
+
+
+class TrackerNotSimulated(DataError):
+    """The simulated tracker did not read the frame for the study."""
+
+    code = "STU-008"
+    action = "Run `ronna-sim polaris` and `ronna-sim scene` alone to see the reason."

@@ -39,10 +39,12 @@ class PhantomScan:
 
 
 @contextmanager
-def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free") -> Iterator[PhantomScan]:
+def phantom_scan(
+    family: str, protocol: str, seed: int, fiducials: str = "free", markers: int | None = None
+) -> Iterator[PhantomScan]:
     """Make a scan; its files are deleted afterwards. Raises STU-006."""
     with tempfile.TemporaryDirectory() as folder:
-        series, truth = scan_phantom(Path(folder), family, protocol, seed, fiducials)
+        series, truth = scan_phantom(Path(folder), family, protocol, seed, fiducials, markers)
         yield PhantomScan(
             read_series(series),
             np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]]),
@@ -53,10 +55,16 @@ def phantom_scan(family: str, protocol: str, seed: int, fiducials: str = "free")
 
 
 def scan_phantom(
-    folder: Path, family: str, protocol: str, seed: int, fiducials: str = "free"
+    folder: Path,
+    family: str,
+    protocol: str,
+    seed: int,
+    fiducials: str = "free",
+    markers: int | None = None,
 ) -> tuple[Path, dict[str, Any]]:
     """Write a scan into the folder: its series and its truth. Raises STU-006."""
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
+    arguments += [] if markers is None else ["--markers", str(markers)]
     done = subprocess.run(
         command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments),
         capture_output=True,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
-from sim.phantom.scan import Scan, plain_scan
+from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scanner.slice_painter import SlicePainter
 from sim.theatre.scene.model import Scene
@@ -82,7 +82,7 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
         "series_instance_uid": series_instance_uid,
         "patient_orientation": PATIENT_POSITION,
         "implanted": len(scene.head.fiducials),
-        "fiducials": scan.fiducials,
+        "fiducials": FREE if scan.fiducials == FREE else XFRAME,
         "tool": TOOL,
         "trajectories": [
             {

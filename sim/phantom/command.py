@@ -21,6 +21,7 @@ class Fiducials(StrEnum):
 
     FREE = "free"
     XFRAME = "xframe"
+    XFRAME_CLOSE = "xframe-close"
 
 
 def phantom(
@@ -36,7 +37,11 @@ def phantom(
         str | None, typer.Option(help="good, usual or poor; a family is scanned with good by default.")
     ] = None,
     fiducials: Annotated[
-        Fiducials, typer.Option(help="Spheres on screws of their own, or those of the x-shaped frame.")
+        Fiducials,
+        typer.Option(
+            help="Spheres on screws of their own; those of the x-shaped frame, or of the close one of the"
+            " studies, and --markers beyond four on screws."
+        ),
     ] = Fiducials.FREE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
@@ -57,7 +62,7 @@ def phantom(
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
     if out.is_dir() and any(out.iterdir()):
         raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
-    if family is not None or fiducials is Fiducials.XFRAME:
+    if family is not None or fiducials is not Fiducials.FREE:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene("a family draws its own head and trajectory; leave --scene and --targets out")
         scan = family_scan(

@@ -9,7 +9,7 @@ from sim.phantom.head.anatomy import Anatomy, draw_anatomy
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.theatre.scene.model import Scene
 
-FREE, XFRAME = "free", "xframe"
+FREE, XFRAME, XFRAME_CLOSE = "free", "xframe", "xframe-close"
 
 
 @dataclass(frozen=True)

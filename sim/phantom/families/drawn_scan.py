@@ -27,12 +27,18 @@ from sim.phantom.head.anatomy import (
     trough,
     ventricles,
 )
-from sim.phantom.head.frame_markers import frame_fiducials, frame_markers, frame_shapes
+from sim.phantom.head.frame_markers import (
+    FRAMES,
+    SPHERES,
+    frame_fiducials,
+    frame_markers,
+    frame_shapes,
+)
 from sim.phantom.head.look_alikes import LookAlike, Seat
 from sim.phantom.head.obstacles import Obstacles, skin_point
 from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.head.streaks import Streak
-from sim.phantom.scan import FREE, XFRAME, Scan
+from sim.phantom.scan import FREE, Scan
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.theatre.noise import noise
 from sim.theatre.rigid import rotation_towards
@@ -44,6 +50,7 @@ Vector = NDArray[np.float64]
 
 LARGEST_MARKERS = 8
 CAP_HALF_ANGLE_RAD = radians(60.0)
+BESIDE_FRAME_RAD = radians(80.0)  # the frame takes the middle of the cap
 CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
 SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
 CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
@@ -63,16 +70,17 @@ def family_scan(
     """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
     if name not in FAMILIES:
         raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES))
-    if fiducials == XFRAME and markers is not None:
-        raise BadScene("the x-shaped frame has four spheres; leave the number of markers out")
+    if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
+        raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
-    head, placed = _draw_head(family, seed, markers or family.markers, fiducials, generator)
+    count = markers or (SPHERES if fiducials in FRAMES else family.markers)
+    head, placed = _draw_head(family, seed, count, fiducials, generator)
     scene = _scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
     around, distractors = _obstacles(family, head, placed, covering_mm, generator)
     grid, marks = place_grid(head, scene.ct), _marks(head, covering_mm)
     objects = _look_alikes(family, head, grid, placed, generator)
-    built = frame_markers if fiducials == XFRAME else _standing
+    built = frame_markers if fiducials in FRAMES else _standing
     if family.bare:
         built = _floating
     anatomy = _anatomy(family, head, built(head, generator), around, fiducials, generator)
@@ -127,8 +135,8 @@ def _draw_head(
         target_ct_mm=_three(entry - TARGET_DEPTH_MM * normal),
     )
     found = (
-        frame_fiducials(bare, generator)
-        if fiducials == XFRAME
+        _with_frame(family, bare, fiducials, count, generator)
+        if fiducials in FRAMES
         else _free_fiducials(family, bare, count, generator)
     )
     head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
@@ -163,6 +171,34 @@ def _free_fiducials(
         Fiducial(number=k + 1, centre_ct_mm=_three(centre), post_ct=_three(post))
         for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
     )
+
+
+def _with_frame(
+    family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
+) -> tuple[Fiducial, ...]:
+    """The frame's spheres, and beside the frame the others."""
+    found = list(frame_fiducials(head, frame, generator))
+    centres = [np.array(one.centre_ct_mm) for one in found]
+    bars = [(centres[0], centres[2]), (centres[1], centres[3])]
+    for _ in range(ATTEMPTS):
+        if len(found) == count:
+            return tuple(found)
+        skin, normal = skin_point(head, _cap_direction(generator, BESIDE_FRAME_RAD))
+        centre = skin + normal * generator.uniform(*family.standoff_mm)
+        if (
+            _clear_of_cable(centre, head)
+            and all(np.linalg.norm(centre - other) > CLEARANCE_MM for other in centres)
+            and all(_from_segment_mm(centre, *bar) > CLEARANCE_MM for bar in bars)
+        ):
+            centres.append(centre)
+            found.append(Fiducial(number=len(found) + 1, centre_ct_mm=_three(centre), post_ct=_three(normal)))
+    raise BadScene(f"{count - SPHERES} markers do not fit beside the frame")
+
+
+def _from_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
+    way = end - start
+    share = np.clip((point - start) @ way / (way @ way), 0.0, 1.0)
+    return float(np.linalg.norm(point - start - share * way))
 
 
 def _clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
@@ -252,7 +288,7 @@ def _anatomy(
     teeth, fillings = jaw_teeth(head, generator, int(generator.integers(low, high + 1)))
     inside = (*ventricles(head), *sinuses(head), *teeth, *fillings)
     cable = side_cable(head) if family.cable else ()
-    frame = frame_shapes(head, generator) if fiducials == XFRAME else ()
+    frame = frame_shapes(head, fiducials, generator) if fiducials in FRAMES else ()
     return Anatomy(
         headrest=trough(head) if family.headrest is Headrest.TROUGH else (),
         surroundings=(*cable, *inside, *around.shapes, *frame),

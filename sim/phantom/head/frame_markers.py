@@ -1,4 +1,4 @@
-"""The x-shaped frame on the head: two crossed bars on a foot, a sphere at each end."""
+"""An x-shaped frame on the head: two crossed bars on a foot, a sphere at each end."""
 
 from __future__ import annotations
 
@@ -7,16 +7,20 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM, SPHERE_CENTRES_MM
 from sim.errors import BadScene
-from sim.phantom.head.anatomy import FLANGE_MM, Marker, marker_on_foot, shifted
+from sim.phantom.head.anatomy import FLANGE_MM, Marker, marker_on_foot, marker_on_post, shifted
 from sim.phantom.head.obstacles import skin_point
 from sim.phantom.head.shapes import Point, Rod, Shape
+from sim.phantom.scan import XFRAME, XFRAME_CLOSE
 from sim.theatre.rigid import rotation_towards
 from sim.theatre.scene.head import CAP_AXIS_CT
 from sim.theatre.scene.model import Fiducial, Head
 
 Vector = NDArray[np.float64]
+
+FRAMES = {XFRAME: SPHERE_CENTRES_MM, XFRAME_CLOSE: CLOSE_SPHERE_CENTRES_MM}
+SPHERES = 4
 
 STANDOFF_MM = 26.0  # skin to the plane of the spheres, where the bars cross
 TILT_RAD = radians(20.0)  # of the foot from the middle of the cap
@@ -27,8 +31,9 @@ FOOT_RADIUS_MM, FOOT_HU, FOOT_IN_SKULL_MM = 3.0, 3500.0, 10.0
 ATTEMPTS = 200
 
 
-def frame_fiducials(head: Head, generator: np.random.Generator) -> tuple[Fiducial, ...]:
+def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> tuple[Fiducial, ...]:
     """Where the frame's spheres are; raises SIM-001 when it does not stand clear of the head."""
+    in_frame = np.array(FRAMES[frame])
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
         direction = axis + np.tan(TILT_RAD) * generator.uniform(-1.0, 1.0, 3)
@@ -36,7 +41,7 @@ def frame_fiducials(head: Head, generator: np.random.Generator) -> tuple[Fiducia
         turn = generator.uniform(0.0, 2.0 * pi)
         hint = np.array([np.cos(turn), np.sin(turn), np.sin(turn)])
         rotation = rotation_towards(normal, hint)
-        centres = np.array(SPHERE_CENTRES_MM) @ rotation.T + skin + STANDOFF_MM * normal
+        centres = in_frame @ rotation.T + skin + STANDOFF_MM * normal
         if all(_outside(head, centre) for centre in centres):
             return tuple(
                 Fiducial(number=k + 1, centre_ct_mm=_three(centre), post_ct=_three(normal))
@@ -46,25 +51,24 @@ def frame_fiducials(head: Head, generator: np.random.Generator) -> tuple[Fiducia
 
 
 def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
-    """The spheres on short posts that end in the bars."""
-    return tuple(
-        marker_on_foot(fiducial, BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM, BAR_BELOW_MM, generator)
-        for fiducial in head.fiducials
-    )
+    """The frame's spheres on short posts that end in the bars; any others on screws of their own."""
+    flange_mm = BAR_BELOW_MM - BAR_RADIUS_MM - FLANGE_MM
+    on_frame = [marker_on_foot(one, flange_mm, BAR_BELOW_MM, generator) for one in head.fiducials[:SPHERES]]
+    return (*on_frame, *(marker_on_post(one, head, generator) for one in head.fiducials[SPHERES:]))
 
 
-def frame_shapes(head: Head, generator: np.random.Generator) -> tuple[Shape, ...]:
+def frame_shapes(head: Head, frame: str, generator: np.random.Generator) -> tuple[Shape, ...]:
     """Bars and foot."""
+    first_x, third_x = FRAMES[frame][0][0], FRAMES[frame][2][0]
     hu = float(generator.choice(BAR_HU))
     down = _three(-np.array(head.fiducials[0].post_ct))
-    ends = [np.array(shifted(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials]
+    ends = [np.array(shifted(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials[:SPHERES]]
     bars: list[Shape] = []
     for first, second in ((0, 2), (1, 3)):
         length = float(np.linalg.norm(ends[second] - ends[first]))
         along = _three((ends[second] - ends[first]) / length)
         bars.append(Rod(hu, _three(ends[first]), along, length, BAR_RADIUS_MM))
-    share = SPHERE_CENTRES_MM[0][0] / (SPHERE_CENTRES_MM[0][0] - SPHERE_CENTRES_MM[2][0])
-    crossing = ends[0] + share * (ends[2] - ends[0])
+    crossing = ends[0] + first_x / (first_x - third_x) * (ends[2] - ends[0])
     depth = STANDOFF_MM - BAR_BELOW_MM + FOOT_IN_SKULL_MM
     return (*bars, Rod(FOOT_HU, _three(crossing), down, depth, FOOT_RADIUS_MM))
 

@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM, SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
-from sim.phantom.families.drawn_scan import family_scan
+from sim.phantom.families.drawn_scan import CLEARANCE_MM, family_scan
 from sim.phantom.head.shapes import Ball, Point, Rod
-from sim.phantom.scan import XFRAME, Scan
+from sim.phantom.scan import XFRAME, XFRAME_CLOSE, Scan
 from sim.theatre.scene.model import CtProtocol
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
@@ -102,6 +102,17 @@ def test_the_x_shaped_frame_keeps_its_distances_and_stands_on_the_skull() -> Non
     assert (np.linalg.norm(inside, axis=1) > 1.1).all()
 
 
+def test_more_markers_stand_on_screws_beside_the_close_frame_clear_of_its_bars() -> None:
+    scan = family_scan("plain", "good", seed=2, markers=8, fiducials=XFRAME_CLOSE)
+    found = centres(scan)
+    apart = np.linalg.norm(found[:, None] - found[None], axis=2)
+    frame = np.array(CLOSE_SPHERE_CENTRES_MM)
+    np.testing.assert_allclose(apart[:4, :4], np.linalg.norm(frame[:, None] - frame[None], axis=2), atol=1e-4)
+    along = np.linspace(found[[0, 1]], found[[2, 3]], 50).reshape(-1, 3)
+    assert np.linalg.norm(found[4:, None] - along[None], axis=2).min() > CLEARANCE_MM
+    assert len(scan.anatomy.markers) == 8
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -109,7 +120,7 @@ def test_the_x_shaped_frame_keeps_its_distances_and_stands_on_the_skull() -> Non
         ({"protocol": "perfect"}, "no protocol"),
         ({"markers": 40}, "carries 1 to 8"),
         ({"name": "crowded", "markers": 3}, "carries 4 to 8"),
-        ({"markers": 4, "fiducials": XFRAME}, "has four spheres"),
+        ({"markers": 3, "fiducials": XFRAME}, "4 to 8 markers"),
     ],
 )
 def test_what_cannot_be_drawn_is_refused(arguments: dict[str, object], words: str) -> None:

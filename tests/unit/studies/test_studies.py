@@ -11,7 +11,6 @@ import pytest
 
 from procedures.registration.correspondence import MatchStatus, Prior
 from procedures.studies import correspondence as study_module
-from procedures.studies import x_frame
 from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
 from procedures.studies.correspondence_shares import Series, shares
 from procedures.studies.correspondence_tables import bars_beside_thesis, plots, tables
@@ -30,7 +29,6 @@ from procedures.studies.registration import RegistrationStudy
 from procedures.studies.table import Table
 from procedures.studies.unit import Unit, add_up, blocks, generator
 from procedures.studies.workers import run_study
-from procedures.studies.x_frame import XFrameStudy
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
 
@@ -229,21 +227,6 @@ def test_heads_differ_and_their_sites_are_apart() -> None:
     for sites in heads:
         gaps = np.linalg.norm(sites[:, None] - sites[None], axis=2) + np.eye(8) * 1e3
         assert gaps.min() > 25.0
-
-
-def test_the_x_frame_is_found_by_ours_and_for_a_middle_e_by_the_thesis() -> None:
-    study = XFrameStudy(6, seed=1)
-    unit = study.units()[0]
-    sums = study.run(unit)
-    assert sums["clique + planned count||success"] == 6
-    assert sums["thesis|3.0|success"] >= 5
-    assert sums.get("thesis|1.0|success", 0.0) < sums["thesis|3.0|success"]
-    shown, ranges = x_frame.tables({unit.cell: sums})
-    assert (shown.rows[0][1], shown.rows[0][3:]) == ("clique + planned count", (6, 100.0))
-    ((_, _, low, high),) = ranges.rows
-    assert low is None or 1.0 <= low <= high <= 6.0
-    assert "1.8-4.5 mm (phantom)" in ranges.note
-    assert x_frame.plots({unit.cell: sums})["success-against-e.png"].startswith(b"\x89PNG")
 
 
 def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:

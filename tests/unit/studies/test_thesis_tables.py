@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.registration.error_theory import fle_of_one_space_mm
+from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.studies.thesis_tables import (
     AVERAGE_OPERATOR,
     FIDUCIALS_OF_TABLE_3,
     HUMAN_OPERATORS,
+    LINE_FIT,
     OPERATORS,
     SPHERE_FIT,
     TABLE_2,
@@ -60,3 +61,11 @@ def test_the_stated_gains_over_people_follow(people_mm: float, fit_mm: float, le
 def test_table_4_prints_the_mean_over_its_trajectories(row: tuple[str, int]) -> None:
     mean_mm = float(np.mean(TABLE_4[row].trajectories_mm))
     assert mean_mm == pytest.approx(TABLE_4[row].mean_mm, abs=0.6e-3)  # the rows are rounded themselves
+
+
+@pytest.mark.parametrize("column", [LINE_FIT, SPHERE_FIT, HUMAN_OPERATORS])
+def test_table_3_is_table_2_times_the_root_of_two_as_if_table_2_gave_the_fre(column: str) -> None:
+    fre_mm = float(np.sqrt(np.mean(np.square(TABLE_2[column].rows_mm))))
+    of_table_3 = TABLE_3[AVERAGE_OPERATOR if column == HUMAN_OPERATORS else column].rows_mm
+    fle_mm = fle_of_one_space_mm(of_table_3, FIDUCIALS_OF_TABLE_3)
+    assert fle_mm == pytest.approx(fle_from_fre_mm(fre_mm, FIDUCIALS_OF_TABLE_3), rel=0.015)

@@ -1,0 +1,85 @@
+"""The clinical protocol of pairing: readings of the frame against localized scans, for every e."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from procedures.studies import clinical_pairing, frame_readings
+from procedures.studies.clinical_pairing import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
+from procedures.studies.errors import LedgerUnreadable, OtherStudy
+from procedures.studies.localization import AUTOMATIC
+from procedures.studies.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
+from procedures.studies.unit import Unit
+
+
+def readings(count: int, sigma_mm: float = 0.15) -> np.ndarray:
+    random = np.random.default_rng(4)
+    turned = [Rotation.random(rng=random).apply(FRAME_MM) for _ in range(count)]
+    return np.array(turned) + random.normal(size=(count, 4, 3)) * sigma_mm
+
+
+@pytest.fixture
+def found_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every method finds the frame's spheres, in another order, and one more."""
+    centres = np.vstack([FRAME_MM[[2, 0, 3, 1]], [[10.0, 20.0, 120.0]]])
+
+    @contextmanager
+    def no_scan(*_: object) -> Iterator[None]:
+        yield None
+
+    monkeypatch.setattr(clinical_pairing, "phantom_scan", no_scan)
+    found = {method: LocalizedScan(centres, 1.0) for method in AUTOMATIC}
+    monkeypatch.setattr(clinical_pairing, "localize_scan", lambda _: found)
+
+
+def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest_e() -> None:
+    apart = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)[np.triu_indices(4, 1)]
+    _, largest_e = THESIS_RANGES_MM[PHANTOM]
+    assert largest_e < np.diff(np.sort(apart)).min() < largest_e + 0.1
+
+
+def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by_all: None) -> None:
+    assert len(SCANS) == 17
+    study = ClinicalStudy(readings(40))
+    cells = {cell: study.run(Unit(cell, 0, 40)) for cell in (f"{PHANTOM}|1", f"{PATIENT}|1")}
+    (told,) = tables(cells)
+    for row in told.rows:
+        shown = dict(zip(told.columns, row, strict=True))
+        assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)
+        assert shown["least % there, here"] == 100.0
+        assert shown["100 % from e mm"] < shown["100 % to e mm"]
+
+
+def test_a_reading_with_two_spheres_exchanged_is_not_paired_wrongly_by_chance(found_by_all: None) -> None:
+    exchanged = readings(5)[:, [1, 0, 2, 3]]
+    sums = ClinicalStudy(exchanged).run(Unit(f"{PHANTOM}|1", 0, 5))
+    assert sums["clique + planned count||false"] == 5  # told so, because the record's order says otherwise
+
+
+def test_readings_are_kept_in_the_folder_and_others_are_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken = readings(3)
+    monkeypatch.setattr(frame_readings, "read_frames", lambda *_: taken)
+    assert frame_readings.recorded_readings(tmp_path, 3, 1) is taken
+    assert np.array_equal(frame_readings.recorded_readings(tmp_path, 3, 1), taken)
+    with pytest.raises(OtherStudy, match="STU-001"):
+        frame_readings.recorded_readings(tmp_path, 3, 2)
+    (tmp_path / frame_readings.FILE).write_text("{}")
+    with pytest.raises(LedgerUnreadable, match="STU-002"):
+        frame_readings.recorded_readings(tmp_path, 3, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(120)
+def test_the_simulated_unit_reads_the_frame_over_its_wire() -> None:
+    (seen,) = frame_readings.read_frames(1, seed=2)
+    expected = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)
+    assert np.linalg.norm(seen[:, None] - seen[None], axis=2) == pytest.approx(expected, abs=1.5)
+    assert -2400.0 < seen[:, 2].mean() < -950.0

@@ -1,0 +1,85 @@
+"""The thesis' protocol of localization: its scans, and what is computed from the spheres found in them."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from procedures.studies.localization import AUTOMATIC, Method
+from procedures.studies.thesis_localization import (
+    SCALE_DRAWS,
+    ThesisLocalizationStudy,
+    points_as_sums,
+    points_of,
+)
+from procedures.studies.thesis_localization_tables import fle_mm, tables
+from procedures.studies.thesis_scans import (
+    FRAME_MM,
+    LARGEST_SCALE_ERROR,
+    PHANTOM,
+    THESIS_SCANS,
+    LocalizedScan,
+    draw_scale,
+)
+
+
+def test_the_scans_are_those_of_the_thesis() -> None:
+    assert Counter(scan.kind for scan in THESIS_SCANS) == {"phantom": 8, "patient": 12}
+    assert sum(scan.spheres for scan in THESIS_SCANS) == 116
+    assert [unit.cell for unit in ThesisLocalizationStudy().units()] == [one.cell for one in THESIS_SCANS]
+
+
+def test_a_scale_error_is_common_to_a_slice_and_another_along_the_table() -> None:
+    scales = draw_scale(np.random.default_rng(1), 1000)
+    assert np.array_equal(scales[:, 0], scales[:, 1])
+    assert abs(np.corrcoef(scales[:, 0], scales[:, 2])[0, 1]) < 0.1
+    assert np.abs(scales - 1.0).max() <= LARGEST_SCALE_ERROR
+
+
+def test_errors_of_one_axis_are_found_again_to_the_truth_and_between_scans() -> None:
+    random = np.random.default_rng(2)
+    scans = [FRAME_MM + random.normal(size=FRAME_MM.shape) * 0.1 for _ in range(60)]
+    truth, fre, between = fle_mm(scans, np.ones((1, 60, 3)))
+    assert between == pytest.approx(0.1 * np.sqrt(3.0), rel=0.05)
+    assert truth == pytest.approx(between, rel=0.1)  # a mean over scans, not their rms
+    assert truth == pytest.approx(fre * np.sqrt(2.0))
+
+
+def test_the_frame_is_validated_in_its_order_and_refused_when_it_is_not_whole() -> None:
+    order = [2, 0, 3, 1]
+    found = LocalizedScan(np.vstack([FRAME_MM[order], [[10.0, 20.0, 120.0]]]), 1.0)
+    seen = found.frame_mm(np.ones(3))
+    assert seen is not None
+    assert np.array_equal(seen, FRAME_MM)
+    assert LocalizedScan(FRAME_MM[:3], 1.0).frame_mm(np.ones(3)) is None
+
+
+def test_coordinates_come_back_from_the_sums() -> None:
+    assert np.array_equal(points_of(points_as_sums("who", FRAME_MM), "who"), FRAME_MM)
+    assert points_of({}, "who") is None
+
+
+def test_the_copy_is_held_against_both_tables_and_its_gain_and_time_are_told() -> None:
+    random = np.random.default_rng(3)
+    sums = {}
+    for scan in THESIS_SCANS:
+        one = {"spheres": float(scan.spheres)}
+        for method, sigma_mm in zip(AUTOMATIC, (0.005, 0.05, 0.03), strict=True):
+            one |= points_as_sums(method.value, FRAME_MM + random.normal(size=(4, 3)) * sigma_mm)
+            counts = {"found": scan.spheres, "false": 0, "validated": SCALE_DRAWS, "cpu_s": 1.5}
+            one |= {f"{method}|{key}": float(value) for key, value in counts.items()}
+        sums[scan.cell] = one
+    detection, errors, gains, times = tables(sums)
+    assert [row[1:] for row in detection.rows[:2]] == [
+        (PHANTOM, 8, 64, 64, 0, 100.0),
+        ("patient", 12, 52, 52, 0, 100.0),
+    ]
+    scaled = {row[0]: row for row in errors.rows if row[1] == "drawn"}
+    assert (scaled[Method.THESIS_LINE][4], scaled[Method.THESIS_LINE][6]) == (0.1685, 0.2604)
+    assert scaled[Method.OURS][2] < scaled[Method.THESIS_LINE][2]
+    printed = {(row[0], row[1]): round(row[5], 2) for row in gains.rows if row[5] is not None}
+    assert printed[(Method.THESIS_SPHERE, "2")] == 49.29
+    assert printed[(Method.THESIS_SPHERE, "3")] == 45.91
+    assert [row[1] for row in times.rows[:3]] == [191.5, 28.8, 1.5]
