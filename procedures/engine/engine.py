@@ -292,8 +292,8 @@ class Engine:
     def _show_state(self, reason: str = "") -> None:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
-    def close(self, outcome: str) -> None:
-        """End the sessions and the journal."""
+    def close(self, outcome: str, problem: RonnaError | None = None) -> None:
+        """End the sessions and the journal; `problem` is what ended the case, where something did."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
             self._doubt_localizations(self.faults.get(ARM))
@@ -301,9 +301,11 @@ class Engine:
         self.setting.workcell.close()
         for recorder in self._recorders:  # the journal's last line speaks for every file of the run
             recorder.close()
-        inside = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
+        more = {} if self.instrument_in is None else {"instrument_in": self.instrument_in}
+        if problem is not None:
+            more |= {"code": problem.code, "what": problem.what}
         try:
-            close_run(self.case.folder, self._journal, now_s, outcome, self.setting.clinical, **inside)
+            close_run(self.case.folder, self._journal, now_s, outcome, self.setting.clinical, **more)
         finally:
             self.events.end()
 

@@ -56,7 +56,9 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     if last is not None and last["entry"] == Entry.FAILED:
         code = str(last.get("code", ""))
         return Ending("failed", f"{step} failed. {last.get('what', '')}", code, instrument_in)
-    return _with_error("failed", "It failed between two steps.", error, instrument_in)
+    if error is None and closed.get("what"):
+        error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
+    return _with_error("failed", f"It failed after {step}." if step else "It failed.", error, instrument_in)
 
 
 def _during(step: str) -> str:

@@ -26,7 +26,8 @@ LATER_FILES = (
     *("theatre/world.json", "theatre/.world.json"),
 )
 LATER_FOLDERS = ("report",)
-EXPORT_FOLDER = "export"  # made from the run at any time, and no part of it
+BESIDE = f".report{PARTIAL}"  # where a new report is written
+APART = ("export/", f"{BESIDE}/")  # made from the run at any time, and no part of it
 CHUNK_BYTES = 1 << 20
 
 
@@ -122,4 +123,4 @@ def _as_written(made: Seal) -> bytes:
 
 
 def _is_apart(name: str) -> bool:
-    return name in (JOURNAL_FILE, SEAL_FILE) or name.startswith(f"{EXPORT_FOLDER}/")
+    return name in (JOURNAL_FILE, SEAL_FILE) or name.startswith(APART)

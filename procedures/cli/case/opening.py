@@ -27,6 +27,7 @@ from procedures.cli.case.simulated_case import SimulatedCase
 from procedures.engine.operator import Topic
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
+from ronna_hw.errors import RonnaError
 from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.host.open_files import require_open_files
 from ronna_hw.log_output import keep_log
@@ -119,7 +120,7 @@ def opened_engine(
             watcher.room_open(f"control port {simulated.theatre.control}")
             room = SimulatedRoom(simulated.theatre.control)
         engine = _make_engine(request, folder, file, procedure, operator, room, stack, resumption)
-        outcome = "failed"
+        outcome, ended_by = "failed", None
         watcher.opened(engine)
         try:
             with DeviceWatch(engine.setting.workcell.devices, engine.events, engine.setting.clock.now_s):
@@ -129,12 +130,13 @@ def opened_engine(
             ignore_further_signals()
             if isinstance(problem, KeyboardInterrupt):
                 outcome = "interrupted"
+            ended_by = problem if isinstance(problem, RonnaError) else None
             raise
         finally:
             if engine.instrument_in is not None:
                 tell(f"the instrument is still in {engine.instrument_in}: the arm rests and will not move it")
             with interruption_deferred():
-                engine.close(outcome)
+                engine.close(outcome, ended_by)
 
 
 def opened_case(

@@ -89,14 +89,20 @@ def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> Un
 
 
 def finished(
-    request: CaseRequest, case: Case, trajectories: Sequence[str], theatre_time_s: float, wall_s: float
+    request: CaseRequest,
+    case: Case,
+    trajectories: Sequence[str],
+    theatre_time_s: float,
+    wall_s: float,
+    truth: Truth | None = None,
 ) -> FinishedRun:
-    """What a finished case came to; raises PRO-013 from the verifier."""
+    """What a finished case came to, by `truth` where that is kept; raises PRO-013 from the verifier."""
     from procedures.reporting.files import keep_truth
     from procedures.reporting.outcome import Truth
 
-    truth = truth_of(case.folder) if request.config is None else Truth()
-    keep_truth(case.folder, truth)
+    if truth is None:
+        truth = truth_of(case.folder) if request.config is None else Truth()
+        keep_truth(case.folder, truth)
     return _outcome(request, case, trajectories, truth, theatre_time_s, wall_s)
 
 

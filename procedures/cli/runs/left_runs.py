@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -73,4 +74,7 @@ def _check_writable(folder: Path) -> None:
 def _remove_half_written(folder: Path) -> None:
     """What a program that was killed had not finished writing was never part of the run."""
     for path in folder.rglob(f".*{PARTIAL}"):
-        path.unlink(missing_ok=True)
+        if path.is_dir():  # of a report
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import shutil
 from pathlib import Path
 
 from procedures.cli.case.leaving_report import seal_run
@@ -10,6 +11,8 @@ from procedures.cli.case.truth import truth_if_any
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import BESIDE, SEAL_FILE, is_sealed
+from ronna_hw.host.interruption import interruption_deferred
 
 NOT_INTO_IT = "The folder is kept as it is; with --out DIR its report shows what can still be read."
 
@@ -19,7 +22,7 @@ def make_report(run: Path, out: Path | None = None) -> Path:
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
-    from procedures.reporting.report import write_report
+    from procedures.reporting.report import REPORT_FILE, write_report
 
     with contextlib.nullcontext() if out else held_run(run):
         found = inspected(run)
@@ -27,7 +30,25 @@ def make_report(run: Path, out: Path | None = None) -> Path:
             found.require_unchanged(NOT_INTO_IT)
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
-        path = write_report(run, truth=truth_if_any(run), out=out)
-        if out is None:
-            seal_run(run)
-    return path
+        if out is not None:
+            return write_report(run, truth=truth_if_any(run), out=out)
+        beside = run / BESIDE
+        try:
+            write_report(run, truth=truth_if_any(run), out=beside)
+            with interruption_deferred():
+                _take_over(beside, run)
+                seal_run(run)
+        finally:
+            shutil.rmtree(beside, ignore_errors=True)
+    return run / REPORT_FILE
+
+
+def _take_over(made: Path, run: Path) -> None:
+    """Move a report into a run. The seal goes first: killed meanwhile it waits for its seal, and is whole."""
+    if is_sealed(run):
+        (run / SEAL_FILE).unlink()
+    for path in sorted(made.rglob("*")):
+        place = run / path.relative_to(made)
+        if path.is_file():
+            place.parent.mkdir(exist_ok=True)
+            path.replace(place)

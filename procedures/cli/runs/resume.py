@@ -14,7 +14,9 @@ from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
 from procedures.engine.closing import close_run
 from procedures.engine.journal import Entry, Journal, theatre_time_s
 from procedures.engine.left_run import LeftRun, read_left_run
+from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
+from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
 
 if TYPE_CHECKING:
@@ -35,6 +37,7 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -
                 report = leave_report(left.run.path, told=False)
                 seal_run(left.run.path)
                 outcome = outcome.model_copy(update={"report": report and str(report)})
+            tell(f"{left.run.name} is finished: nothing remains to be done")
             show_outcome(outcome, as_json=as_json)
             return
         make_ready(left)
@@ -74,6 +77,17 @@ def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
     folder, journal = left.run.path, left.run.journal
     order = order_of_case(request, folder)
     moment_s = theatre_time_s(journal[-1])
-    outcome = finished(request, left.restored(order), order.trajectories, moment_s, wall_time_s(journal))
+    outcome = finished(
+        request,
+        left.restored(order),
+        order.trajectories,
+        moment_s,
+        wall_time_s(journal),
+        kept_truth(folder) if is_sealed(folder) else None,
+    )
+    return _with_report(outcome, folder)
+
+
+def _with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
     report = folder / REPORT_FILE
     return outcome.model_copy(update={"report": str(report) if report.exists() else None})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
+from collections.abc import Callable
 from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,8 +15,9 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.calibration import ObservationSet
+    from procedures.calibration import CheckResult, HeadResult, ObservationSet
     from procedures.cli.case.request import TheatreRequest
+    from procedures.engine.engine import Engine
 
 Triple = tuple[float, float, float]
 LARGE_PICTURE_PX = 544  # half the sensor's rows
@@ -93,18 +94,24 @@ def calibrate(
     from procedures.cli.stereo import files
     from procedures.cli.stereo.opening import new_folder
 
-    if recorded is not None:
-        observed = read_observations(recorded)
-        folder = new_folder(out, "stereo")
-    else:
-        request = _request(sim, scene, seed, config)
-        folder = new_folder(out, "stereo")
-    with leaving_report(folder, with_truth=False) if recorded is None else nullcontext():
-        if recorded is None:
-            observed = _observe(request, folder, (poses, visits), ball)
+    results: list[HeadResult] = []
+
+    def conclude(observed: ObservationSet) -> None:
         files.write_observations(observed, folder)
         result = calibrate_head(observed, life=timedelta(days=days))
         files.write_result(observed, result, folder)
+        results.append(result)
+
+    if recorded is not None:
+        observed = read_observations(recorded)
+        folder = new_folder(out, "stereo")
+        conclude(observed)
+    else:
+        request = _request(sim, scene, seed, config)
+        folder = new_folder(out, "stereo")
+        with leaving_report(folder, with_truth=False):
+            _observe(request, folder, (poses, visits), ball, conclude)
+    (result,) = results
     if write is not None and config is not None:
         files.write_theatre(config, write, result)
     if as_json:
@@ -149,20 +156,27 @@ def check(
     from procedures.steps.calibration.procedures import head_check
 
     folder = new_folder(out, "check")
-    with leaving_report(folder, with_truth=False):
-        with console.progress_bar("looking at the ball") as advance:
-            steps = head_check(then, visits)
-            engine = run_steps(request, folder, steps, advance, title="Check of the stereo head")
-        result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
-        payload = files.check_payload(result, then)
-        files.write_payload(payload, folder)
-        if as_json:
-            console.print_json(payload)
-        else:
-            from procedures.cli.stereo.display import print_check
+    found: list[CheckResult] = []
 
-            print_check(result)
+    def judge(engine: Engine) -> None:
+        result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
+        files.write_payload(files.check_payload(result, then), folder)
+        found.append(result)
         result.require()
+
+    with leaving_report(folder, with_truth=False):
+        title = "Check of the stereo head"
+        try:
+            with console.progress_bar("looking at the ball") as advance:
+                run_steps(request, folder, head_check(then, visits), advance, title=title, judge=judge)
+        finally:
+            for result in found:
+                if as_json:
+                    console.print_json(files.check_payload(result, then))
+                else:
+                    from procedures.cli.stereo.display import print_check
+
+                    print_check(result)
 
 
 @app.command()
@@ -230,19 +244,25 @@ def _request(sim: bool, scene: str, seed: int, config: Path | None) -> TheatreRe
 
 
 def _observe(
-    request: TheatreRequest, folder: Path, numbers: tuple[int, int], ball_mm: Triple | None
-) -> ObservationSet:
+    request: TheatreRequest,
+    folder: Path,
+    numbers: tuple[int, int],
+    ball_mm: Triple | None,
+    conclude: Callable[[ObservationSet], None],
+) -> None:
+    """Observe the ball; what `conclude` raises is how the run has ended."""
     from procedures.cli.stereo.opening import run_steps
     from procedures.steps.calibration.ball_observation import ObservedBall
     from procedures.steps.calibration.procedures import head_calibration
 
+    def judge(engine: Engine) -> None:
+        conclude(engine.case.get(ObservedBall).result.observed)
+
     with console.progress_bar("looking at the ball") as advance:
         steps, title = head_calibration(*numbers, ball_mm), "Calibration of the stereo head"
-        engine = run_steps(request, folder, steps, advance, title=title, expired_too=True)
-    result = engine.case.get(ObservedBall).result
-    for remark in result.remarks:
+        engine = run_steps(request, folder, steps, advance, title=title, expired_too=True, judge=judge)
+    for remark in engine.case.get(ObservedBall).result.remarks:
         console.tell(remark)
-    return result.observed
 
 
 def main() -> None:

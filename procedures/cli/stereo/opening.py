@@ -37,8 +37,11 @@ def run_steps(
     *,
     title: str,
     expired_too: bool = False,
+    judge: Callable[[Engine], None] = lambda _engine: None,
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
+
+    `judge` is called when every step is done; what it raises is how the run has ended.
 
     `title` names it in its report. With `expired_too` the records only serve as a start, and their age does
     not matter.
@@ -59,6 +62,7 @@ def run_steps(
     try:
         with opened_engine(request, folder, procedure, watcher) as engine:
             engine.run_to()
+            judge(engine)
     except BaseException:  # also an interruption: a folder that holds nothing is no run
         forget_if_empty(folder)
         raise

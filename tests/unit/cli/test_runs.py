@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import pytest
 from plain_steps import plain_order
@@ -22,12 +22,18 @@ from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_r
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
+from procedures.cli.runs import report as runs_report
+from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.commands import COMMANDS
+from procedures.cli.runs.report import make_report
 from procedures.cli.runs.resume import close_left
 from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
+from procedures.reporting import report as written_report
+from procedures.reporting.files import keep_truth
+from procedures.reporting.outcome import Truth
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -192,6 +198,47 @@ def test_a_full_disk_while_a_run_is_sealed_loses_nothing(
     assert "is not finished: seal.json: missing" in refused.stderr
     seal_run(run)
     assert inspected(run).problems == ()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("moment", ["write_report", "_take_over", "seal_run"])
+def test_a_report_that_is_interrupted_leaves_no_changed_run(
+    run: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    where = written_report if moment == "write_report" else runs_report
+    original = getattr(where, moment)
+
+    def interrupted(*arguments: Any, **options: Any) -> None:
+        if moment != "seal_run":
+            original(*arguments, **options)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(where, moment, interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            make_report(run)
+    assert inspected(run).changes == ()
+    assert make_report(run) == run / "report.html"
+    assert inspected(run).problems == ()
+
+
+def test_a_finished_run_is_said_to_be_finished_and_its_truth_is_not_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = new_run_folder(CaseRequest(out=tmp_path))
+    cell = RecordingCell(folder)
+    cell.journal.write(Entry.OPENED, 0.0, run=folder.name)
+    cell.engine(plain_order()).close("done")
+    keep_truth(folder, kept := Truth(targets=()))
+    seal_run(folder)
+    given: list[Truth | None] = []
+    monkeypatch.setattr(runs_resume, "order_of_case", lambda *_: plain_order())
+    monkeypatch.setattr(runs_resume, "finished", lambda *arguments: given.append(arguments[-1]))
+    monkeypatch.setattr(runs_resume, "_with_report", lambda outcome, _folder: outcome)
+    monkeypatch.setattr(runs_resume, "show_outcome", lambda *_, **__: None)
+    runs_resume.resume(folder, accept=True, answers=None, as_json=False)
+    assert given == [kept]
+    assert f"{folder.name} is finished" in capsys.readouterr().err
 
 
 def test_an_end_that_is_written_later_names_ct_and_plan_where_they_are(tmp_path: Path) -> None:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from pathlib import Path
 
 import pytest
 from clinical_case import ClinicalCell
 from plain_steps import Work, plain_order
+from user_commands import in_this_process
 
+from procedures.cli.procedure import app
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import GateFailed, OperatorAborted, StepRefused
@@ -71,6 +74,16 @@ def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
     engine.run_step(engine.order.find("image"))
     engine.close("left")
     assert "The operator left the case after image." in write_report(cell.folder).read_text()
+
+
+@pytest.mark.hazard(41)
+def test_what_was_found_wrong_after_the_last_step_is_how_the_run_ended(cell: ClinicalCell) -> None:
+    engine = cell.engine(plain_order())
+    engine.run_to()
+    engine.close("failed", GateFailed("the head has changed"))
+    (row,) = json.loads(in_this_process(app, "list", cell.folder.parent, "--json").stdout)["runs"]
+    assert row["ended"] == "failed"
+    assert "the head has changed (PRO-007)" in write_report(cell.folder).read_text()
 
 
 @pytest.mark.hazard(41)
