@@ -211,6 +211,24 @@ def localization(
     _run(study, tables_and_goals, plots, workers, scheduler, out, as_json, verbose)
 
 
+@app.command()
+def strategies(
+    arms: Annotated[int, typer.Option("--arms", min=2, help="Random arms of parameter set S.")] = 200,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    out: OutOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
+    from procedures.studies.strategies import StrategiesStudy
+    from procedures.studies.strategies_tables import plots, tables
+
+    _run(StrategiesStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+
+
 def _run(
     study: Study,
     tables: Tables,

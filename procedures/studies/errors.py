@@ -59,3 +59,17 @@ class TrackerNotSimulated(DataError):
 
     code = "STU-008"
     action = "Run `ronna-sim polaris` and `ronna-sim scene` alone to see the reason."
+
+
+class PoseNotSolved(DataError):
+    """A drawn arm does not settle at a planned pose: the pose is singular or out of reach."""
+
+    code = "STU-009"
+    action = "Use another --seed and report this one: the study plans its poses clear of singularities."
+
+
+class PhantomOutOfReach(DataError):
+    """The arm does not reach the phantom in one of its places."""
+
+    code = "STU-010"
+    action = "The places are fixed: report the strategy and the trajectory."

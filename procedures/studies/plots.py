@@ -6,6 +6,9 @@ import io
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import ArrayLike
+
 DOTS_PER_INCH = 110
 SIZE_IN = (6.4, 4.0)
 
@@ -58,6 +61,23 @@ def bars(
     if logarithmic:
         axes.set_yscale("log")
     figure.legend(fontsize=8, loc="outside right upper")  # outside the axes: never over a bar
+    return _png(figure)
+
+
+def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
+    """A box for each group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
+    figure, axes = _figure()
+    axes.boxplot(
+        [np.asarray(values) for values in groups.values()],
+        tick_labels=list(groups),
+        showfliers=False,
+        showmeans=True,
+        meanprops={"marker": "x"},
+    )
+    axes.tick_params(axis="x", labelsize=7, rotation=60)
+    axes.set_title(title, fontsize=9)
+    axes.set_ylabel(y_label)
+    axes.grid(alpha=0.3)
     return _png(figure)
 
 

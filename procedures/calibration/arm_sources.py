@@ -1,0 +1,110 @@
+"""The errors of an arm as sources of a predicted target error: how each displaces the tool at every pose.
+
+Sizes are those of an uncalibrated arm (parameter set S of the error study) unless others are given.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, error_columns
+from procedures.registration.target_prediction import OwnErrors, SharedErrors
+from ronna_hw.arm.links import Chain
+
+Array = NDArray[np.float64]
+
+TOOL_MM = 2.0  # per axis, of a mount as drawn
+BACKLASH_RAD = float(np.radians(0.02))  # the whole dead way
+SAG_RAD = float(np.radians(0.03))  # of the stretched arm, at the second and third joint
+REPEATABILITY_MM = 0.015  # per axis, at rest
+SERVO_MM = 0.03  # 3-D rms of what the servo leaves
+FLANK_SHARE = 0.5
+PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
+HARMONIC_COLUMNS = slice(1, 5)
+SAGGING = (1, 2)  # joints, counted from 0
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True)
+class ArmPoses:
+    """Poses of the arm: joints (p, axes), tool origins (p, 3) mm and rotations robot <- flange (p, 3, 3).
+
+    `sides` (p, axes), -1 or 1, say where in its backlash each joint rests; None where that is not known.
+    """
+
+    joints_rad: Array
+    points_mm: Array
+    rotations: Array
+    sides: Array | None
+
+
+def arm_sources(
+    chain: Chain, spheres: ArmPoses, target: ArmPoses, *, tool_mm: float = TOOL_MM
+) -> tuple[SharedErrors | OwnErrors, ...]:
+    """Tool frame, geometry, joints, backlash and what does not repeat, for one target and its `n` spheres."""
+    joints = np.concatenate([spheres.joints_rad, target.joints_rad])
+    columns = error_columns(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]))
+    by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
+    swings = by_joint[..., 0] / JOINT_OFFSET_RAD  # (p, 3, axes) mm per rad
+    geometry = np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(joints), 3, -1)
+    harmonics = by_joint[..., HARMONIC_COLUMNS].reshape(len(joints), 3, -1)
+    levers = _levers(chain, joints)
+    sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
+    tool = tool_mm * np.concatenate([spheres.rotations, target.rotations])
+    return (
+        _shared("tool frame", tool),
+        _shared("links and joint offsets", geometry),
+        _shared("harmonics and sag", np.concatenate([harmonics, sag], axis=2)),
+        _backlash(swings, spheres.sides, target.sides),
+        _at_rest(len(spheres.joints_rad)),
+    )
+
+
+def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
+    """Errors of the spheres in the CT, (n, 3, 3) mm2 in the frame of the robot."""
+    return OwnErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+
+
+def _shared(source: str, columns_mm: Array) -> SharedErrors:
+    return SharedErrors(source, columns_mm[:-1], columns_mm[-1])
+
+
+def _levers(chain: Chain, joints_rad: Array) -> Array:
+    """Horizontal lever (p, axes) of the wrist about each joint, as a share of the stretched arm.
+
+    Positive where weight turns the joint in its positive direction.
+    """
+    place = np.tile(chain.base_mm, (len(joints_rad), 1))
+    turned = np.tile(np.eye(3), (len(joints_rad), 1, 1))
+    places, axes = [], []
+    for number, joint in enumerate(chain.joints):
+        places.append(place)
+        axes.append(turned @ np.array(joint.axis))
+        angles = joints_rad[:, number, None] * np.array(joint.axis)
+        turned = turned @ Rotation.from_rotvec(angles).as_matrix()
+        place = place + turned @ np.array(joint.to_next_mm)
+    wrist = len(chain.joints) - 2
+    lengths_mm = [float(np.linalg.norm(joint.to_next_mm)) for joint in chain.joints]
+    levers = np.zeros_like(joints_rad)
+    for number in range(wrist):
+        moments = np.cross(places[wrist] - places[number], DOWN)
+        levers[:, number] = np.sum(moments * axes[number], axis=1) / sum(lengths_mm[number:wrist])
+    return levers
+
+
+def _backlash(swings: Array, at_spheres: Array | None, at_target: Array | None) -> SharedErrors | OwnErrors:
+    half = FLANK_SHARE * BACKLASH_RAD * swings
+    if at_spheres is not None and at_target is not None:
+        return _shared("backlash", half * np.concatenate([at_spheres, at_target])[:, None, :])
+    own = half @ half.transpose(0, 2, 1)
+    return OwnErrors("backlash", own[:-1], own[-1])
+
+
+def _at_rest(spheres: int) -> OwnErrors:
+    at_target = np.eye(3) * REPEATABILITY_MM**2
+    at_sphere = at_target + np.eye(3) * SERVO_MM**2 / 3.0
+    return OwnErrors("servo and repeatability", np.tile(at_sphere, (spheres, 1, 1)), at_target)

@@ -1,0 +1,1 @@
+"""Random arms at a phantom, many at once: how far from the target each strategy ends."""

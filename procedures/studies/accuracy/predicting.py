@@ -1,0 +1,40 @@
+"""What the joint-level prediction says of a strategy's targets, for arms of parameter set S."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.registration.target_prediction import TargetPrediction, predict_target_error
+from procedures.studies.accuracy.phantom import Phantom
+from procedures.studies.accuracy.postures import ARM, Postures
+from procedures.studies.accuracy.trials import AXES, CT_FLE_MM
+from ronna_hw.frames import Transform
+
+
+def predictions(
+    planned: Postures, phantom: Phantom, robot_from_ct: Transform, count: int
+) -> list[TargetPrediction]:
+    """One for each target, with the first `count` spheres; the fit does not weight them."""
+    spheres = robot_from_ct.apply(phantom.spheres_mm)
+    found = []
+    for number, trajectory in enumerate(phantom.trajectories):
+        first = planned.set_of(number) * len(spheres)
+        looks = slice(first, first + count)
+        target = robot_from_ct.apply(trajectory.target_mm)
+        at_spheres = ArmPoses(
+            planned.localizations.joints_rad[looks],
+            spheres[:count],
+            planned.localizations.rotations[looks],
+            planned.arrival[looks],
+        )
+        at_target = ArmPoses(
+            planned.targets.joints_rad[[number]],
+            target[None],
+            planned.targets.rotations[[number]],
+            planned.target_arrival[[number]],
+        )
+        ct = np.tile(np.eye(AXES) * CT_FLE_MM**2 / AXES, (count, 1, 1))
+        sources = [*arm_sources(ARM.chain, at_spheres, at_target), ct_errors(ct)]
+        found.append(predict_target_error(spheres[:count], target, sources))
+    return found

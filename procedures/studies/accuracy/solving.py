@@ -1,0 +1,87 @@
+"""Joint angles of many arms near planned ones: nominally at a place, or with the true tool on a sphere.
+
+An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves for all arms:
+each step leaves a fiftieth of the error. Their number is fixed: an arm's result must not depend on which
+others are run beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.studies.accuracy.random_arms import RandomArms
+from procedures.studies.accuracy.turning import nominal_frames
+from procedures.studies.errors import PoseNotSolved
+from ronna_hw.arm.kinematics import Kinematics
+
+Array = NDArray[np.float64]
+
+SETTLED_MM = 1e-6  # far below any source of error
+STEPS = 7
+
+
+@dataclass(frozen=True)
+class PlannedPoses:
+    """Postures of the nominal arm: joints (p, 6), orientations robot <- tool (p, 3, 3).
+
+    `inverse` (p, 6, 6) leads from a small motion of the tool (mm, rad) to one of the joints.
+    """
+
+    tool_mm: Array  # (3,) in the flange frame, which the nominal tool is parallel to
+    joints_rad: Array
+    rotations: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, tool_mm: Array, joints_rad: Array) -> Self:
+        """At joint vectors (p, 6)."""
+        _, rotations = nominal_frames(kinematics.chain, joints_rad, tool_mm)
+        inverse = np.empty((len(joints_rad), 6, 6))
+        for place, (joints, rotation) in enumerate(zip(joints_rad.tolist(), rotations, strict=True)):
+            jacobian = kinematics.jacobian(tuple(joints)).copy()
+            jacobian[:3] += np.cross(jacobian[3:].T, rotation @ tool_mm).T
+            inverse[place] = np.linalg.inv(jacobian)
+        return cls(tool_mm, joints_rad, rotations, inverse)
+
+    def __len__(self) -> int:
+        return len(self.joints_rad)
+
+
+def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array) -> tuple[Array, Array]:
+    """Joints (a, p, 6) with the true tool on spheres (p, 3), and where the controller believes it (a, p, 3).
+
+    The believed orientation is the planned one: the servo shifts the tool and does not turn it.
+    """
+    return _solved(
+        arms,
+        poses,
+        lambda joints, _: spheres_mm - arms.tool_points_mm(joints, flanks),
+        (len(arms), len(poses), 6),
+    )
+
+
+def brought_to(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
+    """Joints (a, p, 6) with the nominal tool at places (a, p, 3) in the planned orientations."""
+    joints, _ = _solved(arms, poses, lambda _, at: places_mm - at, (*places_mm.shape[:-1], 6))
+    return joints
+
+
+def _solved(
+    arms: RandomArms, poses: PlannedPoses, missing: Callable[[Array, Array], Array], shape: tuple[int, ...]
+) -> tuple[Array, Array]:
+    joints = np.array(np.broadcast_to(poses.joints_rad, shape))
+    for _ in range(STEPS):
+        places, rotations = nominal_frames(arms.chain, joints, poses.tool_mm)
+        shift = missing(joints, places)
+        turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
+        step = np.concatenate([shift, turn], axis=-1)
+        joints = joints + np.einsum("pij,apj->api", poses.inverse, step)
+    left_mm = float(np.abs(shift).max())  # before the last step, which leaves a fiftieth of it
+    if not left_mm < SETTLED_MM:
+        raise PoseNotSolved(f"an arm did not settle in {STEPS} steps", got=f"{left_mm:.2g} mm from its place")
+    return joints, nominal_frames(arms.chain, joints, poses.tool_mm)[0]

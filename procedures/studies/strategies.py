@@ -1,0 +1,164 @@
+"""Localization strategies on random arms (thesis 5.4): the protocol of table 4, run on a few hundred arms.
+
+A trial is arm x place of the phantom x target x strategy x number of spheres. Set S of the arm's errors; the
+phantom is our own. Beside the trials: what each source does alone, whether predicted regions hold the errors,
+and what other readings of the protocol would change.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.strategies.catalogue import strategy_named
+from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, phantom, place
+from procedures.studies.accuracy.postures import Postures, postures
+from procedures.studies.accuracy.predicting import predictions
+from procedures.studies.accuracy.random_arms import RandomArms, Source
+from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.unit import Sums, Unit, blocks
+
+Array = NDArray[np.float64]
+
+STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms")
+PLACES, TARGETS = 8, 10
+DEPTHS_MM = (30.0, 120.0)
+BLOCK_ARMS = 125
+MOST_ARMS_OF_SOURCES = 40  # enough for a mean
+ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
+FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
+DIGITS = 6  # of an error in mm
+TRIALS, SOURCES, PREDICTION = "trials", "sources", "prediction"
+SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
+READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE)
+
+
+@dataclass(frozen=True)
+class StrategiesStudy:
+    """`arms` random arms, each at all places with all strategies."""
+
+    arms: int = 200
+    seed: int = 0
+    name: str = "strategies"
+
+    def parameters(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {**asdict(self), "places": PLACES, "targets": TARGETS, "depths_mm": list(DEPTHS_MM)}
+
+    def units(self) -> Sequence[Unit]:
+        """A cell per part of the study, markers and place."""
+        few = min(self.arms, MOST_ARMS_OF_SOURCES)
+        parts = ((TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION))
+        cells = [
+            (f"{part}|{markers}|{number}", arms)
+            for part, arms in parts
+            for markers in Markers
+            for number in range(1, PLACES + 1)
+        ]
+        cells += [(f"{one}|{Markers.FREE}|{k}", self.arms) for one in READINGS for k in range(1, PLACES + 1)]
+        return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
+
+    def run(self, unit: Unit) -> Sums:
+        """Errors in mm of single trials, or sums of them; see the keys of each part."""
+        part, kind, number = unit.cell.split("|")
+        scene = _Scene(self.seed, Markers(kind), int(number))
+        first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
+        arms = range(first, first + unit.runs)
+        if part == TRIALS:
+            return _trials(scene, arms)
+        if part == SOURCES:
+            return _sources(scene, arms)
+        return _inside(scene, arms) if part == PREDICTION else _reading(scene, arms, part)
+
+
+class _Scene:
+    """The phantom in one place, with the poses of all strategies."""
+
+    def __init__(self, seed: int, markers: Markers, number: int) -> None:
+        self.seed, self.markers, self.number = seed, markers, number
+        self.phantom: Phantom = phantom(markers, DEPTHS_MM, TARGETS)
+        self.robot_from_ct = place(number)
+        self.counts = counts_of(markers)
+
+    def planned(self, strategy: str) -> Postures:
+        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct)
+
+    def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
+        shape = TARGETS, len(self.phantom.spheres_mm)
+        return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
+
+    def errors_mm(
+        self,
+        arms: RandomArms,
+        planned: Postures,
+        chance: Chance,
+        sizes: Sizes,
+        *,
+        any_side: bool = False,
+    ) -> Array:
+        """Error vectors (a, t, c, 3)."""
+        return target_errors(
+            arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
+        )
+
+
+def _trials(scene: _Scene, arms: Sequence[int]) -> Sums:
+    """Length of every error: strategy|spheres|arm|target."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    found: Sums = {}
+    for strategy in STRATEGIES:
+        lengths = np.linalg.norm(scene.errors_mm(drawn, scene.planned(strategy), chance, Sizes()), axis=-1)
+        for (arm, target, count), length in np.ndenumerate(lengths):
+            key = f"{strategy}|{scene.counts[count]}|{arms[arm]}|{target + 1}"
+            found[key] = round(float(length), DIGITS)
+    return found
+
+
+def _sources(scene: _Scene, arms: Sequence[int]) -> Sums:
+    """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    found: Sums = {}
+    for strategy in STRATEGIES:
+        planned = scene.planned(strategy)
+        for source in Source:
+            errors = scene.errors_mm(drawn.only(source), planned, chance, Sizes().only(source))
+            for count, sum_mm in zip(
+                scene.counts, np.linalg.norm(errors, axis=-1).sum(axis=(0, 1)), strict=True
+            ):
+                found[f"{strategy}|{count}|{source}"] = round(float(sum_mm), DIGITS)
+        found |= {f"{strategy}|{count}|": float(len(arms) * TARGETS) for count in scene.counts}
+    return found
+
+
+def _inside(scene: _Scene, arms: Sequence[int]) -> Sums:
+    """Predicted and actual: strategy|spheres|targets, inside, actual2, predicted2."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    sums: dict[str, float] = defaultdict(float)
+    for strategy in STRATEGIES:
+        planned = scene.planned(strategy)
+        errors = scene.errors_mm(drawn, planned, chance, Sizes())
+        for place_of_count, count in enumerate(scene.counts):
+            predicted = predictions(planned, scene.phantom, scene.robot_from_ct, count)
+            for target, one in enumerate(predicted):
+                actual = errors[:, target, place_of_count]
+                sums[f"{strategy}|{count}|targets"] += len(arms)
+                sums[f"{strategy}|{count}|inside"] += int(one.holds(actual).sum())
+                sums[f"{strategy}|{count}|actual2"] += float(np.square(actual).sum())
+                sums[f"{strategy}|{count}|predicted2"] += len(arms) * one.rms_mm**2
+    return dict(sums)
+
+
+def _reading(scene: _Scene, arms: Sequence[int], reading: str) -> Sums:
+    """Sum over the targets of a place, under another reading of the protocol: strategy|spheres|arm."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms, scan_again=reading == SCANNED_AGAIN)
+    sizes = Sizes(ct_mm=0.0) if reading == NO_CT else Sizes()
+    found: Sums = {}
+    for strategy in ("nos", "thesis-ocs"):
+        errors = scene.errors_mm(drawn, scene.planned(strategy), chance, sizes, any_side=reading == ANY_SIDE)
+        for (arm, count), sum_mm in np.ndenumerate(np.linalg.norm(errors, axis=-1).sum(axis=1)):
+            found[f"{strategy}|{scene.counts[count]}|{arms[arm]}"] = round(float(sum_mm), DIGITS)
+    return found

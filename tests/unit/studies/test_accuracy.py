@@ -1,0 +1,112 @@
+"""Random arms at the phantom: the simulator's arm in arrays, what cancels, equal numbers in any company."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from procedures.strategies.catalogue import strategy_named
+from procedures.studies.accuracy.phantom import Markers, phantom, place
+from procedures.studies.accuracy.postures import postures
+from procedures.studies.accuracy.predicting import predictions
+from procedures.studies.accuracy.random_arms import RandomArms, Source
+from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
+from procedures.studies.strategies import PREDICTION, StrategiesStudy
+from procedures.studies.strategies_tables import plots, tables
+from procedures.studies.unit import Unit
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.frames import Frame, Transform
+from sim.kuka.arm.true_arm import TrueArm
+from sim.theatre.scene.arm_truth import draw_arm
+
+HERE = place(1)
+SMALL = phantom(Markers.FREE, (30.0, 120.0), 2)
+COUNTS = (3, 5)
+
+
+def errors_mm(strategy: str, arms: RandomArms, sizes: Sizes, numbers: range) -> np.ndarray:
+    planned = postures(strategy_named(strategy), SMALL, HERE)
+    chance = Chance.draw(1, Markers.FREE, numbers, 1, (2, 5))
+    return target_errors(arms, planned, SMALL, HERE, chance, COUNTS, sizes)
+
+
+def test_an_arm_in_arrays_is_the_simulators_arm() -> None:
+    random = np.random.default_rng(3)
+    truths = [draw_arm(random) for _ in range(2)]
+    tools = random.normal(size=(2, 3))
+    arms = RandomArms.of(list(zip(truths, tools, strict=True)))
+    joints = np.array(kr6_r900().home_rad) + 0.5 * random.normal(size=(2, 4, 6))
+    flanks = random.choice((-1.0, 1.0), size=joints.shape)
+    found = arms.tool_points_mm(joints, flanks)
+    for arm, truth in enumerate(truths):
+        true = TrueArm(truth, 0)
+        for pose in range(4):
+            flange = true.moving(joints[arm, pose], flanks[arm, pose])
+            tool = flange[:3, :3] @ (np.array((220.0, 0.0, 60.0)) + tools[arm]) + flange[:3, 3]
+            np.testing.assert_allclose(found[arm, pose], tool, atol=1e-9)
+
+
+def test_an_error_of_the_tool_frame_cancels_in_one_orientation_and_turns_with_the_tool_in_two() -> None:
+    arms = RandomArms.draw(0, range(2)).only(Source.TOOL)
+    none = Sizes(0.0, 0.0)
+    assert np.abs(errors_mm("ocs", arms, none, range(2))).max() < 1e-5
+    planned = postures(strategy_named("nos"), SMALL, HERE)
+    turn = planned.targets.rotations - planned.localizations.rotations[0]
+    expected = np.einsum("tij,aj->ati", turn, arms.tool_error_mm)
+    np.testing.assert_allclose(errors_mm("nos", arms, none, range(2))[:, :, 0], expected, atol=0.05)
+
+
+def test_an_arm_has_the_same_errors_whatever_arms_it_is_run_with() -> None:
+    alone = errors_mm("thesis-ocs", RandomArms.draw(0, [7]), Sizes(), range(7, 8))
+    among = errors_mm("thesis-ocs", RandomArms.draw(0, range(5, 9)), Sizes(), range(5, 9))
+    np.testing.assert_array_equal(alone[0], among[2])
+
+
+def test_the_predicted_region_holds_the_errors_of_random_arms() -> None:
+    numbers = range(400)
+    arms = RandomArms.draw(0, numbers)
+    for strategy in ("nos", "ocs"):
+        planned = postures(strategy_named(strategy), SMALL, HERE)
+        found = errors_mm(strategy, arms, Sizes(), numbers)
+        inside = [
+            one.holds(found[:, target, place_of_count]).mean()
+            for place_of_count, count in enumerate(COUNTS)
+            for target, one in enumerate(predictions(planned, SMALL, HERE, count))
+        ]
+        assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.slow
+def test_the_study_stands_beside_table_4() -> None:
+    study = StrategiesStudy(arms=3)
+    firsts = [unit for unit in study.units() if unit.cell.endswith("|1")]
+    sums = {
+        unit.cell: study.run(Unit(unit.cell, 0, 5) if unit.cell.startswith(PREDICTION) else unit)
+        for unit in firsts
+    }
+    found = {table.title: table for table in tables(sums)}
+    beside = {
+        (strategy, spheres): thesis
+        for markers, strategy, spheres, thesis, *_ in found["Table 4"].rows
+        if thesis is not None
+    }
+    assert beside["nos", 3] == 1.571
+    assert len(beside) == 8
+    assert len(found["Means per trajectory"].rows) == 8 + 12
+    assert len(found["Predicted and actual error"].rows) == 4 * (3 + 2)
+    assert plots(sums)["strategies.png"].startswith(b"\x89PNG")
+
+
+def test_an_arm_that_does_not_settle_is_refused() -> None:
+    arms = RandomArms.draw(0, [0])
+    with pytest.raises(PoseNotSolved, match="STU-009"):
+        errors_mm("ocs", replace(arms, tool_error_mm=arms.tool_error_mm + 400.0), Sizes(), range(1))
+
+
+def test_a_phantom_out_of_reach_is_refused() -> None:
+    away = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1500.0, 0.0, 0.0))
+    with pytest.raises(PhantomOutOfReach, match="STU-010: ocs does not reach all spheres for T1"):
+        postures(strategy_named("ocs"), SMALL, away)
