@@ -229,6 +229,23 @@ def strategies(
     _run(StrategiesStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
 
 
+@app.command(name="application-error")
+def application_error(
+    arms: Annotated[int, typer.Option("--arms", min=1, help="Random arms of parameter set S.")] = 200,
+    seed: SeedOption = 0,
+    workers: WorkersOption = None,
+    scheduler: SchedulerOption = None,
+    out: OutOption = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Error at superficial and deep targets on random arms, beside RONNA G3."""
+    from procedures.studies.application_error import ApplicationErrorStudy, plots, tables
+
+    _run(ApplicationErrorStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+
+
 def _run(
     study: Study,
     tables: Tables,

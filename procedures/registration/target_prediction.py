@@ -10,7 +10,7 @@ s: sizes of the shared errors, J: displacement of the tool by each at target (t)
 their own, W: what the fit makes of a recorded sphere at the target. To first order in all errors, as the
 covariances of Danilchenko and Fitzpatrick 2011.
 
-Nothing here knows an arm: whoever does gives the displacements, see `procedures.calibration.arm_sources`.
+Nothing here knows an arm; `procedures.calibration.arm_sources` gives the displacements of one.
 """
 
 from __future__ import annotations

@@ -12,17 +12,13 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from procedures.strategies.catalogue import strategy_named
-from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, phantom, place
-from procedures.studies.accuracy.postures import Postures, postures
+from procedures.studies.accuracy.phantom import Markers, phantom
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
-from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.accuracy.scene import DIGITS, Scene
+from procedures.studies.accuracy.trials import Sizes
 from procedures.studies.unit import Sums, Unit, blocks
-
-Array = NDArray[np.float64]
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms")
 PLACES, TARGETS = 8, 10
@@ -31,7 +27,6 @@ BLOCK_ARMS = 125
 MOST_ARMS_OF_SOURCES = 40  # enough for a mean
 ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
 FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
-DIGITS = 6  # of an error in mm
 TRIALS, SOURCES, PREDICTION = "trials", "sources", "prediction"
 SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
 READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE)
@@ -65,60 +60,17 @@ class StrategiesStudy:
     def run(self, unit: Unit) -> Sums:
         """Errors in mm of single trials, or sums of them; see the keys of each part."""
         part, kind, number = unit.cell.split("|")
-        scene = _Scene(self.seed, Markers(kind), int(number))
+        scene = Scene.of(self.seed, phantom(Markers(kind), DEPTHS_MM, TARGETS), Markers(kind), int(number))
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
         arms = range(first, first + unit.runs)
         if part == TRIALS:
-            return _trials(scene, arms)
+            return scene.trials(arms, STRATEGIES)
         if part == SOURCES:
             return _sources(scene, arms)
         return _inside(scene, arms) if part == PREDICTION else _reading(scene, arms, part)
 
 
-class _Scene:
-    """The phantom in one place, with the poses of all strategies."""
-
-    def __init__(self, seed: int, markers: Markers, number: int) -> None:
-        self.seed, self.markers, self.number = seed, markers, number
-        self.phantom: Phantom = phantom(markers, DEPTHS_MM, TARGETS)
-        self.robot_from_ct = place(number)
-        self.counts = counts_of(markers)
-
-    def planned(self, strategy: str) -> Postures:
-        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct)
-
-    def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
-        shape = TARGETS, len(self.phantom.spheres_mm)
-        return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
-
-    def errors_mm(
-        self,
-        arms: RandomArms,
-        planned: Postures,
-        chance: Chance,
-        sizes: Sizes,
-        *,
-        any_side: bool = False,
-    ) -> Array:
-        """Error vectors (a, t, c, 3)."""
-        return target_errors(
-            arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
-        )
-
-
-def _trials(scene: _Scene, arms: Sequence[int]) -> Sums:
-    """Length of every error: strategy|spheres|arm|target."""
-    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
-    found: Sums = {}
-    for strategy in STRATEGIES:
-        lengths = np.linalg.norm(scene.errors_mm(drawn, scene.planned(strategy), chance, Sizes()), axis=-1)
-        for (arm, target, count), length in np.ndenumerate(lengths):
-            key = f"{strategy}|{scene.counts[count]}|{arms[arm]}|{target + 1}"
-            found[key] = round(float(length), DIGITS)
-    return found
-
-
-def _sources(scene: _Scene, arms: Sequence[int]) -> Sums:
+def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
     """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
@@ -134,7 +86,7 @@ def _sources(scene: _Scene, arms: Sequence[int]) -> Sums:
     return found
 
 
-def _inside(scene: _Scene, arms: Sequence[int]) -> Sums:
+def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
     """Predicted and actual: strategy|spheres|targets, inside, actual2, predicted2."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
@@ -152,7 +104,7 @@ def _inside(scene: _Scene, arms: Sequence[int]) -> Sums:
     return dict(sums)
 
 
-def _reading(scene: _Scene, arms: Sequence[int], reading: str) -> Sums:
+def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
     """Sum over the targets of a place, under another reading of the protocol: strategy|spheres|arm."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms, scan_again=reading == SCANNED_AGAIN)
     sizes = Sizes(ct_mm=0.0) if reading == NO_CT else Sizes()

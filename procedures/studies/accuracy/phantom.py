@@ -32,7 +32,7 @@ FRAME_TILT_RAD = math.radians(25.0)  # of the frame's foot from the vertex
 LEAST_TILT_RAD, MOST_TILT_RAD = math.radians(10.0), math.radians(45.0)  # of a trajectory from the vertical
 PHANTOM_KEY, PLACE_KEY = 5, 6  # of the random numbers
 DRAWN_ONCE = 2018
-INNER_SHARE = 0.6  # of the half axes: targets lie in the middle of the head
+INNER_SHARE = 0.6  # usually: targets lie in the middle of the head
 PLACE_MM = (620.0, 0.0, 140.0)
 PLACE_SPREAD_MM = (60.0, 100.0, 40.0)
 PLACE_TURN_RAD = (math.radians(8.0), math.radians(8.0), math.radians(30.0))
@@ -73,18 +73,23 @@ def spheres_mm(markers: Markers) -> Array:
     return np.asarray(turn.apply(SPHERE_CENTRES_MM) + foot + FRAME_STANDOFF_MM * _outward(foot))
 
 
-def phantom(markers: Markers, depths_mm: tuple[float, float], targets: int) -> Phantom:
-    """The phantom with targets at depths between two limits below the skin, drawn once and for all."""
+def phantom(
+    markers: Markers, depths_mm: tuple[float, float], targets: int, inner_share: float = INNER_SHARE
+) -> Phantom:
+    """The phantom with targets at depths between two limits below the skin, drawn once and for all.
+
+    `inner_share` of the head's half axes bounds where they are.
+    """
     random = np.random.default_rng([DRAWN_ONCE, PHANTOM_KEY, *(round(depth) for depth in depths_mm)])
     half = np.array(HALF_AXES_MM[PATIENT])
     drawn: list[Trajectory] = []
     for _ in range(ATTEMPTS):
-        target = random.uniform(-1.0, 1.0, 3) * INNER_SHARE * half
+        target = random.uniform(-1.0, 1.0, 3) * inner_share * half
         tilt, azimuth = random.uniform(LEAST_TILT_RAD, MOST_TILT_RAD), random.uniform(0.0, 2.0 * math.pi)
         outward = np.array(
             [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
         )
-        if np.linalg.norm(target / half) < INNER_SHARE:
+        if np.linalg.norm(target / half) < inner_share:
             entry = _skin_along(target, outward)
             if depths_mm[0] <= np.linalg.norm(entry - target) <= depths_mm[1]:
                 drawn.append(Trajectory(f"T{len(drawn) + 1}", _point(entry), _point(target)))

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from procedures.strategies.catalogue import strategy_named
+from procedures.studies import application_error
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
 from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.application_error import ApplicationErrorStudy
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
 from procedures.studies.strategies import PREDICTION, StrategiesStudy
 from procedures.studies.strategies_tables import plots, tables
@@ -110,3 +112,17 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
     away = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1500.0, 0.0, 0.0))
     with pytest.raises(PhantomOutOfReach, match="STU-010: ocs does not reach all spheres for T1"):
         postures(strategy_named("ocs"), SMALL, away)
+
+
+@pytest.mark.slow
+def test_what_ronna_g3_published_stands_beside_its_own_markers_and_strategy() -> None:
+    study = ApplicationErrorStudy(arms=1)
+    (table,) = application_error.tables(
+        {unit.cell: study.run(unit) for unit in study.units() if unit.cell.endswith("|5")}
+    )
+    beside = {tuple(row[:4]): row[4] for row in table.rows if row[4] is not None}
+    assert beside == {
+        ("0-50 mm", "xframe", "thesis-ocs", 4): 0.43,
+        ("50-120 mm", "xframe", "thesis-ocs", 4): 0.88,
+    }
+    assert len(table.rows) == 2 * 2 * (3 + 2)

@@ -1,0 +1,73 @@
+"""The phantom in one place, and what all trials there share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.strategies.catalogue import strategy_named
+from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, place
+from procedures.studies.accuracy.postures import Postures, postures
+from procedures.studies.accuracy.random_arms import RandomArms
+from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.unit import Sums
+from ronna_hw.frames import Transform
+
+Array = NDArray[np.float64]
+
+DIGITS = 6  # of an error in mm
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A phantom with its markers in place `number`; `counts` spheres are used for a registration."""
+
+    seed: int
+    markers: Markers
+    number: int
+    phantom: Phantom
+    robot_from_ct: Transform
+    counts: tuple[int, ...]
+
+    @classmethod
+    def of(cls, seed: int, phantom: Phantom, markers: Markers, number: int) -> Self:
+        """With all numbers of spheres that these markers allow."""
+        return cls(seed, markers, number, phantom, place(number), counts_of(markers))
+
+    def planned(self, strategy: str) -> Postures:
+        """The poses of a strategy here. Raises STU-010."""
+        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct)
+
+    def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
+        """What is drawn for arms with these numbers."""
+        shape = len(self.phantom.trajectories), len(self.phantom.spheres_mm)
+        return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
+
+    def errors_mm(
+        self,
+        arms: RandomArms,
+        planned: Postures,
+        chance: Chance,
+        sizes: Sizes,
+        *,
+        any_side: bool = False,
+    ) -> Array:
+        """Error vectors (a, t, c, 3) of all arms, targets and numbers of spheres."""
+        return target_errors(
+            arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
+        )
+
+    def trials(self, arms: Sequence[int], strategies: Sequence[str]) -> Sums:
+        """Length of every error in mm: strategy|spheres|arm|target."""
+        drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms)
+        found: Sums = {}
+        for strategy in strategies:
+            lengths = np.linalg.norm(self.errors_mm(drawn, self.planned(strategy), chance, Sizes()), axis=-1)
+            for (arm, target, count), length in np.ndenumerate(lengths):
+                key = f"{strategy}|{self.counts[count]}|{arms[arm]}|{target + 1}"
+                found[key] = round(float(length), DIGITS)
+        return found
