@@ -88,12 +88,14 @@ def drive(
 ) -> PathCheck:
     """Joints for every pose, one after the other, in this branch, and what is unmet in it.
 
-    Clearance of the motions between them is checked last, when all poses are reached; with `first_only` only
-    up to the first that is not clear.
+    Clearance of the motions between them is checked last, when all poses are reached. With `first_only` it
+    ends with the first that is unmet.
     """
     limits = setting.limits or working_limits(setting.kinematics)
     journey = _Journey(setting.start_rad)
     for visit in _poses(journey, setting, axes, fiducials_mm, branch):
+        if first_only and journey.unmet:
+            break
         tool = _tool(setting, visit)
         try:
             posture = place(

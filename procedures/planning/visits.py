@@ -109,11 +109,11 @@ class PathCheck:
                 return one
         raise KeyError(identifier)
 
-    def require(self) -> None:
-        """Raises PLAN-007 with every unmet precondition."""
+    def require(self, advice: str | None = None) -> None:
+        """Raises PLAN-007 with every unmet precondition, and with advice other than the usual."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
-            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}")
+            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
 
 
 @dataclass(frozen=True)

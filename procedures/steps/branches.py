@@ -14,6 +14,7 @@ from procedures.engine.checkpoint import LEAVE, WAIT
 from procedures.engine.errors import GateFailed, GuardUnmet, OperatorAborted
 from procedures.engine.operator import NO, YES, Question, Topic
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.planning.alternatives import BY_ACCURACY
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
@@ -21,6 +22,13 @@ from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 
 GO_ON, LEAVE_OUT, HOLD = "go on", "leave it out", "hold"
+
+
+def use(strategy: str) -> str:
+    """The answer that agrees to another strategy."""
+    return f"use {strategy}"
+
+
 FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
 MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
@@ -47,11 +55,17 @@ class Branch:
     topic: Topic | None = None
     answers: tuple[str, ...] = ()
 
-    def question(self, subject: str, value: str, trajectory: str | None = None) -> Question:
-        """What the operator is asked. Raises ValueError for a branch that asks nothing."""
+    def question(
+        self,
+        subject: str,
+        value: str,
+        trajectory: str | None = None,
+        answers: tuple[str, ...] | None = None,
+    ) -> Question:
+        """What the operator is asked, with all answers by default. Raises ValueError when nothing is."""
         if self.topic is None:
             raise ValueError(f"nothing is asked when: {self.event}")
-        return Question(self.topic, subject, value, self.answers, trajectory)
+        return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
 SPHERE_COUNT = Branch(
@@ -165,15 +179,16 @@ BEYOND_MARGIN = Branch(
     (LEAVE_OUT, HOLD),
 )
 UNREACHABLE = Branch(
-    "a trajectory cannot be reached: out of range, singular, not clear at any free angle",
+    "a trajectory cannot be reached by its strategy: out of range, singular, not seen, not clear at any free "
+    "angle",
     "every pose and motion, at up to 90 degrees about the axis",
     ("path_check",),
-    "the nearest free angle that works is taken and said; else the others go on without it "
-    "when the operator agrees",
+    "a free angle that works is taken and said; else another strategy that serves it, or the others go on "
+    "without it, when the operator agrees",
     Ending.ASK,
     (NotReachable,),
     Topic.REACH,
-    (LEAVE_OUT, HOLD),
+    (*(use(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
 )
 NOT_CLEAR_NOW = Branch(
     "with the fine registration the way to a target is not clear or out of range",

@@ -6,7 +6,7 @@ the free angle about it is a choice.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 from numpy.typing import ArrayLike
@@ -57,6 +57,6 @@ class Strategy(Protocol):
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
-    ) -> Iterable[float]:
+    ) -> Sequence[float]:
         """Turns about the axis, the best first, to be added to the trajectory's free angle."""
         ...

@@ -21,6 +21,7 @@ IN_WORDS = {
     "go": "to the next place, by way of home where need be",
     "home": "home",
     "back": "back the way the arm came",
+    "step": "straight to the next place",
     "settle": "to the next place, each joint from its own side",
     "line": "in a straight line",
     "insert": "along the axis onto the target",

@@ -244,12 +244,14 @@ class Workcell:
             return self.go_home()
 
     def settle(
-        self, joints_rad: JointVector, arriving: Sequence[int], *, from_afar: bool = False
+        self, joints_rad: JointVector, arriving: Sequence[int] | None, *, from_afar: bool = False
     ) -> ArmReading:
         """Take joint angles, each joint arriving in its direction, +1 or -1: backlash is then the same.
 
-        From afar the way leads by home where the straight one is not clear.
+        With None straight from where it stands. From afar by way of home where the direct way is not clear.
         """
+        if arriving is None:
+            return self._move_joints("step", joints_rad)
         A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
         back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
 

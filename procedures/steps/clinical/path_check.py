@@ -10,20 +10,19 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.planning.free_angle import TurnedPaths, choose_free_angles
+from procedures.planning.free_angle import TurnedPaths
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
-from procedures.steps.branches import LEAVE_OUT, UNREACHABLE
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
 from procedures.steps.clinical.motion_previews import MotionPreview
+from procedures.steps.clinical.path_search import PathSearch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.approach import arrival_signs
-from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.kinematics import Branch
 
@@ -50,7 +49,12 @@ class CheckedPaths(StepResult, kind="path_check"):
     """Joints for every localization and target, and every motion between them."""
 
     strategy: str = Field(description="Name of the localization strategy.")
-    free_angle_turns_rad: dict[str, float] = Field(description="Turn of each trajectory about its axis.")
+    replaced: dict[str, str] = Field(
+        default={}, description="Trajectories with another strategy that the operator agreed to, and which."
+    )
+    free_angle_turns_rad: dict[str, float] = Field(
+        description="Turn of each trajectory about its axis; and of the neutral orientation, if there is one."
+    )
     branch: Branch | None = Field(description="Branch of the arm's inverse kinematics.")
     joint_ranges_rad: tuple[tuple[float, float], ...] = Field(description="Least and largest, per joint.")
     largest_move_rad: float = Field(description="Largest turn of a joint in one move.")
@@ -63,6 +67,10 @@ class CheckedPaths(StepResult, kind="path_check"):
 
     def leaves_out(self) -> Mapping[str, str]:
         return self.left_out
+
+    def strategy_of(self, trajectory: str) -> str:
+        """Name of the strategy of one trajectory."""
+        return self.replaced.get(trajectory, self.strategy)
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
         """The localizations that serve a trajectory; for None the one set of a strategy that localizes once.
@@ -94,21 +102,21 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         approach_mm=context.setting.settings.standoff_mm,
         scene=scene,
     )
-    trajectories = [one.trajectory for one in plan.plan.trajectories]
-    centres = localization.centres_mm[matched]
     context.progress(0.0, "checking every path")
-    sight = StereoSight.of(workcell.calibrations.stereo_head)
-    turned = choose_free_angles(setting, trajectories, centres, sight)
-    left_out: dict[str, str] = {}
-    while not turned.check.passed:
-        left_out |= _agreed(context, turned.check, trajectories)
-        trajectories = [one for one in trajectories if one.identifier not in left_out]
-        turned = choose_free_angles(setting, trajectories, centres, sight)
+    search = PathSearch(
+        context,
+        setting,
+        localization.centres_mm[matched],
+        StereoSight.of(workcell.calibrations.stereo_head),
+    )
+    turned = search.paths([one.trajectory for one in plan.plan.trajectories])
     check = turned.check
     motions = previews_of(setting, scene, check, turned.axes.targeted)
+    replaced = {name: one.name for name, one in search.replaced.items()}
     return Outcome(
         CheckedPaths(
             strategy=context.clinical.strategy.name,
+            replaced=replaced,
             free_angle_turns_rad=dict(turned.turns_rad),
             branch=check.branch,
             joint_ranges_rad=check.joint_ranges_rad,
@@ -116,31 +124,14 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             motions=tuple(MotionPreview.of(motion) for motion in motions),
             localizations=_localizations(check, matched),
             targets=_targets(check, setting),
-            left_out=left_out,
+            left_out=search.left_out,
         ),
         summary=f"{len(check.reached)} poses in one branch"
         + _closest(motions)
         + _turns(turned)
-        + "".join(f"; without {name}" for name in left_out),
+        + "".join(f"; {name} by {strategy}" for name, strategy in replaced.items())
+        + "".join(f"; without {name}" for name in search.left_out),
     )
-
-
-def _agreed(context: StepContext, check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """What cannot be reached and is left out, and why; PLAN-007 when not agreed to, or none remains."""
-    reasons: dict[str, str] = {}
-    for unmet in check.unmet:
-        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
-    others = [one.identifier for one in trajectories if one.identifier not in reasons]
-    known = len(others) + len(reasons) == len(trajectories)
-    for name, reason in reasons.items():
-        question = UNREACHABLE.question(
-            f"{name} cannot be reached at any angle about its axis",
-            f"{reason}; without it remain {', '.join(others)}",
-            name,
-        )
-        if not others or not known or context.choose(question) != LEAVE_OUT:
-            check.require()
-    return reasons
 
 
 def _closest(motions: Sequence[PreviewedMotion]) -> str:

@@ -27,6 +27,7 @@ from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_picture import pair_picture
@@ -131,7 +132,10 @@ def run(context: StepContext) -> Outcome[Relocalization]:
 
 def _arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
     """Direction in which each joint will arrive at the target; None when the strategy does not ask for it."""
-    if not context.clinical.strategy.controls_approach:
+    if (
+        context.key.trajectory is None
+        or not strategy_named(paths.strategy_of(context.trajectory)).controls_approach
+    ):
         return None
     return paths.targets[context.trajectory].approach_signs
 
