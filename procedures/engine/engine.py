@@ -6,7 +6,7 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from typing import Protocol
 
@@ -44,7 +44,8 @@ class Recorder(Protocol):
 class Engine:
     """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
-    `on_ending` is called before the arm is stopped for good, `before_result` before a result stands.
+    `on_ending` is called before the arm is stopped for good, `before_result` before a result stands:
+    what it returns is written with it.
     """
 
     def __init__(
@@ -56,7 +57,7 @@ class Engine:
         *,
         events: EventStream | None = None,
         on_ending: Callable[[], None] = lambda: None,
-        before_result: Callable[[], None] = lambda: None,
+        before_result: Callable[[], Mapping[str, JournalValue]] = dict,
         recorders: Sequence[Recorder] = (),
         recovering: bool = False,
         latest: StepKey | None = None,
@@ -323,7 +324,7 @@ class Engine:
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         if context.pictures:
             more["pictures"] = context.pictures
-        self._before_result()
+        more |= self._before_result()
         self._write(
             Entry.RESULT,
             step=str(key),

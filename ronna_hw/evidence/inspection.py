@@ -17,6 +17,7 @@ from ronna_hw.bounded_input import InputRefused
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
+from ronna_hw.evidence.truth_so_far import unlike_truth
 from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 
@@ -185,6 +186,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
     for line in lines:
         pictures = hashes_in(line, "pictures")
         yield from _against(folder, {f"{PICTURES_FOLDER}/{name}": of for name, of in pictures.items()})
+    yield from (Problem(name, what) for name, what in unlike_truth(folder, lines))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:

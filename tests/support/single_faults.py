@@ -8,7 +8,10 @@ from procedures.engine.journal import Entry
 
 STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that ended a case
 STEPS = {
-    "tracker": ("set_up", "global_localization", "positioning"),
+    "tracker": (
+        *("set_up", "global_localization", "relocalization", "tool_change"),
+        *("positioning", "at_target", "retreat"),
+    ),
     "robot": ("set_up", "relocalization", "tool_change", "positioning", "at_target", "retreat"),
     "camera": ("set_up", "relocalization"),
 }

@@ -256,13 +256,14 @@ def _make_engine(
     from procedures.engine.engine import Engine
     from procedures.engine.events import EventStream
     from procedures.engine.events.event_file import EventFile
-    from procedures.engine.journal import Entry, Journal
+    from procedures.engine.journal import Entry, Journal, JournalValue
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.engine.step import StepKey
     from procedures.guards import patient_watch, sight_guard, standing_guards
     from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
     from procedures.workcell import Workcell
+    from ronna_hw.evidence.truth_so_far import truth_so_far
     from ronna_hw.recording.byte_lines import BYTES_FOLDER
     from ronna_hw.recording.flight_recorder import FlightRecorder
     from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape
@@ -288,6 +289,10 @@ def _make_engine(
         follow(line)
         events.journal_line(line)
 
+    def before_result() -> dict[str, JournalValue]:
+        tape.settle()  # what stands can be computed again, also after a kill
+        return truth_so_far(folder)
+
     left = None if resumption is None else resumption.left
     case = Case(folder) if left is None else left.restored(wanted.order)
     if left is None or not left.has_journal:
@@ -303,6 +308,7 @@ def _make_engine(
         theatre.clock.now_s(),
         **({} if left is None else left.as_plain()),
         **request_hash(folder),
+        **truth_so_far(folder),
         run=case.run,
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
@@ -325,7 +331,7 @@ def _make_engine(
         journal,
         events=events,
         on_ending=ignore_further_signals,
-        before_result=tape.settle,  # what stands can be computed again, also after a kill
+        before_result=before_result,
         recorders=(flight_recorder, tape),
         recovering=left is not None and not left.untouched,
         latest=None if left is None else left.latest,

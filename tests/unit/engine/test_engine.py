@@ -8,7 +8,7 @@ from recording_cell import RecordingCell, RecordingOperator
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, WrongResult
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
@@ -232,9 +232,11 @@ def test_what_records_beside_the_engine_is_closed_before_the_journal_says_so(cel
 def test_what_a_result_stands_on_is_kept_before_the_result_stands(cell: RecordingCell) -> None:
     lines_then: list[str] = []
 
-    def settle() -> None:
+    def settle() -> dict[str, JournalValue]:
         lines_then.extend(kind for kind, _ in cell.entries())
+        return {"beside": "kept"}
 
     engine = Engine(plain_order(), cell.case, cell.setting(), cell.journal, before_result=settle)
     engine.run_step(engine.order.sequence[0])
     assert lines_then == ["intent"]
+    assert list(read_journal(cell.journal.path))[-1]["beside"] == "kept"

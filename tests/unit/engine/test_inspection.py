@@ -23,6 +23,7 @@ from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed, seal
+from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.records import read_record, write_record
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
@@ -208,6 +209,46 @@ def test_the_truth_is_held_from_the_moment_the_run_is_closed(run: Path) -> None:
     (run / "theatre" / "truth.jsonl").write_text("elsewhere\n")
     (run / "records" / "99-image.json").write_text("{}")
     assert changed_files(run) == {"theatre/truth.jsonl", "records/99-image.json"}
+
+
+@pytest.fixture
+def sampled(tmp_path: Path) -> Path:
+    """A run that was killed after a sample of the truth had been taken, and a result was written."""
+    folder = tmp_path / "run"
+    (folder / "theatre").mkdir(parents=True)
+    scene, truth = (folder / "theatre" / name for name in ("scene.json", "truth.jsonl"))
+    scene.write_text("where everything is\n")
+    journal = Journal(folder)
+    journal.write(Entry.OPENED, 0.0, run=folder.name, **truth_so_far(folder))
+    journal.write(Entry.INTENT, 1.0, step="at_target:T1")
+    truth.write_text("where the tip was\n")
+    assert changed_files(folder) == set()  # killed at its target
+    journal.write(Entry.FOUND, 2.0, **truth_so_far(folder))
+    journal.close()
+    assert changed_files(folder) == set()
+    return folder
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("scene.json", "where nothing is\n"),
+        ("truth.jsonl", "where the tip was not\n"),
+        ("truth.jsonl", ""),
+        ("truth.jsonl", None),
+        ("truth.jsonl", "where the tip was\nand where it is wanted\n"),
+    ],
+    ids=["scene", "sample", "emptied", "gone", "added"],
+)
+def test_truth_that_is_exchanged_in_a_run_that_was_killed_is_named(
+    sampled: Path, name: str, content: str | None
+) -> None:
+    path = sampled / "theatre" / name
+    path.unlink()
+    if content is not None:
+        path.write_text(content)
+    assert changed_files(sampled) == {f"theatre/{name}"}
 
 
 @pytest.mark.hazard(39)

@@ -1,0 +1,57 @@
+"""The truth of a simulated theatre, held while a run goes on: what is exchanged before its end shows too.
+
+The first line of the journal and every result name how long its files are and their hashes so far. The scene
+stays as it is, and samples are added only while a step runs.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from ronna_hw.evidence.journal_reading import Entry, JournalValue, Line
+from ronna_hw.host.regular_file import open_regular
+
+TRUTH_FILES = ("theatre/scene.json", "theatre/truth.jsonl")  # small
+GROWING = TRUTH_FILES[1:]
+FIELD = "truth"  # of a line: name -> [bytes, SHA-256]
+
+
+def truth_so_far(folder: Path) -> dict[str, JournalValue]:
+    """The field of a line; empty for a run without a simulated theatre."""
+    told: dict[str, JournalValue] = {}
+    for name in TRUTH_FILES:
+        with contextlib.suppress(OSError), open_regular(folder / name) as file:
+            content = file.read()
+            told[name] = [len(content), hashlib.sha256(content).hexdigest()]
+    return {FIELD: told} if told else {}
+
+
+def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
+    """Files of a run which are not as its lines say, and how."""
+    told: dict[str, tuple[int, JournalValue, int]] = {}
+    for number, line in enumerate(lines):
+        field = line.get(FIELD)
+        for name, value in field.items() if isinstance(field, Mapping) else ():
+            if name in TRUTH_FILES and isinstance(value, Sequence) and len(value) == 2:
+                told[name] = (int(str(value[0])), value[1], number)
+    for name, (size, sha256, number) in told.items():
+        try:
+            with open_regular(folder / name) as file:
+                before, after = file.read(size), file.read(1)
+        except FileNotFoundError:
+            yield name, "missing"
+            continue
+        except OSError as error:
+            yield name, f"exchanged, or cannot be read: {error.strerror}"
+            continue
+        if len(before) < size or hashlib.sha256(before).hexdigest() != sha256:
+            yield name, "changed"
+        elif after and not (name in GROWING and _begun(lines[number + 1 :])):
+            yield name, "goes on after what the journal names, and no step was running"
+
+
+def _begun(lines: Sequence[Line]) -> bool:
+    return any(line["entry"] in (Entry.INTENT, Entry.RESTARTED) for line in lines)
