@@ -16,6 +16,7 @@ import numpy as np
 from procedures.studies.accuracy.phantom import Markers, phantom
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
+from procedures.studies.accuracy.scenarios import SCENARIOS
 from procedures.studies.accuracy.scene import DIGITS, Scene
 from procedures.studies.accuracy.trials import Sizes
 from procedures.studies.unit import Sums, Unit, blocks
@@ -25,9 +26,11 @@ PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
 BLOCK_ARMS = 125
 MOST_ARMS_OF_SOURCES = 40  # enough for a mean
+MOST_ARMS_OF_SCENARIOS = 100  # and for a 99 % quantile
 ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
 FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
-TRIALS, SOURCES, PREDICTION = "trials", "sources", "prediction"
+TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
+BIN_MM = 0.005  # of the histograms
 SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
 READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE)
 
@@ -54,6 +57,8 @@ class StrategiesStudy:
             for markers in Markers
             for number in range(1, PLACES + 1)
         ]
+        many = min(self.arms, MOST_ARMS_OF_SCENARIOS)
+        cells += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
         cells += [(f"{one}|{Markers.FREE}|{k}", self.arms) for one in READINGS for k in range(1, PLACES + 1)]
         return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
 
@@ -67,6 +72,8 @@ class StrategiesStudy:
             return scene.trials(arms, STRATEGIES)
         if part == SOURCES:
             return _sources(scene, arms)
+        if part == SCENARIO:
+            return _scenarios(scene, arms)
         return _inside(scene, arms) if part == PREDICTION else _reading(scene, arms, part)
 
 
@@ -102,6 +109,23 @@ def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
                 sums[f"{strategy}|{count}|actual2"] += float(np.square(actual).sum())
                 sums[f"{strategy}|{count}|predicted2"] += len(arms) * one.rms_mm**2
     return dict(sums)
+
+
+def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
+    """Histogram and sum of the errors: scenario|strategy|spheres|bin, and with `sum` for the bin."""
+    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
+    found: dict[str, float] = defaultdict(float)
+    for strategy in STRATEGIES:
+        planned = scene.planned(strategy)
+        for one in SCENARIOS:
+            lengths = np.linalg.norm(scene.errors_mm(one.of(drawn), planned, chance, one.sizes), axis=-1)
+            for place_of_count, count in enumerate(scene.counts):
+                of_count = lengths[:, :, place_of_count].round(DIGITS)
+                key = f"{one.name}|{strategy}|{count}"
+                found[f"{key}|sum"] = float(of_count.sum())
+                for number in (of_count.ravel() / BIN_MM).astype(int).tolist():
+                    found[f"{key}|{number}"] += 1.0
+    return dict(found)
 
 
 def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:

@@ -7,19 +7,27 @@ from pathlib import Path
 from signal import SIGINT, SIGTERM
 from typing import Any
 
+import numpy as np
 import pytest
 from run_folders import assert_nothing_half_written, await_motion_in, records_of, run_folder
+from scipy.spatial.distance import cdist
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.studies.accuracy.postures import ARM, TOOL_MM
+from procedures.studies.accuracy.random_arms import RandomArms
+from procedures.studies.accuracy.solving import PlannedPoses, centred
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
+from sim.theatre.rigid import apply, matrix_of
+from sim.theatre.scene.model import read_scene
 
 LARGEST_ERROR_MM = 1.5
+WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis
 # The set-up and the change of tools name ports and dates, which differ from run to run.
 MEASURED = {
     "ct_import", "fiducial_localization", "plan_check", "global_localization", "correspondence", "path_check",
@@ -103,6 +111,23 @@ def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) 
     images = [line.note for line in read_link(folder, "stereo.left.stream")]
     assert images
     assert all(note["missing_packets"] == 0 for note in images)
+
+
+def test_the_arms_of_the_studies_believe_the_spheres_where_the_case_recorded_them(finished: MiniRun) -> None:
+    results = {record.kind: record.payload for record in records_of(finished.folder)}
+    scene = read_scene(finished.folder / "theatre" / "scene.json")
+    arms = RandomArms.of([(scene.arm, scene.mount.flange_from_tool_true.translation_mm - TOOL_MM)])
+    ct_mm = np.array([one.centre_ct_mm for one in scene.head.fiducials])
+    markers_mm = np.array([marker["centre_mm"] for marker in results["fiducial_localization"]["markers"]])
+    found = results["relocalization"]
+    nearest = cdist(markers_mm[found["fiducials"]], ct_mm).argmin(axis=1)
+    spheres_mm = apply(matrix_of(scene.head.robot_from_ct), ct_mm[nearest])
+    planned = PlannedPoses.of(ARM, TOOL_MM, np.array(found["joints_rad"]))
+    sides = np.array(results["path_check"]["targets"]["T1"]["approach_signs"], dtype=float)
+    _, believed_mm = centred(arms, planned, spheres_mm, np.tile(sides, (1, len(spheres_mm), 1)))
+    recorded_mm = np.array(found["points_robot_mm"])
+    assert np.abs(recorded_mm - spheres_mm).max() > 1.0  # so wrong is the nominal arm about its tool
+    assert np.abs(recorded_mm - believed_mm[0]).max() < WIRES_APART_MM
 
 
 def test_every_result_computed_again_from_the_readings_is_the_same(finished: MiniRun) -> None:

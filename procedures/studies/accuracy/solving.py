@@ -1,8 +1,8 @@
 """Joint angles of many arms near planned ones: nominally at a place, or with the true tool on a sphere.
 
 An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves for all arms:
-each step leaves a fiftieth of the error. Their number is fixed: an arm's result must not depend on which
-others are run beside it.
+each step leaves a fiftieth of the error, a tenth near a singularity. Their number is fixed: an arm's result
+must not depend on which others are run beside it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ronna_hw.arm.kinematics import Kinematics
 Array = NDArray[np.float64]
 
 SETTLED_MM = 1e-6  # far below any source of error
-STEPS = 7
+STEPS = 10
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _solved(
         turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
         step = np.concatenate([shift, turn], axis=-1)
         joints = joints + np.einsum("pij,apj->api", poses.inverse, step)
-    left_mm = float(np.abs(shift).max())  # before the last step, which leaves a fiftieth of it
+    left_mm = float(np.abs(shift).max())  # before the last step
     if not left_mm < SETTLED_MM:
         raise PoseNotSolved(f"an arm did not settle in {STEPS} steps", got=f"{left_mm:.2g} mm from its place")
     return joints, nominal_frames(arms.chain, joints, poses.tool_mm)[0]

@@ -1,0 +1,61 @@
+"""Arms and CTs that are better than parameter set S: what calibration and a finer CT would reach.
+
+The levels are those assumed for a calibrated arm; harmonics, sag and backlash stay those of set S.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from procedures.studies.accuracy.random_arms import RandomArms
+from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
+from sim.theatre.scene.arm_truth import JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
+from sim.theatre.scene.stereo_head import TOOL_ERROR_MM
+
+CALIBRATED_TOOL_MM = 0.1  # per axis
+CALIBRATED_LINK_MM = 0.06  # per axis
+CALIBRATED_RAD = float(np.radians(0.008))  # links per axis, joint offsets
+FINE_CT_MM = 0.05  # 3-D rms
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """Which parts are calibrated, and the CT error (3-D rms)."""
+
+    name: str
+    tool: bool = False
+    kinematics: bool = False
+    ct_mm: float = CT_FLE_MM
+
+    @property
+    def sizes(self) -> Sizes:
+        """The errors that are not the arm's."""
+        return Sizes(ct_mm=self.ct_mm)
+
+    def of(self, arms: RandomArms) -> RandomArms:
+        """The same arms, calibrated: their errors scaled down to what remains."""
+        if self.tool:
+            arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED_TOOL_MM / TOOL_ERROR_MM)
+        if not self.kinematics:
+            return arms
+        turns = Rotation.from_matrix(arms.link_rotation.reshape(-1, 3, 3)).as_rotvec()
+        remaining = Rotation.from_rotvec(turns * CALIBRATED_RAD / LINK_ROTATION_RAD).as_matrix()
+        return replace(
+            arms,
+            link_translation_mm=arms.link_translation_mm * CALIBRATED_LINK_MM / LINK_TRANSLATION_MM,
+            link_rotation=remaining.reshape(arms.link_rotation.shape),
+            joint_offset_rad=arms.joint_offset_rad * CALIBRATED_RAD / JOINT_OFFSET_RAD,
+        )
+
+
+SCENARIOS = (
+    Scenario("set S"),
+    Scenario("tool calibrated", tool=True),
+    Scenario("tool and kinematics calibrated", tool=True, kinematics=True),
+    Scenario("fine CT", ct_mm=FINE_CT_MM),
+    Scenario("tool calibrated, fine CT", tool=True, ct_mm=FINE_CT_MM),
+    Scenario("tool and kinematics calibrated, fine CT", tool=True, kinematics=True, ct_mm=FINE_CT_MM),
+)
