@@ -202,9 +202,8 @@ class Camera:
             self._bytes.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
                 self._next_block = following(frame.block_id)
-                break
-        self._note_stranger()
-        return frame
+                return frame
+        return None
 
     def check_control(self, deadline_s: float) -> None:
         """Raise GEV-007 when the camera does not reply, GEV-015 when we no longer control it."""
@@ -281,12 +280,6 @@ class Camera:
             keys = (options.action_device_key, options.action_group_key, known_state.ACTION_GROUP_MASK)
             return GvcpCommand.ACTION, gvcp.action_command(*keys)
         return None
-
-    def _note_stranger(self) -> None:
-        host = self.receiver.counters.stranger_name
-        notice = f"{self.side}: {host} sends into the camera's stream: its packets are counted and left out"
-        if host and notice not in self.notices:
-            self.notices.append(notice)
 
     def _until(self, deadline_s: float) -> None:
         assert self._memory is not None, "the lifecycle allows this only while controlled"

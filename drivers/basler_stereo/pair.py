@@ -64,7 +64,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What was found at `configure`, and while images come, that is no error but should be known."""
+        """What was found at `configure` that is no error but should be known."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:

@@ -178,9 +178,7 @@ class PairGrabber:
         if any(camera.receiver.counters.refusals for camera in self._cameras):
             said = "'no image' from both cameras"
             return TriggerMissed("no image after a trigger", expected=expected, got=said, action=NOT_TAKEN)
-        strangers = {camera.receiver.counters.stranger_name for camera in self._cameras} - {""}
-        got = f"packets of {', '.join(sorted(strangers))} only" if strangers else "no packets"
-        return TriggerMissed("no image after a trigger", expected=expected, got=got)
+        return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
 
     def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)

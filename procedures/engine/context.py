@@ -181,6 +181,19 @@ class StepContext:
         """Of the record of a result that stands."""
         return self._case.get(model, self.key.trajectory).record.identifier
 
+    def standing(self, model: type[R]) -> tuple[R, ...]:
+        """Every standing result of a step, of any trajectory, the last one last.
+
+        For what watches: it makes none of them a parent, so no result may depend on them.
+        """
+        return tuple(one.result for one in self._case.standing if isinstance(one.result, model))
+
+    def void_each(self, model: type[R], reason: RonnaError) -> None:
+        """As `void`, for every trajectory that has a standing result of a step."""
+        for trajectory in (None, *self.trajectories):
+            if self._case.stands(key := StepKey(model.kind, trajectory)):
+                self._void(key, reason)
+
     def void(self, model: type[R], reason: RonnaError) -> None:
         """A result no longer holds: it is superseded, and all that descends from it, without a new one."""
         self._void(StepKey(model.kind), reason)

@@ -7,17 +7,15 @@ from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self
 
-from procedures.engine.events import DeviceAge, DeviceState, EventStream, Finding, Pose
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
+from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, Stamp
 
-STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 PERIOD_S = 0.2  # host time between two looks: as often as a person can follow
 
 
 class DeviceWatch:
-    """State and fault of every device when they change, new notices, the age of its newest reading, where
-    arms stand.
+    """State and fault of every device when they change, the age of its newest reading, where arms stand.
 
     It looks in a thread of its own for the length of a `with` block, once more at its end.
     """
@@ -35,7 +33,6 @@ class DeviceWatch:
         self._now_s = now_s
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
-        self._notices: set[tuple[str, str]] = set()
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 
@@ -43,7 +40,6 @@ class DeviceWatch:
         """Publish what is new about every device."""
         for role, device in self._devices.items():
             seen = device.observe()
-            self._look_for_notices(role, device, streaming=seen.state in STREAMING)
             state = DeviceState(
                 device=role, state=str(seen.state), fault=None if seen.fault is None else str(seen.fault)
             )
@@ -57,14 +53,6 @@ class DeviceWatch:
             self._events.publish(DeviceAge(device=role, age_s=age_s))
             if isinstance(seen.reading, ArmReading):
                 self._events.publish(Pose(arm=role, joints_rad=seen.reading.joints_rad, age_s=age_s))
-
-    def _look_for_notices(self, role: str, device: Device, *, streaming: bool) -> None:
-        """What a driver has to say while it streams; what it said before, set_up tells."""
-        for notice in getattr(device, "notices", ()):
-            if (role, notice) not in self._notices:
-                self._notices.add((role, notice))
-                if streaming:
-                    self._events.publish(Finding(text=f"{role}: {notice}"))
 
     def __enter__(self) -> Self:
         self._thread.start()

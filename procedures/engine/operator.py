@@ -36,6 +36,7 @@ class Topic(StrEnum):
     CALIBRATION = "calibration"
     PAUSE = "pause"
     GUARD = "guard"  # a guard suspends the step
+    MOVE_FOLLOWED = "move_followed"  # the registration follows a measured move of the head
     HEAD_UNSEEN = "head_unseen"  # a guide is near a head that the tracker has not seen for too long
     REPEAT = "repeat"  # a step that is done: what a new result supersedes
     UNVERIFIED = "unverified"  # a controller that cannot say how it is set up

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Self
+
 from ronna_hw.errors import RefusedError
 
 
@@ -36,10 +39,18 @@ class PatientUnseen(RefusedError):
 
 
 class PatientMoved(RefusedError):
-    """The spheres on the head are not where they were localized."""
+    """The spheres on the head are not where they were localized. `moved_mm` is the rms of their ways."""
 
     code = "PRO-020"
     action = (
-        "Check clamp and spheres, then localize again from global_localization on; with the guide mounted "
-        "send the arm home first."
+        "Check clamp and spheres, then localize again from global_localization on. With the guide mounted "
+        "send the arm home first; after a small move the step registration asks there whether it follows."
     )
+    moved_mm: float = math.inf
+
+    @classmethod
+    def by(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
+        """A move of that size."""
+        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{moved_mm:.2f} mm")
+        moved.moved_mm = moved_mm
+        return moved

@@ -61,7 +61,7 @@ class MotionWatch:
         if room is None or not self._wanted:
             yield
             return
-        if self._room is not room:
+        if self._room is not room or self._head.spheres_mm is not room.spheres_mm:
             self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
         looking = _Looking(
             self.workcell,
@@ -116,13 +116,13 @@ class MotionWatch:
         try:
             with self.beside():
                 room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
-        except (BaseShifted, PatientMoved) as told:
-            return type(told)(f"{told.what}, during {what}", limit=told.limit, got=told.got)
+        except BaseShifted as told:
+            return BaseShifted(f"{told.what}, during {what}", limit=told.limit, got=told.got)
+        except PatientMoved as told:
+            return PatientMoved.by(f"{told.what}, during {what}", told.moved_mm, PATIENT_LIMIT_MM)
         except RonnaError as problem:  # what was seen is told all the same
             self.find(f"nothing more was read after {what}: {problem.summary}")
-        return PatientMoved(
-            f"{MOVED} during {what}", limit=f"{PATIENT_LIMIT_MM:g} mm", got=f"{moved_mm:.2f} mm"
-        )
+        return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
 
 
 @dataclass

@@ -8,6 +8,7 @@ from procedures.guards.room_watch import RoomReading
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Transform
 
@@ -18,9 +19,16 @@ LEAST_SHARE = 0.5  # of the frames that must show what is averaged
 def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -> RoomReading:
     """One look of the tracker, while the arm rests and its stream is off. Raises what the tracker raises."""
     frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
+    return room_reading(workcell, frames, robot_from_tracker)
+
+
+def room_reading(
+    workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
+) -> RoomReading:
+    """What these frames say, with the arm as it stands now."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
-    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * FRAMES))
+    seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * len(frames)))
     joints = workcell.joints_rad()
     frame_mm = None
     if seen is not None:

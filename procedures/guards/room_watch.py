@@ -73,6 +73,15 @@ class RoomWatch:
     seen_s: float = 0.0  # theatre time at which the head was last seen in its place
     approach: Approach | None = None
 
+    def __post_init__(self) -> None:
+        self._localized_mm = self.spheres_mm
+
+    def follow(self, spheres_mm: Array | None) -> None:
+        """From here on the spheres are expected there; None where they were localized."""
+        wanted = self._localized_mm if spheres_mm is None else spheres_mm
+        if not np.array_equal(wanted, self.spheres_mm):
+            self.spheres_mm = wanted
+
     def unseen_s(self, now_s: float) -> float:
         """Theatre time since the head was seen, or since the operator went on without."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
@@ -188,10 +197,10 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
 def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_apart: bool) -> PatientMoved:
     # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
     what = "the head" if told_apart else "the head, or the tracker,"
-    return PatientMoved(
+    return PatientMoved.by(
         f"{what} has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
-        limit=f"{limit_mm:g} mm",
-        got=f"{head.rms_mm:.2f} mm",
+        head.rms_mm,
+        limit_mm,
     )
 
 

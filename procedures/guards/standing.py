@@ -8,7 +8,6 @@ from pathlib import Path
 from procedures.engine.checkpoint import Guard
 from procedures.engine.engine import Engine
 from procedures.engine.events import Finding
-from procedures.engine.step import StepKey
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
 from procedures.guards.head_in_sight import HeadInSight
@@ -18,6 +17,9 @@ from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.wall_clock import WallClock
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
+from ronna_hw.errors import RonnaError
+
+Void = Callable[[RonnaError], None]
 
 
 def standing_guards(
@@ -33,8 +35,8 @@ def standing_guards(
     )
 
 
-def patient_watch(engine: Engine, localization: StepKey) -> MotionWatch:
-    """The watch of the patient while the arm moves; that localization is void when it sees the head move."""
+def patient_watch(engine: Engine, void: Void) -> MotionWatch:
+    """The watch of the patient while the arm moves; `void` ends what no longer holds when the head moves."""
     setting = engine.setting
     return MotionWatch(
         setting.workcell,
@@ -43,14 +45,12 @@ def patient_watch(engine: Engine, localization: StepKey) -> MotionWatch:
         setting.settings.watch_patient,
         find=engine.find,
         tell=lambda text: engine.events.publish(Finding(text=text)),
-        void=lambda moved: engine.void(localization, moved),
+        void=void,
         beside=engine.checkpoint.beside,
     )
 
 
-def sight_guard(engine: Engine, localization: StepKey) -> HeadInSight:
-    """The guard that bounds how long a guide approaches a head that nothing sees."""
+def sight_guard(engine: Engine, void: Void) -> HeadInSight:
+    """The guard that bounds how long a guide approaches a head that nothing sees; `void` as there."""
     setting = engine.setting
-    return HeadInSight(
-        setting.workcell, setting.clock, setting.workspace, lambda moved: engine.void(localization, moved)
-    )
+    return HeadInSight(setting.workcell, setting.clock, setting.workspace, void)

@@ -14,8 +14,10 @@ from procedures.guards.room_reading import read_room
 from procedures.recovery.comparison import Comparison
 from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.followed_move import spheres_followed, watch_over
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.room_check import watch_over
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.workcell import MountedTool
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
@@ -27,13 +29,21 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
     watch = watch_over(workcell, stored.record.identifier, stored.result, pairs)
+    registrations = engine.context(engine.order.sequence[0]).standing(RegisteredRobot)
+    watch.follow(spheres_followed(registrations, None))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker)
     head, base_mm = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift_mm(reading)
     if head is None:
         return False
     try:
         findings = watch.check(reading)
-    except (BaseShifted, PatientMoved) as moved:
+    except PatientMoved as moved:
+        if registrations or workcell.tool is not MountedTool.GUIDE:
+            comparison.differs("room", f"all within {moved.limit}", moved.what)
+        else:  # which is why none stands: the step registration asks whether it follows
+            comparison.note(f"patient: {moved.what}; no registration stands")
+        return True
+    except BaseShifted as moved:
         comparison.differs("room", f"all within {moved.limit}", moved.what)
         return True
     if reading.frame_mm is None and workcell.at_home:

@@ -48,16 +48,29 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
-    if min(len(recorded), len(seen)) < LEAST_POINTS:
+    pairs = same_points(recorded, seen)
+    if pairs is None:
         return None
-    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
-    pairs = [(row, int(apart[row].argmin())) for row in range(len(recorded)) if apart[row].min() < NEAR_MM]
-    if len(pairs) < LEAST_POINTS or len({column for _, column in pairs}) < len(pairs):
-        found = match(recorded, seen, sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM)
-        if found.status is not MatchStatus.UNIQUE:
-            return None
-        pairs = [(int(row), int(column)) for row, column in found.pairs]
     rows, columns = (list(side) for side in zip(*pairs, strict=True))
     fit = fit_rigid(recorded[rows], seen[columns])
     ways = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
     return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))
+
+
+def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
+    """Rows of points (n, 3) and of the same points seen again (m, 3), in any order among others.
+
+    The nearest, or by their layout where these are too few or not clear. None as `shift_of`.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    if min(len(recorded), len(seen)) < LEAST_POINTS:
+        return None
+    apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
+    pairs = [(row, int(apart[row].argmin())) for row in range(len(recorded)) if apart[row].min() < NEAR_MM]
+    if len(pairs) >= LEAST_POINTS and len({column for _, column in pairs}) == len(pairs):
+        return pairs
+    found = match(recorded, seen, sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM)
+    if found.status is not MatchStatus.UNIQUE:
+        return None
+    return [(int(row), int(column)) for row, column in found.pairs]

@@ -21,7 +21,7 @@ from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExha
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 
-GO_ON, LEAVE_OUT, HOLD = "go on", "leave it out", "hold"
+GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
 
 
 def use(strategy: str) -> str:
@@ -163,10 +163,21 @@ REFERENCE_MOVED = Branch(
     "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
     "guide moves and while it is at its target",
     ("relocalization", "tool_change", "positioning", "at_target", "retreat"),
-    "the arm stops; localization and registration are void: home, the stereo head is mounted again, and the "
-    "tracker localizes anew",
+    "the arm stops; the localization is void: home, the stereo head is mounted again, and the tracker "
+    "localizes anew. After a small move under the guide only the registrations are, and may follow it",
     Ending.HOLD,
     (BaseShifted, PatientMoved),
+)
+MOVE_FOLLOWED = Branch(
+    "with the guide mounted the head has moved by up to 5 mm and 2 degrees, as one body, and lies still",
+    "60 frames of the tracker, arm at home, with the frame on the arm where it was",
+    ("registration",),
+    "the registration follows the measured move when the operator agrees, with its error in the prediction; "
+    "else the localization is void",
+    Ending.ASK,
+    (PatientMoved,),
+    Topic.MOVE_FOLLOWED,
+    (FOLLOW, HOLD),
 )
 BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
@@ -245,6 +256,15 @@ BRANCHES = (
         SPHERE_FAILED,
         WRONG_SPHERE,
     ),
-    *(REFERENCE_MOVED, MOVED_SPHERE, FIT_DISAGREES, BEYOND_MARGIN, UNREACHABLE, NOT_CLEAR_NOW, ARM_FAULT),
+    *(
+        REFERENCE_MOVED,
+        MOVE_FOLLOWED,
+        MOVED_SPHERE,
+        FIT_DISAGREES,
+        BEYOND_MARGIN,
+        UNREACHABLE,
+        NOT_CLEAR_NOW,
+        ARM_FAULT,
+    ),
     *(KEPT_REGISTRATION, WRONG_TOOL, ABORTED),
 )

@@ -16,12 +16,11 @@ from clinical_case import (
 from frame_trials import frames_to_alarm
 from recording_cell import STEREO_HEAD
 from waiting import eventually
-from watched_case import findings, on_the_way, positioned, watched
+from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.errors import StepRefused
 from procedures.engine.events import Finding
 from procedures.engine.operator import Question, Topic
-from procedures.engine.step import StepKey
 from procedures.guards import motion_watch, patient_watch
 from procedures.guards.errors import PatientMoved
 from procedures.steps.clinical import global_localization
@@ -54,7 +53,7 @@ def head_moves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("REFERENCE_MOVED")
-def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_localized(tmp_path: Path) -> None:
+def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_registered(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     on_the_way(cell, head_moves(cell))
@@ -62,7 +61,7 @@ def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_localized
         positioned(engine)
     assert cell.arm.motions == []  # it has not arrived
     assert cell.entries("voided", "failed") == [
-        ("voided", "global_localization"),
+        ("voided", "registration"),
         ("failed", f"positioning:{FIRST}"),
     ]
     assert engine.machine.state == "held"
@@ -132,7 +131,7 @@ def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path
 def test_the_watch_is_a_setting(tmp_path: Path, when: WatchPatient, watches: bool) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
-    watch = patient_watch(engine, StepKey("global_localization"))
+    watch = patient_watch(engine, voiding(engine))
     watch.when = when
     engine.checkpoint.watching = watch.watching
     seen: list[Lifecycle] = []

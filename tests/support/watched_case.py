@@ -21,8 +21,15 @@ from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.step import StepKey
 from procedures.guards import patient_watch
 from procedures.steps.clinical import at_target, positioning
+from procedures.steps.clinical.moved_head import void_moved
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+
+def voiding(engine: Engine) -> Callable[[RonnaError], None]:
+    """What the watch and the guards do when the head has moved."""
+    return lambda moved: void_moved(engine.context(StepKey("global_localization")), moved)
 
 
 def watched(cell: ClinicalCell) -> Engine:
@@ -32,7 +39,7 @@ def watched(cell: ClinicalCell) -> Engine:
         *(checked_set_up(cell), *coarse(), registered_robot(), mounted_guide(), checked_paths(cell)),
         *(checked_plan(), localized_fiducials(), positioning.STEP, at_target.STEP),
     )
-    engine.checkpoint.watching = patient_watch(engine, StepKey("global_localization")).watching
+    engine.checkpoint.watching = patient_watch(engine, voiding(engine)).watching
     engine.run_to(engine.order.sequence[7])
     return engine
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from user_commands import in_this_process, one_error
 
 from drivers.ndi_polaris import PolarisTracker
@@ -11,8 +9,6 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.descendants import descendants_of
-from ronna_hw.simulation import TheatreProcess
 from sim.cli import app
 
 
@@ -38,21 +34,6 @@ def test_a_simulator_alone_takes_faults_at_its_control_port() -> None:
         assert refused.returncode == 2
         assert one_error(refused.stderr)[0].startswith("CTL-002")
         tracker.close()
-
-
-def test_no_process_of_a_theatre_is_handed_the_token_of_its_control_port(tmp_path: Path) -> None:
-    theatre = TheatreProcess("--scene", "mini", "--out", str(tmp_path))
-    try:
-        theatre.await_ready()
-        token = theatre.control.partition("token=")[2].encode()
-        children = descendants_of(theatre.child.process.pid)
-        places = [Path(f"/proc/{child.pid}/{name}") for child in children for name in ("cmdline", "environ")]
-        told = [place.read_bytes() for place in places]
-    finally:
-        theatre.end()
-    assert len(children) >= len(("tracker", "arm", "cameras"))
-    assert token
-    assert not any(token in one for one in told)
 
 
 def test_without_a_fault_all_kinds_are_listed() -> None:

@@ -6,7 +6,6 @@ again at growing intervals; when those are used up, the frame is delivered incom
 
 from __future__ import annotations
 
-import socket
 import struct
 from collections import OrderedDict, deque
 from collections.abc import Callable
@@ -52,13 +51,6 @@ class StreamCounters:
     frames: int = 0
     incomplete_frames: int = 0
     refusals: int = 0  # resend requests for packets that the camera no longer has
-    strangers: int = 0  # packets of another sender than the camera; they are in none of the other counts
-    stranger_host: int = 0  # the IPv4 address of the last of them
-
-    @property
-    def stranger_name(self) -> str:
-        """That address as one writes it, or nothing."""
-        return socket.inet_ntoa(self.stranger_host.to_bytes(4, "big")) if self.strangers else ""
 
 
 @dataclass

@@ -63,8 +63,7 @@ class ReceiverProcess:
         try:
             ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             with theirs:
-                camera = control.getpeername()[0]
-                order = OpenStream(number, camera, payload_bytes, packet_bytes, resend)
+                order = OpenStream(number, payload_bytes, packet_bytes, resend)
                 self._tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
             return StreamReceiver(self._tell, number, FrameSlots(memory, payload_bytes), ours)
         finally:

@@ -47,7 +47,6 @@ class _Stream:
         os.close(memory)
         self._may_gather = self.socket.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= GATHER_BUFFER_BYTES
         self._resend = order.resend
-        self._camera = order.camera
         self._assembler = FrameAssembler(order.payload_bytes, order.packet_bytes, self._slots.claim)
         self._request_id = 0
 
@@ -64,19 +63,12 @@ class _Stream:
         self._assembler.expect(block_id, from_s)
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
-        """Read the packets that have come, up to a limit; True when there may be more.
-
-        Those of another sender than the camera are counted and left out.
-        """
-        accept, receive, camera = self._assembler.accept, self.socket.recvfrom_into, self._camera
+        """Read the packets that have come, up to a limit; True when there may be more."""
+        accept, receive = self._assembler.accept, self.socket.recv_into
         now_s = time.monotonic()
         with contextlib.suppress(OSError):  # nothing more has come
             for _ in range(PACKETS_AT_ONCE):
-                size, (sender, _port) = receive(buffer)
-                if sender != camera:
-                    self._count_stranger(sender)
-                    continue
-                frame = accept(view[:size], now_s)
+                frame = accept(view[: receive(buffer)], now_s)
                 if frame is not None:
                     self._announce(frame)
             return True
@@ -99,11 +91,6 @@ class _Stream:
     def close(self) -> None:
         for each in (self.socket, self._control, self._notes):
             each.close()
-
-    def _count_stranger(self, sender: str) -> None:
-        counters = self._assembler.counters
-        counters.strangers += 1
-        counters.stranger_host = int.from_bytes(socket.inet_aton(sender), "big")
 
     def _announce(self, frame: Frame) -> None:
         self._slots.write_counters(self._assembler.counters)

@@ -13,12 +13,9 @@ MOST_DESCRIPTORS = 4
 
 @dataclass(frozen=True)
 class OpenStream:
-    """Receive a stream of the camera at an IPv4 address. Descriptors: stream socket, control socket, memory,
-    channel for notes.
-    """
+    """Receive a stream. Descriptors: stream socket, control socket, memory, channel for notes."""
 
     stream: int
-    camera: str
     payload_bytes: int
     packet_bytes: int
     resend: bool

@@ -25,14 +25,11 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
     return stream
 
 
-def probe_arrives(stream: socket.socket, camera: str, packet_bytes: int, limit_s: float) -> bool:
-    """True when a datagram of that packet size arrives from that address within the limit; others are
-    discarded.
-    """
+def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
+    """True when a datagram of that packet size arrives within the limit; others are discarded."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even when the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
-        packet, (sender, _port) = stream.recvfrom(DATAGRAM_LIMIT_BYTES)
-        if sender == camera and len(packet) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
+        if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
             return True
     return False

@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -261,6 +262,7 @@ def _make_engine(
     from procedures.engine.step import StepKey
     from procedures.guards import patient_watch, sight_guard, standing_guards
     from procedures.steps.clinical.global_localization import GlobalLocalization
+    from procedures.steps.clinical.moved_head import void_moved
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
     from procedures.workcell import Workcell
     from ronna_hw.evidence.truth_so_far import truth_so_far
@@ -340,7 +342,7 @@ def _make_engine(
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
-    localization = StepKey(GlobalLocalization.kind)
-    engine.checkpoint.guards.append(sight_guard(engine, localization))
-    engine.checkpoint.watching = patient_watch(engine, localization).watching
+    void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
+    engine.checkpoint.guards.append(sight_guard(engine, void))
+    engine.checkpoint.watching = patient_watch(engine, void).watching
     return engine

@@ -30,10 +30,12 @@ from procedures.registration.error_theory import FreGate
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.relocalization import LeftOutSphere, Relocalization
+from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 
@@ -73,12 +75,20 @@ class RegisteredRobot(StepResult, kind="registration"):
     left_out_spheres: tuple[LeftOutSphere, ...] = Field(
         default=(), description="Measured, and not fitted to: they disagree with all others."
     )
+    followed: FollowedMove | None = Field(
+        default=None, description="The move of the head that it follows; all else is of before."
+    )
     left_out: dict[str, str] = Field(
         default={}, description="Trajectories it is not good enough for, and why; they are not targeted."
     )
 
     def leaves_out(self) -> Mapping[str, str]:
         return self.left_out
+
+    @property
+    def trajectories(self) -> frozenset[str]:
+        """The trajectories that it is for."""
+        return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
         """The prediction at a target; raises KeyError."""
@@ -131,7 +141,10 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted."""
+    """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted.
+
+    With the guide mounted it is repeated because the head has moved: the tracker measures how.
+    """
     plan = context.result(CheckedPlan)
     arm_mm = context.setting.settings.arm_error_mm
     pairs, left_out_spheres = _agreeing(context, _Pairs.of(context), arm_mm)
@@ -143,7 +156,14 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     fit.require_sound()
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     parts = {"CT": pairs.ct_mm2, "stereo measurement": pairs.stereo_mm2}
-    predictions = tuple(predict_tip_error(context, fit, parts, one.id, one.target_mm) for one in trajectories)
+    robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
+    if context.workcell.tool is MountedTool.GUIDE:
+        move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
+    predictions = tuple(
+        predict_tip_error(context, fit, parts, one.id, one.target_mm, move) for one in trajectories
+    )
+    if move is not None:
+        robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _beyond_margin(context, trajectories, predictions)
     for predicted in predictions:
         if predicted.target not in left_out:
@@ -157,7 +177,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(
         RegisteredRobot(
-            robot_from_ct=FramedPose.of(fit.between(Frame.ROBOT, Frame.CT)),
+            robot_from_ct=FramedPose.of(robot_from_ct),
             pairs=fit.pairs,
             fre_mm=float(fit.fre_mm),
             residuals_mm=fit.residuals_mm.tolist(),
@@ -165,6 +185,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             predictions=predictions,
             two_way=_two_way(context, fit, pairs),
             left_out_spheres=left_out_spheres,
+            followed=None if move is None else move.record,
             left_out=left_out,
         ),
         summary=f"predicted target error {worst.rms_mm:.2f} mm rms"
@@ -230,12 +251,18 @@ def _beyond_margin(
 
 
 def predict_tip_error(
-    context: StepContext, fit: Registration, parts: Mapping[str, Array], target: str, target_mm: ArrayLike
+    context: StepContext,
+    fit: Registration,
+    parts: Mapping[str, Array],
+    target: str,
+    target_mm: ArrayLike,
+    move: MeasuredMove | None = None,
 ) -> Prediction:
     """Error of the tip at a target (3,) mm in the CT: the fit's, the guide's, the stereo head's, the arm's.
 
     The fit does not know of guide, head and arm at the target: their stated errors come on top. `parts` are
-    the covariances (n, 3, 3) mm2 of the fit's pairs beside the arm's, by what they come from.
+    the covariances (n, 3, 3) mm2 of the fit's pairs beside the arm's, by what they come from; a `move` that
+    is followed has an error of its own.
     """
     point = np.reshape(np.asarray(target_mm, dtype=float), (1, 3))
     predicted = fit.predict_tre(point)
@@ -244,13 +271,15 @@ def predict_tip_error(
     head_mm = calibrations.stereo_head.stated_error_mm
     arm = arm_covariance_mm2(context.setting.settings.arm_error_mm)
     arm_mm2 = float(np.trace(arm))
-    rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2)
+    followed_mm = {} if move is None else move.shares_mm(fit.transform.apply(point)[0])
+    rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2 + sum(share**2 for share in followed_mm.values()))
     shares_mm = {
         **{source: float(fit.predict_share_mm(point, part)[0]) for source, part in parts.items()},
         "arm at the spheres": float(fit.predict_share_mm(point, arm)[0]),
         "arm at the target": math.sqrt(arm_mm2),
         "stereo head calibration": head_mm,
         "guide tip calibration": tip_mm,
+        **followed_mm,
     }
     return Prediction(
         target=target,
@@ -288,6 +317,12 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
     )
 
 
+def _outside(context: StepContext) -> tuple[str, ...]:
+    """With the guide mounted the head is measured again, at home."""
+    insertion = context.workcell.insertion
+    return () if insertion is None else (f"the instrument is beyond the entry of {insertion.trajectory}",)
+
+
 STEP = StepSpec(
     RegisteredRobot,
     "Register CT and robot",
@@ -295,4 +330,5 @@ STEP = StepSpec(
     run,
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan),
+    preconditions=_outside,
 )

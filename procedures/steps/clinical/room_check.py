@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-
-import numpy as np
 
 from procedures.engine.context import StepContext
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import Approach, RoomReading, RoomWatch
+from procedures.guards.room_watch import Approach, RoomWatch
 from procedures.planning.tracker_sight import TrackerSight
 from procedures.registration.shift import LEAST_POINTS
 from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.followed_move import spheres_followed, watch_over
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.workcell import Workcell
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.devices.readings import JointVector
 
@@ -27,15 +25,17 @@ def check_room(context: StepContext, where: str) -> None:
     """Read the tracker and compare with the global localization and the readings since.
 
     The arm rests meanwhile. What is not seen is a finding. Raises PRO-019 and PRO-020; then the localization
-    and all that descends from it are superseded.
+    is superseded, or the registrations that may follow the move, and all that descends from them.
     """
     watch = _watch(context)
     try:
         reading = read_room(context.workcell, context.setting.clock, watch.robot_from_tracker)
         findings = watch.check(reading, context.setting.clock.now_s())
     except (BaseShifted, PatientMoved) as moved:
+        from procedures.steps.clinical.moved_head import void_moved  # as in `_watch`
+
         context.setting.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
-        context.void(GlobalLocalization, moved)
+        void_moved(context, moved)
         raise
     for finding in findings:
         context.find(f"{where}: {finding}")
@@ -100,25 +100,18 @@ def head_must_show(context: StepContext) -> Iterator[None]:
 
 
 def _watch(context: StepContext) -> RoomWatch:
-    """The watch over the standing localization; a new one begins with that."""
+    """The watch over the standing localization; a new one begins with that.
+
+    Where the registration has followed a move of the head, its spheres are watched where they are since.
+    """
+    # registration reads what relocalization leaves, which checks the room
+    from procedures.steps.clinical.registration import RegisteredRobot
+
     localized = context.result(GlobalLocalization)
     name = context.identifier(GlobalLocalization)
     watch = context.setting.workspace.find(RoomWatch)
     if watch is None or watch.localization != name:
         watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
         context.setting.workspace.keep(watch)
+    watch.follow(spheres_followed(context.standing(RegisteredRobot), context.key.trajectory))
     return watch
-
-
-def watch_over(
-    workcell: Workcell,
-    name: str,
-    localized: GlobalLocalization,
-    pairs: Sequence[tuple[int, int]] | None,
-) -> RoomWatch:
-    """The watch over a localization of that name; over all its spheres while no `pairs` are matched."""
-    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
-    if pairs is not None:
-        spheres = spheres[[room for _, room in pairs]]
-    begun = RoomReading(workcell.arm.kinematics.flange_pose(localized.joints_rad), np.zeros(3), spheres)
-    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])

@@ -46,16 +46,3 @@ def test_the_last_look_is_made_when_the_watch_ends() -> None:
         device.state = Lifecycle.HOLD
     states = [event.what.state for event in reader.read(0).events if event.what.kind == "device"]
     assert states[-1] == "hold"
-
-
-def test_what_a_driver_has_to_say_while_it_streams_is_told_once() -> None:
-    seen = LastKnown[object](Lifecycle.CONFIGURED, None, None)
-    device = SimpleNamespace(observe=lambda: seen, notices=("no test packets",))
-    watch, reader = watched(device)
-    watch.look()  # set_up tells this one
-    seen = LastKnown[object](Lifecycle.ACTIVE, None, None)
-    device.notices += ("127.0.0.9 sends into the camera's stream",)
-    watch.look()
-    watch.look()
-    told = [event.what.text for event in reader.read(0).events if event.what.kind == "finding"]
-    assert told == ["arm: 127.0.0.9 sends into the camera's stream"]

@@ -1,0 +1,215 @@
+"""A head that has moved by little: the tracker measures how, and the registration follows when agreed to.
+
+The arm is home then, where the localization was made: there the frame on the arm says that neither cart nor
+tracker has moved, and nothing hides the head. Nothing is followed but one rigid, small move that is over.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import StepRefused
+from procedures.engine.result import FramedPose, Values
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import room_reading
+from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomReading, RoomWatch
+from procedures.registration.rigid_move import RigidMove, rigid_move
+from procedures.registration.shift import same_points, shift_of
+from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.workcell import Workcell
+from procedures.workcell.tracker_look import FRAMES, frames_at_rest
+from ronna_hw.calibration import Numbers3
+from ronna_hw.devices.strays import average_strays
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+# Beyond this nothing is offered: paths and angles were chosen for the head as it lay, and a clamp that let a
+# head go further is not trusted to hold it now.
+MOST_FOLLOWED_MM = 5.0  # rms over the spheres
+MOST_FOLLOWED_RAD = math.radians(2.0)
+# Of the frame on the arm, home, by the tracker and by the arm: twice what 300 simulated pairs differ at most.
+BASE_LIMIT_MM = 0.36
+AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
+STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of one place; an estimate
+
+
+class FollowedMove(Values):
+    """How the head has moved since the stereo head looked, as the tracker measured it and somebody agreed."""
+
+    robot_from_robot: FramedPose = Field(description="From where the head was to where it is, robot frame.")
+    way_mm: float = Field(description="Of the middle of the spheres.")
+    turn_deg: float = Field(description="Angle of the rotation.")
+    pairs: int = Field(description="Spheres that show it.")
+    residual_mm: float = Field(description="Rms of what they differ from one rigid move.")
+    limit_mm: float = Field(description="Of that residual, by the noise of both readings.")
+    base_mm: float = Field(description="Between frame on the arm and tracker, since the localization.")
+    spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
+
+
+@dataclass(frozen=True)
+class MeasuredMove:
+    """The move with its fit, in the robot frame."""
+
+    fit: RigidMove
+    record: FollowedMove
+
+    def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
+        """What following it adds to the error at a place (3,) of before, robot frame, by source."""
+        return {
+            "measured move of the head": self.fit.error_mm(place_mm),
+            "cart and tracker meanwhile": self.record.base_mm,
+        }
+
+
+def watch_over(
+    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
+) -> RoomWatch:
+    """The watch over a localization of that name; over all its spheres while no `pairs` are matched."""
+    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
+    if pairs is not None:
+        spheres = spheres[[room for _, room in pairs]]
+    begun = RoomReading(workcell.arm.kinematics.flange_pose(localized.joints_rad), np.zeros(3), spheres)
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+
+
+class Following(Protocol):
+    """A registration that may have followed a move."""
+
+    @property
+    def followed(self) -> FollowedMove | None: ...
+
+    @property
+    def trajectories(self) -> frozenset[str]: ...
+
+
+def spheres_followed(registrations: Sequence[Following], trajectory: str | None) -> Array | None:
+    """Where the spheres are (n, 3), tracker frame, since the registration of a trajectory followed them.
+
+    Of the last registration where it is for none of these. None where they are as they were localized.
+    """
+    own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
+    move = own[-1].followed if own else None
+    return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
+
+
+def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
+    """Measure and have agreed to; None when the head lies where it was localized.
+
+    `places_mm` (n, 3) are the targets that it is for, robot frame, before the move. Raises PRO-022, and
+    PRO-001 while the arm is not home; PRO-019 and PRO-020 when cart, tracker or head have moved and nothing
+    follows: then the localization is void.
+    """
+    try:
+        move = _measured(context)
+        if move is not None:
+            _have_agreed(context, move, places_mm)
+    except (BaseShifted, PatientMoved) as moved:
+        context.setting.workspace.drop(RoomWatch)
+        context.void(GlobalLocalization, moved)
+        raise
+    return move
+
+
+def _measured(context: StepContext) -> MeasuredMove | None:
+    workcell = context.workcell
+    if not workcell.at_home:
+        raise StepRefused(
+            "how the head has moved is measured with the arm at home",
+            action="Send it home, then run it again.",
+        )
+    localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
+    watch = watch_over(workcell, "", localized, pairs)
+    context.progress(0.0, "measuring whether the head has moved")
+    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock)
+    reading = room_reading(workcell, frames, watch.robot_from_tracker)
+    base_mm = _base_mm(watch, reading)
+    rows = same_points(watch.spheres_mm, reading.spheres_mm)
+    if rows is None:
+        raise PatientUnseen("the tracker sees too few known spheres to measure how the head has moved")
+    before, after = (list(side) for side in zip(*rows, strict=True))
+    halves = (average_strays(half).groups for half in (frames[: FRAMES // 2], frames[FRAMES // 2 :]))
+    ways = shift_of(*([group.mean_mm for group in groups] for groups in halves))
+    if ways is None or ways.rms_mm > AT_REST_MM:
+        raise PatientUnseen("the head does not lie still: how it has moved cannot be measured")
+    to_robot = watch.robot_from_tracker
+    groups = average_strays(frames).groups
+    each = np.array([groups[row].covariance_mm2 for row in after])
+    counts = np.array([[1.0 / groups[row].count + 1.0 / FRAMES] for row in after])[:, :, None]
+    turn = to_robot.rotation_matrix
+    covariance = turn @ (each * counts) @ turn.T + np.eye(3) * STEADY_MM**2
+    fit = rigid_move(
+        to_robot.apply(watch.spheres_mm[before]), to_robot.apply(reading.spheres_mm[after]), covariance
+    )
+    if fit.rms_mm < PATIENT_LIMIT_MM:
+        return None
+    now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
+    now[before] = reading.spheres_mm[after]
+    move = FollowedMove(
+        robot_from_robot=FramedPose.of(Transform(Frame.ROBOT, Frame.ROBOT, fit.fit.transform)),
+        way_mm=fit.way_mm,
+        turn_deg=math.degrees(fit.turn_rad),
+        pairs=fit.fit.pairs,
+        residual_mm=float(fit.fit.fre_mm),
+        limit_mm=fit.gate.limit_mm,
+        base_mm=base_mm,
+        spheres_tracker_mm=tuple(now.tolist()),
+    )
+    _require_followable(fit, move)
+    return MeasuredMove(fit, move)
+
+
+def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
+    shift_mm = watch.base_shift_mm(reading)
+    if shift_mm is None:
+        raise PatientUnseen(
+            "the tracker does not see the frame on the arm: a head that has moved cannot be told from it"
+        )
+    base_mm = float(np.linalg.norm(shift_mm))
+    if base_mm > BASE_LIMIT_MM:
+        raise BaseShifted(
+            "cart or tracker was moved: a move of the head cannot be measured",
+            limit=f"{BASE_LIMIT_MM:g} mm",
+            got=f"{base_mm:.2f} mm",
+        )
+    return base_mm
+
+
+def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
+    if not fit.gate.passed:
+        raise PatientMoved(
+            "the spheres on the head have not moved as one body",
+            limit=f"{move.limit_mm:.2f} mm",
+            got=f"{move.residual_mm:.2f} mm",
+        )
+    if fit.rms_mm > MOST_FOLLOWED_MM or fit.turn_rad > MOST_FOLLOWED_RAD:
+        raise PatientMoved(
+            "the head has moved too far for the registration to follow",
+            limit=f"{MOST_FOLLOWED_MM:g} mm, {math.degrees(MOST_FOLLOWED_RAD):g} deg",
+            got=f"{fit.rms_mm:.2f} mm, {move.turn_deg:.2f} deg",
+        )
+
+
+def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike) -> None:
+    told, names = move.record, " and ".join(context.served_trajectories)
+    moved = f"{told.way_mm:.2f} mm and {told.turn_deg:.2f} deg"
+    adds_mm = max(math.hypot(*move.shares_mm(place).values()) for place in np.reshape(places_mm, (-1, 3)))
+    question = MOVE_FOLLOWED.question(
+        f"the head has moved by {moved}: the registration for {names} follows",
+        f"{told.pairs} spheres fit one move to {told.residual_mm:.2f} mm, limit {told.limit_mm:.2f} mm; "
+        f"it adds {adds_mm:.2f} mm rms at the target",
+        context.key.trajectory,
+    )
+    if context.choose(question) != FOLLOW:
+        raise PatientMoved.by("the head has moved, and nothing follows it", move.fit.rms_mm, PATIENT_LIMIT_MM)
+    context.find(f"the registration for {names} follows a move of the head by {moved}")

@@ -1,0 +1,179 @@
+"""Hazard 12: the head moves by little under the guide, and the registration follows only when agreed to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import (
+    CENTRES_CT_MM,
+    FIRST,
+    LAST,
+    ROBOT_FROM_CT,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    coarse,
+    localized_fiducials,
+    mounted_guide,
+    relocalization,
+)
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from watched_case import findings
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.operator import Topic
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.steps.clinical import positioning, registration
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.workcell import MountedTool
+
+pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("MOVE_FOLLOWED")]
+
+Array = NDArray[np.float64]
+NAME = f"registration:{FIRST}"
+
+
+def moved_mm(way_mm: tuple[float, float, float], turn_deg: float = 0.5) -> Array:
+    """The spheres after the head has turned about its middle and moved."""
+    middle = SPHERES_MM.mean(axis=0)
+    turn = Rotation.from_rotvec((0.0, 0.0, turn_deg), degrees=True)
+    return np.asarray(turn.apply(SPHERES_MM - middle) + middle + way_mm)
+
+
+SMALL_MM = moved_mm((1.0, -2.0, 0.5))
+
+
+def under_the_guide(cell: ClinicalCell) -> Engine:
+    """Everything is registered, and the guide hangs on the arm at home."""
+    cell.carrying(MountedTool.STEREO_HEAD)
+    before = (*coarse(), checked_plan(), localized_fiducials(), relocalization(), checked_paths(cell))
+    engine = cell.begin(*before, registration.STEP, mounted_guide(), positioning.STEP)
+    engine.run_to(engine.order.find("tool_change"))
+    cell.carrying(MountedTool.GUIDE)
+    return engine
+
+
+def seen_to_move(cell: ClinicalCell, spheres_mm: Array = SMALL_MM) -> Engine:
+    """Before the approach the head is found to have moved."""
+    engine = under_the_guide(cell)
+    cell.tracker.spheres_mm = spheres_mm
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{FIRST}")
+    assert cell.arm.motions == []
+    return engine
+
+
+def run(engine: Engine, name: str) -> None:
+    engine.run_step(engine.order.find(name))
+
+
+def voided(cell: ClinicalCell) -> list[str]:
+    return [step for _, step in cell.entries("voided")]
+
+
+def test_only_the_registrations_are_void_and_nothing_is_approached_before_they_follow(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    assert voided(cell) == [NAME, f"registration:{LAST}"]
+    assert str(engine.upcoming) == NAME
+    with pytest.raises(StepRefused, match=f"{NAME} comes first"):
+        run(engine, f"positioning:{FIRST}")
+
+
+def test_what_is_agreed_to_follows_the_head_and_says_what_that_costs(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = under_the_guide(cell)
+    before = cell.case.get(RegisteredRobot, FIRST)
+    cell.tracker.spheres_mm = SMALL_MM
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{FIRST}")
+    run(engine, NAME)
+    after = cell.case.get(RegisteredRobot, FIRST)
+    assert after.result.robot_from_ct.transform.apply(CENTRES_CT_MM) == pytest.approx(SMALL_MM, abs=1e-3)
+    move = after.result.followed
+    assert move is not None
+    assert (move.way_mm, move.turn_deg) == pytest.approx((5.25**0.5, 0.5), abs=1e-3)
+    assert after.record.parents == before.record.parents
+    assert engine.case.was_superseded(engine.order.find(f"registration:{LAST}"))
+    predicted, former = after.result.prediction(FIRST), before.result.prediction(FIRST)
+    assert predicted.rms_mm > former.rms_mm
+    assert predicted.budget[-2].source == "measured move of the head"
+    (question,) = [one for one in cell.operator.asked if one.topic is Topic.MOVE_FOLLOWED]
+    assert "2.29 mm and 0.50 deg" in question.subject
+    assert any("follows a move of the head" in text for text in findings(cell))
+
+
+def test_the_guide_goes_where_the_head_is_now_and_a_second_move_is_noticed(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    run(engine, NAME)
+    engine.setting.workspace.clear()  # as after a restart
+    run(engine, f"positioning:{FIRST}")
+    tip_mm = cell.workcell.tool_pose().translation_mm
+    target_mm = ROBOT_FROM_CT.apply(checked_plan().trajectory(FIRST).target_mm)
+    assert np.linalg.norm(tip_mm - target_mm) > 1.0
+    again = ClinicalCell(tmp_path / "again")
+    engine = seen_to_move(again)
+    run(engine, NAME)
+    again.tracker.spheres_mm = np.add(SMALL_MM, (0.5, 0.0, 0.0))
+    with pytest.raises(PatientMoved):
+        run(engine, f"positioning:{FIRST}")
+
+
+def test_what_is_not_agreed_to_is_void(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    cell.operator.refusing = (Topic.MOVE_FOLLOWED,)
+    with pytest.raises(PatientMoved, match="nothing follows it"):
+        run(engine, NAME)
+    assert voided(cell)[-1] == "global_localization"
+
+
+def test_a_large_move_voids_the_localization_at_once(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    seen_to_move(cell, moved_mm((6.0, 0.0, 0.0)))
+    assert voided(cell) == ["global_localization"]
+
+
+@pytest.mark.parametrize(
+    ("spheres_mm", "frame_shift_mm", "refused"),
+    [
+        (np.vstack([SMALL_MM[:-1], SMALL_MM[-1:] + 2.0]), (0.0, 0.0, 0.0), PatientMoved),  # not as one body
+        (moved_mm((0.0, 0.0, 0.0), 4.0), (0.0, 0.0, 0.0), PatientMoved),  # too far round
+        (SMALL_MM, (0.5, 0.0, 0.0), BaseShifted),
+        (SMALL_MM[:2], (0.0, 0.0, 0.0), PatientUnseen),
+    ],
+)
+def test_nothing_else_is_offered(
+    spheres_mm: Array, frame_shift_mm: tuple[float, float, float], refused: type[Exception], tmp_path: Path
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = spheres_mm, frame_shift_mm
+    with pytest.raises(refused):
+        run(engine, NAME)
+    assert Topic.MOVE_FOLLOWED not in [question.topic for question in cell.operator.asked]
+    assert not engine.case.stands(engine.order.find(NAME))
+
+
+def test_it_is_measured_at_home_only(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    A1, *others = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.2, *others)
+    with pytest.raises(StepRefused, match="with the arm at home"):
+        run(engine, NAME)
+
+
+def test_a_head_that_came_back_needs_no_consent(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = seen_to_move(cell)
+    cell.tracker.spheres_mm = SPHERES_MM
+    run(engine, NAME)
+    assert cell.case.get(RegisteredRobot, FIRST).result.followed is None
+    assert Topic.MOVE_FOLLOWED not in [question.topic for question in cell.operator.asked]
