@@ -213,7 +213,9 @@ def localization(
 
 @app.command()
 def strategies(
-    arms: Annotated[int, typer.Option("--arms", min=2, help="Random arms of parameter set S.")] = 200,
+    arms: Annotated[
+        int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")
+    ] = 200,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -231,7 +233,9 @@ def strategies(
 
 @app.command(name="application-error")
 def application_error(
-    arms: Annotated[int, typer.Option("--arms", min=1, help="Random arms of parameter set S.")] = 200,
+    arms: Annotated[
+        int, typer.Option("--arms", min=1, max=500, help="Random arms of parameter set S.")
+    ] = 200,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from procedures.studies.accuracy.phantom import Markers, phantom
+from procedures.studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
@@ -26,13 +26,15 @@ PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
 BLOCK_ARMS = 125
 MOST_ARMS_OF_SOURCES = 40  # enough for a mean
-MOST_ARMS_OF_SCENARIOS = 100  # and for a 99 % quantile
+MOST_ARMS_OF_OTHERS = 100  # and for a 99 % quantile
 ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
 FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
 TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
 BIN_MM = 0.005  # of the histograms
 SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
-READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE)
+TILTED_ALIKE = "trajectories tilted alike"
+READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE, TILTED_ALIKE)
+READ_AGAIN = ("nos", "thesis-ocs")  # the strategies that are run under them
 
 
 @dataclass(frozen=True)
@@ -57,15 +59,17 @@ class StrategiesStudy:
             for markers in Markers
             for number in range(1, PLACES + 1)
         ]
-        many = min(self.arms, MOST_ARMS_OF_SCENARIOS)
+        many = min(self.arms, MOST_ARMS_OF_OTHERS)
         cells += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
-        cells += [(f"{one}|{Markers.FREE}|{k}", self.arms) for one in READINGS for k in range(1, PLACES + 1)]
+        cells += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
         return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
 
     def run(self, unit: Unit) -> Sums:
         """Errors in mm of single trials, or sums of them; see the keys of each part."""
         part, kind, number = unit.cell.split("|")
-        scene = Scene.of(self.seed, phantom(Markers(kind), DEPTHS_MM, TARGETS), Markers(kind), int(number))
+        markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
+        drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
+        scene = Scene.of(self.seed, drawn, markers, int(number))
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
         arms = range(first, first + unit.runs)
         if part == TRIALS:
@@ -129,12 +133,11 @@ def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Sum over the targets of a place, under another reading of the protocol: strategy|spheres|arm."""
-    drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms, scan_again=reading == SCANNED_AGAIN)
-    sizes = Sizes(ct_mm=0.0) if reading == NO_CT else Sizes()
-    found: Sums = {}
-    for strategy in ("nos", "thesis-ocs"):
-        errors = scene.errors_mm(drawn, scene.planned(strategy), chance, sizes, any_side=reading == ANY_SIDE)
-        for (arm, count), sum_mm in np.ndenumerate(np.linalg.norm(errors, axis=-1).sum(axis=1)):
-            found[f"{strategy}|{scene.counts[count]}|{arms[arm]}"] = round(float(sum_mm), DIGITS)
-    return found
+    """Trials under another reading of the protocol, keys as of `Scene.trials`."""
+    return scene.trials(
+        arms,
+        READ_AGAIN,
+        sizes=Sizes(ct_mm=0.0) if reading == NO_CT else Sizes(),
+        scan_again=reading == SCANNED_AGAIN,
+        any_side=reading == ANY_SIDE,
+    )

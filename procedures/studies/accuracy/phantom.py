@@ -29,7 +29,6 @@ ABOVE_RAD = math.radians(20.0)  # seen from the middle of the head
 STANDOFF_MM = 16.0  # of a free sphere's centre from the skin
 FRAME_STANDOFF_MM = 26.0  # of the frame's plane
 FRAME_TILT_RAD = math.radians(25.0)  # of the frame's foot from the vertex
-LEAST_TILT_RAD, MOST_TILT_RAD = math.radians(10.0), math.radians(45.0)  # of a trajectory from the vertical
 PHANTOM_KEY, PLACE_KEY = 5, 6  # of the random numbers
 DRAWN_ONCE = 2018
 INNER_SHARE = 0.6  # usually: targets lie in the middle of the head
@@ -44,6 +43,18 @@ class Markers(StrEnum):
 
     FREE = "free"
     FRAME = "xframe"
+
+
+@dataclass(frozen=True)
+class Tilts:
+    """How trajectories lean from the vertical, and to which sides, about the vertical from the x axis."""
+
+    tilts_deg: tuple[float, float]
+    sides_deg: tuple[float, float]
+
+
+USUAL_TILTS = Tilts((10.0, 45.0), (0.0, 360.0))
+ALIKE = Tilts((25.0, 30.0), (-30.0, 30.0))
 
 
 @dataclass(frozen=True)
@@ -74,7 +85,11 @@ def spheres_mm(markers: Markers) -> Array:
 
 
 def phantom(
-    markers: Markers, depths_mm: tuple[float, float], targets: int, inner_share: float = INNER_SHARE
+    markers: Markers,
+    depths_mm: tuple[float, float],
+    targets: int,
+    inner_share: float = INNER_SHARE,
+    tilts: Tilts = USUAL_TILTS,
 ) -> Phantom:
     """The phantom with targets at depths between two limits below the skin, drawn once and for all.
 
@@ -85,7 +100,10 @@ def phantom(
     drawn: list[Trajectory] = []
     for _ in range(ATTEMPTS):
         target = random.uniform(-1.0, 1.0, 3) * inner_share * half
-        tilt, azimuth = random.uniform(LEAST_TILT_RAD, MOST_TILT_RAD), random.uniform(0.0, 2.0 * math.pi)
+        tilt, azimuth = (
+            random.uniform(*np.radians(tilts.tilts_deg)),
+            random.uniform(*np.radians(tilts.sides_deg)),
+        )
         outward = np.array(
             [math.sin(tilt) * math.cos(azimuth), math.sin(tilt) * math.sin(azimuth), math.cos(tilt)]
         )

@@ -61,12 +61,23 @@ class Scene:
             arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
         )
 
-    def trials(self, arms: Sequence[int], strategies: Sequence[str]) -> Sums:
+    def trials(
+        self,
+        arms: Sequence[int],
+        strategies: Sequence[str],
+        *,
+        sizes: Sizes | None = None,
+        scan_again: bool = False,
+        any_side: bool = False,
+    ) -> Sums:
         """Length of every error in mm: strategy|spheres|arm|target."""
-        drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms)
+        drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms, scan_again=scan_again)
         found: Sums = {}
         for strategy in strategies:
-            lengths = np.linalg.norm(self.errors_mm(drawn, self.planned(strategy), chance, Sizes()), axis=-1)
+            errors = self.errors_mm(
+                drawn, self.planned(strategy), chance, sizes or Sizes(), any_side=any_side
+            )
+            lengths = np.linalg.norm(errors, axis=-1)
             for (arm, target, count), length in np.ndenumerate(lengths):
                 key = f"{strategy}|{self.counts[count]}|{arms[arm]}|{target + 1}"
                 found[key] = round(float(length), DIGITS)
