@@ -113,6 +113,11 @@ class ProcedureSettings(Strict):
     arm_error_mm: Annotated[float, Field(ge=0)] = Field(
         default=0.15, description="Local error of the arm per axis, one standard deviation."
     )
+    tool_error_mm: Annotated[float, Field(ge=0)] = Field(
+        default=2.0,
+        description="Error of the mount on the flange per axis, one standard deviation; the default is that "
+        "of a mount as drawn.",
+    )
     servo_area_px: tuple[int, int] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
     )

@@ -19,7 +19,6 @@ if TYPE_CHECKING:
         Caveat,
         Registration,
         TargetError,
-        drop_one_explanations,
         register,
     )
     from procedures.registration.template import match_by_template
@@ -41,7 +40,6 @@ __all__ = [
     "RoomPoint",
     "TargetError",
     "TwoWayTable",
-    "drop_one_explanations",
     "find_layout",
     "match",
     "match_by_template",

@@ -199,29 +199,6 @@ def register(
     )
 
 
-def drop_one_explanations(
-    registration: Registration, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
-) -> tuple[int, ...]:
-    """Pairs whose removal alone brings the residual under the chi-square gate, best first.
-
-    For a registration that failed the gate: one such pair points at a fiducial that moved. FLE in mm, 3-D
-    rms of both spaces together; by default the covariances judge. Empty when no single removal explains
-    it, or when only three pairs are there.
-    """
-    found: list[tuple[float, int]] = []
-    for index in range(registration.pairs if registration.pairs > FEWEST_PAIRS else 0):
-        keep = np.arange(registration.pairs) != index
-        image, physical = registration.image_mm[keep], registration.physical_mm[keep]
-        covariance = registration.covariance_mm2
-        try:
-            rest = register(image, physical, covariance_mm2=None if covariance is None else covariance[keep])
-        except CollinearPoints:
-            continue
-        if rest.gate(fle_mm, confidence).passed:
-            found.append((rest.fre_mm, index))
-    return tuple(index for _, index in sorted(found))
-
-
 def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array, Array, tuple[Caveat, ...]]:
     fit = fit_rigid(image, physical)
     largest, middle, smallest = (float(value) for value in fit.spread_mm2)

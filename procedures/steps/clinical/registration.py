@@ -27,14 +27,17 @@ from procedures.registration import (
     verify_two_way,
 )
 from procedures.registration.error_theory import FreGate
+from procedures.registration.target_prediction import predict_target_error
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.relocalization import LeftOutSphere, Relocalization
+from procedures.steps.clinical.tool_frame_error import displaced_spheres_mm, shared_with_target
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
@@ -107,6 +110,7 @@ class _Pairs:
     physical_mm: Array
     ct_mm2: Array  # in the frame of the room, as all covariances here
     stereo_mm2: Array
+    tool_mm: Array  # what each standard deviation of the tool frame displaces
 
     @property
     def measured_mm2(self) -> Array:
@@ -124,6 +128,7 @@ class _Pairs:
             physical_mm=fine.points_mm,
             ct_mm2=rotation @ ct @ rotation.T,
             stereo_mm2=np.array(fine.covariances_mm2),
+            tool_mm=displaced_spheres_mm(context, fine.fiducials),
         )
 
     def without(self, place: int) -> _Pairs:
@@ -134,10 +139,11 @@ class _Pairs:
             physical_mm=self.physical_mm[kept],
             ct_mm2=self.ct_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
+            tool_mm=self.tool_mm[kept],
         )
 
     def gate(self, arm_mm: float) -> FreGate:
-        return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm)
+        return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -160,7 +166,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(
-        predict_tip_error(context, fit, parts, one.id, one.target_mm, move) for one in trajectories
+        predict_tip_error(context, fit, parts, pairs.tool_mm, one.id, one.target_mm, move)
+        for one in trajectories
     )
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
@@ -202,7 +209,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
     gate = pairs.gate(arm_mm)
     if gate.passed:
         return pairs, ()
-    moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm)
+    moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
     names = " and ".join(context.served_trajectories)
     refusal = GateFailed(
         f"the fit disagrees with its own error budget at {names}",
@@ -254,14 +261,16 @@ def predict_tip_error(
     context: StepContext,
     fit: Registration,
     parts: Mapping[str, Array],
+    tool_mm: Array,
     target: str,
     target_mm: ArrayLike,
     move: MeasuredMove | None = None,
 ) -> Prediction:
     """Error of the tip at a target (3,) mm in the CT: the fit's, the guide's, the stereo head's, the arm's.
 
-    The fit does not know of guide, head and arm at the target: their stated errors come on top. `parts` are
-    the covariances (n, 3, 3) mm2 of the fit's pairs beside the arm's, by what they come from; a `move` that
+    The fit does not know of guide, head and arm at the target: their stated errors come on top, and what the
+    tool frame's error leaves between spheres and target. `parts` are the covariances (n, 3, 3) mm2 of the
+    fit's pairs beside the arm's, by what they come from; `tool_mm` see `displaced_spheres_mm`; a `move` that
     is followed has an error of its own.
     """
     point = np.reshape(np.asarray(target_mm, dtype=float), (1, 3))
@@ -271,6 +280,12 @@ def predict_tip_error(
     head_mm = calibrations.stereo_head.stated_error_mm
     arm = arm_covariance_mm2(context.setting.settings.arm_error_mm)
     arm_mm2 = float(np.trace(arm))
+    shared = predict_target_error(
+        fit.physical_mm,
+        fit.transform.apply(point[0]),
+        [shared_with_target(context, tool_mm, target)],
+        None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
+    )
     followed_mm = {} if move is None else move.shares_mm(fit.transform.apply(point)[0])
     rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2 + sum(share**2 for share in followed_mm.values()))
     shares_mm = {
@@ -280,13 +295,14 @@ def predict_tip_error(
         "stereo head calibration": head_mm,
         "guide tip calibration": tip_mm,
         **followed_mm,
+        **shared.budget_mm,
     }
     return Prediction(
         target=target,
-        rms_mm=math.hypot(predicted.rms_mm[0], rest_mm),
-        limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm),
+        rms_mm=math.hypot(predicted.rms_mm[0], rest_mm, shared.rms_mm),
+        limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm, shared.limit_mm()),
         confidence=predicted.confidence,
-        formula=f"{predicted.formula}; guide, stereo head and arm added in quadrature",
+        formula=f"{predicted.formula}; guide, stereo head, arm and tool frame added in quadrature",
         budget=tuple(ErrorShare(source=source, rms_mm=rms_mm) for source, rms_mm in shares_mm.items()),
     )
 
@@ -329,6 +345,6 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.LOCALIZATION,
-    reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan),
+    reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
     preconditions=_outside,
 )

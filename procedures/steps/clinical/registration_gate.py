@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration import Registration, drop_one_explanations, register
-from procedures.registration.error_theory import FreGate
+from procedures.registration import register
+from procedures.registration.error_theory import FreGate, chi_square_limit, degrees_of_freedom
+from procedures.registration.errors import CollinearPoints
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.shared_residual import chi_square_of_shared
 
 Array = NDArray[np.float64]
 
@@ -16,29 +19,45 @@ REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
 # prediction and the weights of the fit keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm
 # a sphere is found to have moved (9 times of 10) from 1.2 mm on, not from 1.0; twice the sigma: from 1.8.
 GATE_ARM_RESERVE = 1.5
+ALIKE_MM = 1e-6  # shared displacements that differ by less are one
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
 
 
-def residual_gate(image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float) -> FreGate:
+def residual_gate(
+    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
+) -> FreGate:
     """Judge the residual of paired points (n, 3) mm with the reserve for the arm's shared error.
 
-    `measured_mm2` (n, 3, 3) is the covariance of CT and stereo head, `arm_mm` the arm's sigma per axis.
-    Raises REG-001 to REG-006.
+    `measured_mm2` (n, 3, 3) is the covariance of CT and stereo head, `arm_mm` the arm's sigma per axis,
+    `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
+    REG-006.
     """
-    return _fit_with_reserve(image_mm, physical_mm, measured_mm2, arm_mm).gate(confidence=GATE_CONFIDENCE)
-
-
-def moved_spheres(image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float) -> tuple[int, ...]:
-    """Pairs without one of which the others pass the gate, the likeliest first; see `residual_gate`."""
-    fit = _fit_with_reserve(image_mm, physical_mm, measured_mm2, arm_mm)
-    return drop_one_explanations(fit, confidence=GATE_CONFIDENCE)
-
-
-def _fit_with_reserve(
-    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float
-) -> Registration:
     allowed = measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
-    return register(image_mm, physical_mm, covariance_mm2=allowed)
+    fit = register(image_mm, physical_mm, covariance_mm2=allowed)
+    if float(np.ptp(shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
+        return fit.gate(confidence=GATE_CONFIDENCE)
+    mapped = np.asarray(fit.transform.apply(fit.image_mm), dtype=float)
+    chi_square = chi_square_of_shared(fit.residuals_mm, mapped, allowed, shared_mm)
+    limit = chi_square_limit(degrees_of_freedom(fit.pairs), GATE_CONFIDENCE)
+    return FreGate(fit.fre_mm, chi_square, limit, GATE_CONFIDENCE)
+
+
+def moved_spheres(
+    image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
+) -> tuple[int, ...]:
+    """Pairs without one of which the others pass the gate, the likeliest first; see `residual_gate`."""
+    found: list[tuple[float, int]] = []
+    for index in range(len(image_mm) if len(image_mm) > FEWEST_PAIRS else 0):
+        keep = np.arange(len(image_mm)) != index
+        try:
+            gate = residual_gate(
+                image_mm[keep], physical_mm[keep], measured_mm2[keep], arm_mm, shared_mm[keep]
+            )
+        except CollinearPoints:
+            continue
+        if gate.passed:
+            found.append((gate.fre_mm, index))
+    return tuple(index for _, index in sorted(found))
 
 
 def arm_covariance_mm2(arm_mm: float) -> Array:

@@ -8,6 +8,7 @@ from clinical_case import (
     SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
+    checked_paths,
     checked_plan,
     correspondence,
     global_localization,
@@ -22,6 +23,8 @@ from procedures.engine.errors import GateFailed, NotConfirmed
 from procedures.engine.operator import Topic
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 from procedures.strategies.nos import NeutralOrientation
+from procedures.workcell import MountedTool
+from ronna_hw.config import ProcedureSettings
 
 Array = NDArray[np.float64]
 
@@ -29,9 +32,10 @@ Array = NDArray[np.float64]
 def registered(
     cell: ClinicalCell, points_mm: Array = SPHERES_MM, **plan_changes: object
 ) -> Stored[RegisteredRobot]:
+    cell.carrying(MountedTool.STEREO_HEAD)
     return cell.run(
         *(relocalization(points_mm), correspondence(), localized_fiducials()),
-        *(global_localization(), checked_plan(**plan_changes)),
+        *(global_localization(), checked_plan(**plan_changes), checked_paths(cell)),
         STEP,
     )
 
@@ -67,10 +71,26 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     shares_mm = {share.source: share.rms_mm for share in predicted.budget}
     assert list(shares_mm) == [
         *("CT", "stereo measurement", "arm at the spheres"),
-        *("arm at the target", "stereo head calibration", "guide tip calibration"),
+        *("arm at the target", "stereo head calibration", "guide tip calibration", "tool frame"),
     ]
+    assert shares_mm["tool frame"] == pytest.approx(0.0, abs=1e-9)  # held alike at spheres and target
     assert np.linalg.norm(list(shares_mm.values())) == pytest.approx(predicted.rms_mm)
     assert shares_mm["CT"] == pytest.approx(shares_mm["stereo measurement"])  # the cell gives both one sigma
+
+
+def test_where_the_tool_is_held_otherwise_at_the_target_the_error_of_its_frame_is_predicted(
+    cell: ClinicalCell, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    by_ocs = registered(cell).result.prediction(FIRST)
+    once = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=NeutralOrientation())
+    by_nos = registered(once).result.prediction(FIRST)
+    paths = checked_paths(once)
+    neutral = paths.localizations_for(None)[0].tool_pose.transform
+    at_target = paths.targets[FIRST].tool_pose.transform
+    apart = neutral.rotation_matrix - at_target.rotation_matrix
+    frame_mm = ProcedureSettings().tool_error_mm * float(np.linalg.norm(apart))
+    assert by_nos.rms_mm == pytest.approx(np.hypot(by_ocs.rms_mm, frame_mm), rel=1e-3)
+    assert by_nos.rms_mm > 3.0 * by_ocs.rms_mm
 
 
 @pytest.mark.hazard(36)
