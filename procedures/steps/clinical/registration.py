@@ -294,8 +294,8 @@ def predict_tip_error(
         "arm at the target": math.sqrt(arm_mm2),
         "stereo head calibration": head_mm,
         "guide tip calibration": tip_mm,
-        **followed_mm,
         **shared.budget_mm,
+        **followed_mm,
     }
     return Prediction(
         target=target,
