@@ -261,7 +261,7 @@ def _workcell_of(
     theatre = SimpleNamespace(
         arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None, file=file
     )
-    calibrations: Any = SimpleNamespace(stereo_head=calibration)
+    calibrations: Any = SimpleNamespace(stereo_head=calibration, arm=None)
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
     agree = ScriptedOperator().ask
     resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 UNIT_NORM_TOLERANCE = 1e-6
 Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
+Numbers2 = tuple[float, float]
 
 CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
 SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
@@ -141,3 +142,40 @@ class TrackerFrameCalibration(DatedRecord):
 
     tool: str = Field(description="Name of the tool definition in the tracker's options.")
     tool_from_marker: PoseRecord = Field(description="Pose tool centre <- reference frame.")
+
+
+class ArmCalibration(DatedRecord):
+    """How one arm differs from its nominal kinematics; joints are listed from the base outwards."""
+
+    arm: str = Field(description="Name of the kinematic model that it corrects.")
+    scatter_mm: Annotated[float, Field(gt=0)] = Field(
+        description="Random error per axis from pose to pose, one standard deviation."
+    )
+    link_translation_mm: tuple[Numbers3, ...] = Field(
+        description="Displacement of each link's far end, in the frame that turns with its joint."
+    )
+    link_rotation_rad: tuple[Numbers3, ...] = Field(description="Rotation vector there.")
+    joint_offset_rad: tuple[float, ...] = Field(description="Constant error of each joint.")
+    sine_rad: tuple[Numbers2, ...] = Field(description="Error by the sine of the angle and of its double.")
+    cosine_rad: tuple[Numbers2, ...] = Field(description="The same by their cosines.")
+    sag_rad: tuple[float, ...] = Field(description="Under gravity, stretched out horizontally.")
+    backlash_rad: tuple[float, ...] = Field(description="Dead way; a joint rests half of it to either side.")
+
+    @model_validator(mode="after")
+    def _of_one_arm(self) -> Self:
+        counts = {name: len(getattr(self, name)) for name in ARM_DEVIATIONS}
+        if len(set(counts.values())) != 1:
+            listed = ", ".join(f"{name} {count}" for name, count in counts.items())
+            raise ValueError(f"every deviation needs one entry for each joint: {listed}")
+        return self
+
+
+ARM_DEVIATIONS = (
+    "link_translation_mm",
+    "link_rotation_rad",
+    "joint_offset_rad",
+    "sine_rad",
+    "cosine_rad",
+    "sag_rad",
+    "backlash_rad",
+)

@@ -14,6 +14,8 @@ from pydantic import Field, PrivateAttr, ValidationError, field_validator, model
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
+    ArmCalibration,
+    DatedRecord,
     Length,
     StereoHeadCalibration,
     Strict,
@@ -97,6 +99,15 @@ class Calibrations(Strict):
     tracker_frame: TrackerFrameCalibration = Field(
         description="Reference frame that the tracker sees on the mount."
     )
+    arm: ArmCalibration | None = Field(
+        default=None, description="Deviations of the arm; without, it is taken for nominal."
+    )
+
+    @property
+    def records(self) -> dict[str, DatedRecord]:
+        """The records that are there, by name."""
+        found = {name: getattr(self, name) for name in type(self).model_fields}
+        return {name: record for name, record in found.items() if record is not None}
 
 
 class WatchPatient(StrEnum):

@@ -67,3 +67,24 @@ class PosesOutOfReach(RefusedError):
 
     code = "CAL-010"
     action = "Place the ball nearer to the middle of the workspace, with free space around it."
+
+
+class Unobservable(RefusedError):
+    """The looks leave too much of the arm unknown."""
+
+    code = "CAL-011"
+    action = "Look at more spheres, farther apart, from poses tilted and turned more; then calibrate again."
+
+
+class ArmChanged(RefusedError):
+    """The arm, or the head on it, is no longer as its calibration says."""
+
+    code = "CAL-012"
+    action = "Check the mount's screws and the arm's mastering, then run ronna-arm calibrate again."
+
+
+class NoArmRecord(RefusedError):
+    """A calibration record of the arm is needed, and there is none."""
+
+    code = "CAL-014"
+    action = "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file."

@@ -21,6 +21,8 @@ TILT_RAD = float(np.radians(25.0))  # at most, in all directions: a spread of 50
 TURN_RAD = float(np.radians(45.0))  # about the tool axis, either way
 # How far from the tool centre the ball may be: fully visible to both sensors and sharp enough.
 FIELD_MM = (3.5, 9.0, 5.0)
+CENTRED_TILT_RAD = float(np.radians(35.0))  # the more, the more an arm reveals
+CENTRED_TURN_RAD = float(np.radians(80.0))
 CHECK_TILT_RAD = float(np.radians(25.0))
 CHECK_TURN_RAD = float(np.radians(40.0))
 CHECK_ORIENTATIONS = 8
@@ -54,6 +56,27 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
         offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
         looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), offset))
     return tuple(in_short_order(looks))
+
+
+def centred_looks(
+    reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
+) -> tuple[PlannedLook, ...]:
+    """Views with the sphere in the tool centre, where neither lens nor field matter; from `first` on."""
+    share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
+    sphere = np.asarray(sphere_mm, dtype=float)
+    return tuple(
+        _look(
+            _orientation(
+                reference,
+                CENTRED_TILT_RAD * float(np.sqrt(tilt)),
+                2.0 * np.pi * azimuth,
+                CENTRED_TURN_RAD * (2.0 * turn - 1.0),
+            ),
+            sphere,
+            np.zeros(3),
+        )
+        for tilt, azimuth, turn in share
+    )
 
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:

@@ -83,7 +83,7 @@ def calibrate_head(
         stereo_head=head,
         tool_tip=None
         if observed.tool_tip is None
-        else _moved_tip(observed.tool_tip, tool_before, flange_from_tool),
+        else moved_tip(observed.tool_tip, tool_before, flange_from_tool),
         tool_covariance_mm2=covariance,
         tool_shift_mm=float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm)),
         frame_misfit_mm=misfit,
@@ -95,7 +95,7 @@ def new_identifier(name: str, created: datetime) -> str:
     return f"{name}-{created:%Y%m%dT%H%M%S}"
 
 
-def _moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
+def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
     """The tip is known relative to the tool frame of the head on the same mount, so it moves with it.
 
     Its dates and stated error remain: the tip itself was not measured.

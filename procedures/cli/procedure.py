@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -68,6 +69,12 @@ MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres o
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")]
 SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")]
 FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
+CalibratedOption = Annotated[
+    bool,
+    typer.Option(
+        "--calibrated", help="With a calibrated arm: --sim brings its record, --config must name one."
+    ),
+]
 ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
 AnswersOption = Annotated[
@@ -87,7 +94,7 @@ def run_command(
     targets: TargetsOption = None,
     fiducials: Annotated[FiducialChoice, typer.Option(help="Kind of markers.")] = FiducialChoice.FREE,
     strategy: Annotated[StrategyChoice, typer.Option(help="Localization strategy.")] = StrategyChoice.OCS,
-    calibrated: Annotated[bool, typer.Option("--calibrated", help="Use calibrated kinematics.")] = False,
+    calibrated: CalibratedOption = False,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
     answers: AnswersOption = None,
@@ -99,8 +106,6 @@ def run_command(
     """Run the whole case and end with the errors at the targets and a report."""
     if fiducials is FiducialChoice.XFRAME:
         raise NotYet("--fiducials xframe is not yet available")
-    if calibrated:
-        raise NotYet("--calibrated is not yet available")
     set_up_logging(verbose)
     from procedures.cli.case.display import follow_case
 
@@ -109,7 +114,7 @@ def run_command(
         strategy=strategy,
         config=config,
         case=case,
-        scene=SceneChoice(scene, seed, markers, targets),
+        scene=SceneChoice(scene, seed, markers, targets, calibrated),
         speed=speed,
         faults=faults,
         answers=answers,
@@ -245,12 +250,13 @@ def _request(
         raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
     if config is None and case is not None:
         raise UsageMistake("--case goes with --config", action="A simulated case brings its own patient.")
-    if config is not None and (scene != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
+    drawn = replace(scene, calibrated=False)
+    if config is not None and (drawn != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
         raise UsageMistake(
             "--scene, --seed, --markers, --targets, --speed and --faults go with --sim",
             action="Leave them out: the theatre file names the devices of the theatre.",
         )
-    if Path(scene.scene).suffix and scene != SceneChoice(scene.scene):
+    if Path(scene.scene).suffix and drawn != SceneChoice(scene.scene):
         raise UsageMistake(
             "--seed, --markers and --targets do not go with a scene file",
             action="The file holds its own seed, markers and targets.",

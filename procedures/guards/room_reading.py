@@ -34,4 +34,4 @@ def room_reading(
     if seen is not None:
         by_arm = robot_from_marker(workcell, joints)
         frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
-    return RoomReading(workcell.arm.kinematics.flange_pose(joints), frame_mm, spheres)
+    return RoomReading(workcell.flange_pose(joints), frame_mm, spheres)

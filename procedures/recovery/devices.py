@@ -9,6 +9,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
+from ronna_hw.calibration import DatedRecord
 from ronna_hw.errors import RonnaError
 
 
@@ -49,15 +50,21 @@ def _named(identity: DeviceIdentity) -> str:
     return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
 
 
+def _dated(record: DatedRecord) -> str:
+    return f"{record.identifier} of {record.created:%Y-%m-%d}"
+
+
 def _compare_calibrations(
     engine: Engine, recorded: CheckedSetUp, comparison: Comparison, *, only_leaving: bool
 ) -> None:
     now = engine.setting.workcell.calibrations
-    records = (now.stereo_head, now.tool_tip, now.tracker_frame)
-    then = recorded.calibrations
-    for record, before in zip(records, (then.stereo_head, then.tool_tip, then.tracker_frame), strict=True):
-        if record != before:
-            comparison.differs(f"calibration {before.identifier}", f"of {before.created:%Y-%m-%d}", "another")
+    then = recorded.calibrations.records
+    for name in then.keys() - now.records.keys():
+        comparison.differs(f"calibration {name}", _dated(then[name]), "none")
+    for name, record in now.records.items():
+        if record != then.get(name):
+            before = _dated(then[name]) if name in then else "none"
+            comparison.differs(f"calibration {name}", before, _dated(record))
             continue
         try:
             record.check_valid_at(engine.setting.today())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -16,6 +16,7 @@ from ronna_hw.errors import RonnaError
 
 RESULT_FILE = "result.json"  # in the folder of the run: what the command's --json prints
 AXES = ("x", "y", "z")
+NOTHING_LEARNT = 0.97  # of what was known of a parameter beforehand
 
 
 class Figure(NamedTuple):
@@ -143,7 +144,67 @@ class LookFigures(_Figures):
         yield Figure("radius, mm", millimetres(self.radius_mm))
 
 
-AnyFigures = HeadFigures | CheckFigures | LookFigures
+class _Parameter(_Figures):
+    value: float
+    standard_error: float
+
+
+class ArmFigures(_Figures):
+    """A calibration of the arm."""
+
+    calibration: str
+    created: str
+    expires: str
+    looks: int
+    outliers: int
+    validation_looks: int
+    before_mm: float
+    error_mm: float
+    predicted_mm: float
+    model_mm: float
+    scatter_mm: float
+    tool_shift_mm: float
+    parameters: dict[str, _Parameter] = Field(description="In units of an uncalibrated arm's spread.")
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        yield Figure("looks", f"{self.looks - self.outliers} used, {self.outliers} left out")
+        yield Figure("looks kept to judge by", str(self.validation_looks))
+        yield Figure("miss at these, nominal arm, mm rms", millimetres(self.before_mm))
+        yield Figure("calibrated arm, mm rms", millimetres(self.error_mm), millimetres(self.predicted_mm))
+        yield Figure("of which by the calibration itself, mm", "", millimetres(self.model_mm))
+        yield Figure("random error of the arm per axis, mm", millimetres(self.scatter_mm))
+        yield Figure("shift of the head's tool centre, mm", millimetres(self.tool_shift_mm))
+        unknown = [name for name, one in self.parameters.items() if one.standard_error > NOTHING_LEARNT]
+        yield Figure("not revealed by the looks", ", ".join(unknown) or "nothing")
+        yield Figure("made", self.created[:16].replace("T", " "))
+        yield Figure("valid until", self.expires[:16].replace("T", " "))
+
+
+class ArmCheckFigures(_Figures):
+    """A check of an arm's calibration."""
+
+    calibration: str
+    passed: bool
+    looks: int
+    error_mm: float
+    expected_mm: float
+    statistic: float
+    limit: float
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        yield Figure("looks", str(self.looks))
+        yield Figure(
+            "miss, mm rms",
+            millimetres(self.error_mm),
+            millimetres(self.expected_mm),
+            f"{'unchanged' if self.passed else 'CHANGED'}: chi-square {self.statistic:.0f}, "
+            f"limit {self.limit:.0f}",
+        )
+
+
+AnyFigures = HeadFigures | CheckFigures | LookFigures | ArmFigures | ArmCheckFigures
 
 
 def read_figures(folder: Path) -> AnyFigures | None:
@@ -152,7 +213,8 @@ def read_figures(folder: Path) -> AnyFigures | None:
         content = read_json_bytes(folder / RESULT_FILE)
     except (OSError, RonnaError):
         return None
-    for kind in (HeadFigures, CheckFigures, LookFigures):
+    kinds: tuple[type[AnyFigures], ...] = get_args(AnyFigures)
+    for kind in kinds:
         try:
             return kind.model_validate_json(content)
         except ValidationError:

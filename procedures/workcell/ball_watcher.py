@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,20 +59,26 @@ class BallWatcher:
 
     def observe(self, planned: PlannedLook) -> Observation | None:
         """One look at the ball; None, and the reason counted, when it cannot be taken or shows no ball."""
+        seen = self.take(planned)
+        return None if seen is None else self._observation(seen, planned.orientation)
+
+    def take(self, planned: PlannedLook, arriving: Sequence[int] = SAME_SIDE) -> Look | None:
+        """The same as it was seen, with each joint arriving in its direction."""
         wanted = moved_to(planned, self.ball_mm)
         try:
-            self._settle(self._joints(wanted.pose, self.workcell.joints_rad()))
+            self._settle(self._joints(wanted.pose, self.workcell.joints_rad()), arriving)
         except LimitError as error:
             if self.workcell.arm.observe().state is not Lifecycle.ACTIVE:
                 raise  # not refused before it began: tripped
             self.rejected[error.code] += 1
             return None
-        return self._observed(planned.orientation, planned.ball_in_tool_mm)
+        return self._looked(planned.ball_in_tool_mm)
 
     def observe_at(self, joints: JointVector, orientation: int | None) -> Observation | None:
         """One look from given joint angles; raises what the move raises."""
         self._settle(joints)
-        return self._observed(orientation, None)
+        seen = self._looked(None)
+        return None if seen is None else self._observation(seen, orientation)
 
     def observe_all(
         self, plan: Iterable[PlannedLook], wanted: int, progress: Callable[[int], None]
@@ -100,10 +106,9 @@ class BallWatcher:
         """The reasons, the most frequent first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
-    def _observed(self, orientation: int | None, expected_in_tool_mm: Vector3 | None) -> Observation | None:
-        workcell = self.workcell
+    def _looked(self, expected_in_tool_mm: Vector3 | None) -> Look | None:
         try:
-            seen = self.last = workcell.look()
+            seen = self.last = self.workcell.look()
         except PairNotUsable as error:  # the next pose may have more luck
             self.rejected[error.what] += 1
             return None
@@ -116,6 +121,12 @@ class BallWatcher:
         ):
             self.rejected["another ball"] += 1
             return None
+        return seen
+
+    def _observation(self, seen: Look, orientation: int | None) -> Observation:
+        workcell = self.workcell
+        assert seen.left is not None, "a look without outlines is rejected"
+        assert seen.right is not None, "a look without outlines is rejected"
         joints = workcell.joints_rad()
         flange = workcell.arm.kinematics.forward(joints)
         return Observation(
@@ -131,8 +142,8 @@ class BallWatcher:
     def _joints(self, pose: Transform, near: JointVector) -> JointVector:
         return self.workcell.joints_at(pose, near)
 
-    def _settle(self, joints: JointVector) -> None:
-        self.workcell.settle(joints, SAME_SIDE, from_afar=True)
+    def _settle(self, joints: JointVector, arriving: Sequence[int] = SAME_SIDE) -> None:
+        self.workcell.settle(joints, arriving, from_afar=True)
 
 
 def around_ball(

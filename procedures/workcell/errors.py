@@ -33,3 +33,10 @@ class SphereNotFound(RefusedError):
 
     code = "PRO-008"
     action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."
+
+
+class AnotherArm(RefusedError):
+    """The calibration record of the arm belongs to another arm."""
+
+    code = "CAL-013"
+    action = "Name this arm's own record in [calibration.arm], or calibrate it with ronna-arm calibrate."

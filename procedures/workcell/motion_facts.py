@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from procedures.engine.operator import ReadBack
+from procedures.workcell.carried_tool import CarriedTool
+from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.preview import PathPreview
+from ronna_hw.devices import RobotArm
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,28 @@ class MotionFacts:
             wrong=f"is not it: the question says that it moves {distance_mm} mm first.",
             shown=f"moves {distance_mm} mm",
         )
+
+
+def motion_facts(
+    arm: RobotArm,
+    here_rad: JointVector,
+    goal: JointVector | Transform,
+    calibrated: CalibratedArm,
+    carried: Callable[[], CarriedTool],
+    what: str,
+) -> MotionFacts:
+    """What a joint move, or a line of the carried tool to a pose ROBOT <- TOOL, would do from here."""
+    if isinstance(goal, Transform):
+        tool = carried()
+        preview = arm.preview(tool.told(goal, lambda: here_rad), flange_from_tool=tool.flange_from_tool)
+        travel_mm = math.dist(goal.translation_mm, tool.pose(here_rad).translation_mm)
+        turns_rad = [high - low for low, high in preview.joint_ranges_rad]
+    else:
+        preview = arm.preview(goal)
+        there, here = calibrated.flange_pose(goal), calibrated.flange_pose(here_rad)
+        travel_mm = math.dist(there.translation_mm, here.translation_mm)
+        turns_rad = [abs(to - now) for to, now in zip(goal, here_rad, strict=True)]
+    return MotionFacts(what, travel_mm, max(turns_rad), preview)
 
 
 def in_sequence(motions: Sequence[MotionFacts]) -> str:

@@ -25,7 +25,7 @@ MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
     """Nominal pose ROBOT <- MARKER of the reference frame on the arm."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-    flange = workcell.arm.kinematics.flange_pose(joints_rad)
+    flange = workcell.flange_pose(joints_rad)
     return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
 
 

@@ -16,10 +16,11 @@ from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
 from procedures.workcell.arm_view import ArmView
+from procedures.workcell.carried_tool import CarriedTool, calibrated_arm
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.left_arm import LeftArm
-from procedures.workcell.motion_facts import MotionFacts
+from procedures.workcell.motion_facts import MotionFacts, motion_facts
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.starting import start
@@ -27,7 +28,6 @@ from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_
 from procedures.workcell.supervised_motion import SupervisedMotion
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Device, Lifecycle
@@ -53,7 +53,7 @@ class Workcell:
     ) -> None:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
 
-        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004.
+        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004, CAL-013.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")
@@ -61,6 +61,7 @@ class Workcell:
         theatre.require("tracker", "stereo", f"robot.{MASTER}")
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
+        self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
         self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
@@ -151,15 +152,21 @@ class Workcell:
         return self._arm.read_state().joints_rad
 
     def tool_pose(self, joints_rad: JointVector | None = None) -> Transform:
-        """Nominal pose of the mounted tool at joint angles, by default at the measured ones."""
+        """Pose of the mounted tool at joint angles, by default at the measured ones."""
         joints = self.joints_rad() if joints_rad is None else joints_rad
-        return self.arm.kinematics.flange_pose(joints) @ self.flange_from_tool
+        return self._carried.pose(joints)
+
+    def flange_pose(self, joints_rad: JointVector) -> Transform:
+        """ROBOT <- FLANGE at joint angles, by the arm's calibration or else nominal."""
+        return self._calibrated.flange_pose(joints_rad)
 
     def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
         """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        kinematics = self.arm.kinematics
-        flange = Pose.from_transform(pose @ self.flange_from_tool.inverse())
-        return kinematics.solve_branch(flange, kinematics.branch_of(near), near)
+        return self._carried.joints_at(pose, near)
+
+    @property
+    def _carried(self) -> CarriedTool:
+        return CarriedTool(self._calibrated, self.flange_from_tool)
 
     @property
     def home_rad(self) -> JointVector:
@@ -194,7 +201,8 @@ class Workcell:
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
-        self._arm.surround(surroundings)
+        near_rad = self._home_rad or self.arm.kinematics.home_rad
+        self._arm.surround(self._calibrated.as_controller_sees(surroundings, near_rad))
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
@@ -212,17 +220,8 @@ class Workcell:
 
     def facts(self, goal: JointVector | Transform) -> MotionFacts:
         """What a joint move to joints, or a line of the mounted tool to a pose, would do from here."""
-        arm, here_rad = self._arm, self.joints_rad()
-        flange = arm.kinematics.flange_pose(here_rad)
-        if isinstance(goal, Transform):
-            preview = arm.preview(goal, flange_from_tool=self.flange_from_tool)
-            travel_mm = math.dist(goal.translation_mm, (flange @ self.flange_from_tool).translation_mm)
-            turns_rad = [high - low for low, high in preview.joint_ranges_rad]
-        else:
-            preview = arm.preview(goal)
-            travel_mm = math.dist(arm.kinematics.flange_pose(goal).translation_mm, flange.translation_mm)
-            turns_rad = [abs(to - now) for to, now in zip(goal, here_rad, strict=True)]
-        return MotionFacts(f"the {self.tool}", travel_mm, max(turns_rad), preview)
+        what, here_rad = f"the {self.tool}", self.joints_rad()
+        return motion_facts(self._arm, here_rad, goal, self._calibrated, lambda: self._carried, what)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
@@ -266,7 +265,7 @@ class Workcell:
 
     def line_to(self, pose: Transform) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
-        flange = pose @ self.flange_from_tool.inverse()
+        flange = self._carried.told(pose, self.joints_rad) @ self.flange_from_tool.inverse()
         return self._move("line", pose, lambda: self._arm.move_linear(flange))
 
     def insert(self, insertion: Insertion) -> ArmReading:
@@ -362,7 +361,9 @@ class Workcell:
         def move() -> ArmReading:
             insertion.check_on_axis(self.tool_pose())
             return self._arm.move_linear(
-                pose, flange_from_tool=self.flange_from_tool, speed_fraction=speed_fraction
+                self._carried.told(pose, self.joints_rad),
+                flange_from_tool=self.flange_from_tool,
+                speed_fraction=speed_fraction,
             )
 
         return self._motion.carry_out(

@@ -40,6 +40,9 @@ def theatre(
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    calibrated: Annotated[
+        bool, typer.Option("--calibrated", help="With a calibration record of the arm, and the head's by it.")
+    ] = False,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -74,7 +77,7 @@ def theatre(
 
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
-    truth = load_scene(where, seed=seed, markers=markers, targets=targets)
+    truth = load_scene(where, seed=seed, markers=markers, targets=targets, calibrated=calibrated)
     script = read_faults(faults, truth) if faults else ""
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()

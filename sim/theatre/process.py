@@ -20,7 +20,7 @@ from ronna_hw.host.parent_process import PARENT
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
 from sim.theatre.faults import read_faults
-from sim.theatre.scene.model import Scene, read_scene
+from sim.theatre.scene.model import ArmResidual, Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
@@ -97,11 +97,23 @@ def open_world(world: str | None, scene: str, faults: Path | None = None) -> tup
     return own, ControlPort(Room(own, None)).endpoint
 
 
-def load_scene(scene: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
-    """A named scene, or a scene file; raises SIM-001."""
+def load_scene(
+    scene: str,
+    *,
+    seed: int = 0,
+    markers: int | None = None,
+    targets: int | None = None,
+    calibrated: bool = False,
+) -> Scene:
+    """A named scene, or a scene file, its arm on request with a calibration record; raises SIM-001."""
     if scene in SCENES:
-        return named_scene(scene, seed=seed, markers=markers, targets=targets)
-    return read_scene(Path(scene))
+        drawn = named_scene(scene, seed=seed, markers=markers, targets=targets)
+    else:
+        drawn = read_scene(Path(scene))
+    if not calibrated or drawn.calibration_error.arm is not None:
+        return drawn
+    error = drawn.calibration_error.model_copy(update={"arm": ArmResidual()})
+    return drawn.model_copy(update={"calibration_error": error})
 
 
 def fail(message: str, exit_code: int) -> None:

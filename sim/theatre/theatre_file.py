@@ -8,6 +8,7 @@ the mount is where it is.
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ import numpy as np
 from ronna_hw.bounded_input import InputRefused, read_toml
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import write_whole
+from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
+from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
 from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import CalibrationError, CameraTruth, Scene
@@ -27,6 +30,7 @@ MADE_BY = "ronna-sim theatre"
 # What an arm of parameter set S does to the points of one head when all are approached alike. Chosen on seeds
 # 0 to 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
 ARM_ERROR_MM = 0.10
+LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be believed
 BANNER = "SIMULATED THEATRE"
 
 
@@ -74,7 +78,10 @@ def theatre_content(
             },
         },
         "calibration": _calibrations(scene, calibrated or datetime.now(UTC).replace(microsecond=0)),
-        "procedure": {"servo_area_px": list(scene.servo_area_px), "arm_error_mm": ARM_ERROR_MM},
+        "procedure": {
+            "servo_area_px": list(scene.servo_area_px),
+            "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
+        },
     }
 
 
@@ -102,8 +109,9 @@ def calibrated_at(theatre_file: Path) -> datetime | None:
 def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     error = scene.calibration_error
     generator = noise(scene.seed, "calibration", 0)
-    nominal = matrix_of(scene.mount.flange_from_tool_nominal)
-    tip = nominal @ matrix_of(scene.mount.tool_from_tip_true)
+    measured = error.arm and measured_mount(scene.mount, error.arm, noise(scene.seed, "arm calibration", 0))
+    head = matrix_of(measured or scene.mount.flange_from_tool_nominal)
+    tip = head @ matrix_of(scene.mount.tool_from_tip_true)
     tip = tip @ matrix_from(generator.normal(0.0, error.tip_mm, 3), np.eye(3))
     marker = matrix_of(scene.mount.tool_from_marker_true) @ matrix_from(
         generator.normal(0.0, error.marker_translation_mm, 3),
@@ -128,7 +136,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
                     3**0.5 * error.camera_translation_mm, WORKING_DISTANCE_MM * error.camera_rotation_rad
                 )
             ),
-            flange_from_tool=_pose(pose_of(nominal)),
+            flange_from_tool=_pose(pose_of(head)),
             left=_camera(scene.left, error, generator),
             right=_camera(scene.right, error, generator),
         ),
@@ -144,7 +152,17 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             tool=scene.tracker.tools[0].name,
             tool_from_marker=_pose(pose_of(marker)),
         ),
+        **_arm(scene, record),
     }
+
+
+def _arm(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+    residual, arm = scene.calibration_error.arm, scene.arm
+    if residual is None:
+        return {}
+    values = arm_values(arm, residual, noise(scene.seed, "arm calibration", 1))
+    scatter_mm = max(arm.repeatability_mm, LEAST_SCATTER_MM)
+    return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
 
 
 def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.Generator) -> dict[str, Any]:

@@ -156,7 +156,6 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
     ("code", "option"),
     [
         ("PRO-012", ("--fiducials", "xframe")),
-        ("PRO-012", ("--calibrated",)),
         ("STR-001", ("--strategy", "best")),
     ],
 )

@@ -45,13 +45,17 @@ class CaseRequest(TheatreRequest):
 
 def check_request(request: CaseRequest) -> None:
     """Raise what can be known to be wrong before a run folder is made."""
+    from procedures.calibration.arm.check import require_record
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import require_one_kind
 
     strategy_named(request.strategy)
     if request.config is not None:
-        require_one_kind(read_theatre_file(request.config))
+        theatre = read_theatre_file(request.config)
+        require_one_kind(theatre)
+        if request.choice.calibrated:
+            require_record(theatre.calibration.arm if theatre.calibration else None)
         for part in ("ct", "plan.toml"):
             path = (request.case or Path()) / part
             if not path.exists():

@@ -33,6 +33,7 @@ class RequestFile(BaseModel):
     seed: int = 0
     markers: int | None = None
     targets: int | None = None
+    calibrated: bool = False
     strategy: str
     speed: str
     faults: Path | None = None
@@ -49,6 +50,7 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         seed=choice.seed,
         markers=choice.markers,
         targets=choice.targets,
+        calibrated=choice.calibrated,
         strategy=request.strategy,
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
@@ -81,7 +83,7 @@ def read_request(folder: Path) -> CaseRequest:
         )
     return CaseRequest(
         out=folder.parent,
-        choice=SceneChoice(content.scene, content.seed, content.markers, content.targets),
+        choice=SceneChoice(content.scene, content.seed, content.markers, content.targets, content.calibrated),
         strategy=content.strategy,
         speed=content.speed,
         faults=content.faults,

@@ -16,6 +16,7 @@ class SceneChoice:
     seed: int = 0
     markers: int | None = None
     targets: int | None = None
+    calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
 
     def arguments(self) -> list[str]:
         """As options of `ronna-sim theatre` and `ronna-sim phantom`."""

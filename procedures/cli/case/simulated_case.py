@@ -25,6 +25,8 @@ class SimulatedCase:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
         scene = request.choice.arguments()
         more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
+        if request.choice.calibrated:
+            more.append("--calibrated")
         if goes_on:
             more.append("--continue")
         self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *more)

@@ -11,6 +11,7 @@ from ronna_hw.devices.probing import Diagnostic
 CALIBRATE = {
     "stereo_head": "Run ronna-stereo calibrate --config FILE.",
     "tool_tip": "Measure the tip of the guide again, and enter the new record.",
+    "arm": "Run ronna-arm calibrate --config FILE.",
     "tracker_frame": "Measure the reference frame on the mount again, and enter the new record.",
 }
 
@@ -22,8 +23,8 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         advice = "Add [calibration]: without its records no case can be run." if needed else ""
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
-    for name, advice in CALIBRATE.items():
-        record = getattr(theatre.calibration, name)
+    for name, record in theatre.calibration.records.items():
+        advice = CALIBRATE[name]
         valid = now <= record.expires
         until = f"{'valid until' if valid else 'expired on'} {record.expires:%Y-%m-%d %H:%M %Z}"
         yield Diagnostic(

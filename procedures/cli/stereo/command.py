@@ -107,13 +107,13 @@ def calibrate(
         folder = new_folder(out, "stereo")
         conclude(observed)
     else:
-        request = _request(sim, scene, seed, config)
+        request = theatre_request(sim, scene, seed, config)
         folder = new_folder(out, "stereo")
         with leaving_report(folder, with_truth=False):
             _observe(request, folder, (poses, visits), ball, conclude)
     (result,) = results
     if write is not None and config is not None:
-        files.write_theatre(config, write, result)
+        files.write_theatre(config, write, files.records_of(result))
     if as_json:
         console.print_json({**files.payload_of(result), "folder": str(folder)})
         return
@@ -143,7 +143,7 @@ def check(
     calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
     """
     console.set_up_logging(verbose)
-    request = _request(sim, scene, seed, config)
+    request = theatre_request(sim, scene, seed, config)
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
@@ -203,7 +203,7 @@ def measure(
     `calibrate`.
     """
     console.set_up_logging(verbose)
-    request = _request(sim, scene, seed, config)
+    request = theatre_request(sim, scene, seed, config)
     from procedures.cli.case.leaving_report import leaving_report
     from procedures.cli.stereo.opening import new_folder, run_steps
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
@@ -232,7 +232,10 @@ def _finite(ball: Triple | None) -> Triple | None:
     return ball
 
 
-def _request(sim: bool, scene: str, seed: int, config: Path | None) -> TheatreRequest:
+def theatre_request(
+    sim: bool, scene: str, seed: int, config: Path | None, *, calibrated: bool = False
+) -> TheatreRequest:
+    """The theatre that the options name; raises CLI-001 unless it is one."""
     if sim == (config is not None):
         raise UsageMistake("choose one: --sim, or --config FILE")
     from procedures.cli.case.request import TheatreRequest
@@ -240,7 +243,7 @@ def _request(sim: bool, scene: str, seed: int, config: Path | None) -> TheatreRe
 
     if config is not None:
         read_theatre_file(config)
-    return TheatreRequest(config=config, choice=SceneChoice(scene=scene, seed=seed))
+    return TheatreRequest(config=config, choice=SceneChoice(scene, seed, calibrated=calibrated))
 
 
 def _observe(
@@ -251,7 +254,7 @@ def _observe(
     conclude: Callable[[ObservationSet], None],
 ) -> None:
     """Observe the ball; what `conclude` raises is how the run has ended."""
-    from procedures.cli.stereo.opening import run_steps
+    from procedures.cli.stereo.opening import run_steps, valid_now
     from procedures.steps.calibration.ball_observation import ObservedBall
     from procedures.steps.calibration.procedures import head_calibration
 
@@ -260,7 +263,7 @@ def _observe(
 
     with console.progress_bar("looking at the ball") as advance:
         steps, title = head_calibration(*numbers, ball_mm), "Calibration of the stereo head"
-        engine = run_steps(request, folder, steps, advance, title=title, expired_too=True, judge=judge)
+        engine = run_steps(request, folder, steps, advance, title=title, in_use=valid_now, judge=judge)
     for remark in engine.case.get(ObservedBall).result.remarks:
         console.tell(remark)
 

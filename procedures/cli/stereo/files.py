@@ -53,7 +53,7 @@ def write_payload(payload: dict[str, Any], folder: Path) -> None:
     write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
 
 
-def write_theatre(source: Path, target: Path, result: HeadResult) -> None:
+def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     """The theatre file `source` with the new records, as `target`; comments are lost, nothing else."""
     import tomli_w
 
@@ -63,7 +63,7 @@ def write_theatre(source: Path, target: Path, result: HeadResult) -> None:
             action="Name a file in the folder of the theatre file.",
         )
     content = read_toml(source, BadTheatreFile)
-    content["calibration"] = {**content["calibration"], **records_of(result)}
+    content["calibration"] = {**content["calibration"], **records}
     write_whole(target, tomli_w.dumps(content).encode())
 
 

@@ -36,22 +36,20 @@ def run_steps(
     progress: Callable[[float], None],
     *,
     title: str,
-    expired_too: bool = False,
+    in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre,
     judge: Callable[[Engine], None] = lambda _engine: None,
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
 
     `judge` is called when every step is done; what it raises is how the run has ended.
 
-    `title` names it in its report. With `expired_too` the records only serve as a start, and their age does
-    not matter.
+    `title` names it in its report; `in_use` says which records to work with, given those of the theatre.
     """
 
     def procedure(theatre: Theatre) -> Procedure:
         from procedures.engine.order import order_of
 
-        calibrations = _valid_now(theatre.calibrations) if expired_too else None
-        return Procedure(order_of(steps, ()), title, calibrations=calibrations)
+        return Procedure(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations))
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:
@@ -69,11 +67,12 @@ def run_steps(
     return engine
 
 
-def _valid_now(calibrations: Calibrations) -> Calibrations:
+def valid_now(calibrations: Calibrations) -> Calibrations:
+    """The same records where they only serve as a start, and their age does not matter."""
     later = datetime.now(UTC) + GRACE
     return calibrations.model_copy(
         update={
-            name: getattr(calibrations, name).model_copy(update={"expires": later})
-            for name in ("stereo_head", "tool_tip", "tracker_frame")
+            name: record.model_copy(update={"expires": later})
+            for name, record in calibrations.records.items()
         }
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,13 @@ class BallPlace(StepResult, kind="ball_place"):
 
     ball_mm: Numbers3 = Field(description="The ball to look at.")
     others_mm: tuple[Numbers3, ...] = Field(description="Other balls, to keep clear of.")
+
+    @classmethod
+    def among(cls, points_mm: Array, number: int) -> Self:
+        """One of the balls (n, 3)."""
+        x, y, z = points_mm[number].tolist()
+        others = tuple((float(u), float(v), float(w)) for u, v, w in np.delete(points_mm, number, axis=0))
+        return cls(ball_mm=(x, y, z), others_mm=others)
 
     @property
     def reference(self) -> Rotation:
@@ -65,14 +73,14 @@ def run(context: StepContext) -> Outcome[BallPlace]:
     The arm rests, as the localization by the tracker wants it.
     """
     points = context.result(GlobalLocalization).points_mm
-    alone = [number for number in range(len(points)) if _nearest_mm(points, number) >= ALONE_MM]
+    alone = standing_alone(points)
     if not alone:
         raise NoBall("the tracker sees no ball that stands alone", got=f"{len(points)} stray spheres")
     head_mm = context.workcell.tool_pose().translation_mm
     chosen = min(alone, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
-    x, y, z = points[chosen].tolist()
-    others = tuple((float(u), float(v), float(w)) for u, v, w in np.delete(points, chosen, axis=0))
-    return Outcome(BallPlace(ball_mm=(x, y, z), others_mm=others), f"{x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT")
+    place = BallPlace.among(points, chosen)
+    x, y, z = place.ball_mm
+    return Outcome(place, f"{x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT")
 
 
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
@@ -80,6 +88,11 @@ def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
     if stated_mm is not None:
         return StepSpec(BallPlace, "Take the stated place", Phase.PREPARATION, StatedPlace(stated_mm).run)
     return StepSpec(BallPlace, "Choose the ball", Phase.PREPARATION, run, reads=(GlobalLocalization,))
+
+
+def standing_alone(points_mm: Array) -> list[int]:
+    """Numbers of the balls (n, 3) that are far enough from every other one."""
+    return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ALONE_MM]
 
 
 def _nearest_mm(points: Array, number: int) -> float:

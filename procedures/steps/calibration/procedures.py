@@ -8,6 +8,7 @@ from procedures.steps.calibration.ball_look import look_step
 from procedures.steps.calibration.ball_observation import observation_step
 from procedures.steps.calibration.ball_place import place_step
 from procedures.steps.calibration.baseline_visit import visit_step
+from procedures.steps.calibration.sphere_looks import looks_step
 from procedures.steps.clinical import global_localization, set_up
 from ronna_hw.calibration import Numbers3
 
@@ -30,6 +31,11 @@ def head_look(ball_mm: Numbers3 | None) -> Steps:
 def look_where_it_stands() -> Steps:
     """One look; nothing moves."""
     return (look_step(over_ball=False),)
+
+
+def arm_looks(count: int, validation: int) -> Steps:
+    """Set up, find the spheres, look at them from all sides."""
+    return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
 
 
 def _to_ball(ball_mm: Numbers3 | None) -> Steps:

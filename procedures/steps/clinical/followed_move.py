@@ -79,7 +79,7 @@ def watch_over(
     spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
     if pairs is not None:
         spheres = spheres[[room for _, room in pairs]]
-    begun = RoomReading(workcell.arm.kinematics.flange_pose(localized.joints_rad), np.zeros(3), spheres)
+    begun = RoomReading(workcell.flange_pose(localized.joints_rad), np.zeros(3), spheres)
     return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
 
 

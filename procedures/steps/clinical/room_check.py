@@ -55,7 +55,7 @@ def head_hidden(context: StepContext) -> bool:
     watch, workcell = context.setting.workspace.find(RoomWatch), context.workcell
     if watch is None or watch.hidden_from is None:
         return False
-    return watch.hides_head(workcell.arm.kinematics.flange_pose(workcell.joints_rad()))
+    return watch.hides_head(workcell.flange_pose(workcell.joints_rad()))
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     Raises CAL-001 for an expired record, STE-010 for another camera, PRO-009 for another tool.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
-    for record in (calibrations.stereo_head, calibrations.tool_tip, calibrations.tracker_frame):
+    for record in calibrations.records.values():
         record.check_valid_at(context.setting.today())
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}

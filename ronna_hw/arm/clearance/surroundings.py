@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.links import ArmPart
+from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import Vector3
 
 DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may move
@@ -104,6 +105,18 @@ class Surroundings:
     def into(self, corridor: Corridor | None) -> Surroundings:
         """The same with this way into the head open, or with none."""
         return replace(self, corridor=corridor)
+
+    def moved(self, by: Pose) -> Surroundings:
+        """The same with everything that is fixed in the room elsewhere."""
+        corridor = self.corridor
+        return replace(
+            self,
+            obstacles=tuple(one._replace(capsule=one.capsule.moved(by)) for one in self.obstacles),
+            corridor=corridor
+            and corridor._replace(
+                entry_mm=by.apply(corridor.entry_mm), target_mm=by.apply(corridor.target_mm)
+            ),
+        )
 
     def cap_mm_s(self, distance_mm: float) -> float:
         """Largest speed of anything that moves at a distance from the head."""

@@ -189,6 +189,16 @@ class TrackerTruth(Strict):
     reflections: Annotated[int, Field(ge=0)] = Field(default=0, description="How many glints come and go.")
 
 
+class ArmResidual(Strict):
+    """What a calibration of the arm leaves over in its record, one standard deviation each."""
+
+    link_mm: NotNegative = Field(default=0.06, description="Of each link's length, per axis.")
+    angle_rad: NotNegative = Field(
+        default=1.4e-4, description="Of each link's rotation per axis, and of each joint's offset."
+    )
+    tool_mm: NotNegative = Field(default=0.1, description="Of the head on the flange, per axis.")
+
+
 class CalibrationError(Strict):
     """Stated errors of the calibration records that the theatre hands out, one standard deviation."""
 
@@ -198,6 +208,9 @@ class CalibrationError(Strict):
     tip_mm: NotNegative = Field(default=0.03, description="Of the guide's tip per axis: 0.05 mm in space.")
     marker_translation_mm: NotNegative = Field(default=0.2, description="Of the reference frame, per axis.")
     marker_rotation_rad: NotNegative = Field(default=1e-3, description="Of the reference frame, per axis.")
+    arm: ArmResidual | None = Field(
+        default=None, description="Of the arm's own record; without, there is none and the head is nominal."
+    )
 
 
 class Scene(Strict):

@@ -79,7 +79,7 @@ def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_pa
 def test_each_calibration_record_shows_until_when_it_is_valid(days: int, well: bool, said: str) -> None:
     now = datetime.now(UTC)
     record = SimpleNamespace(identifier="head-1", expires=now + timedelta(days=days))
-    records = SimpleNamespace(stereo_head=record, tool_tip=record, tracker_frame=record)
+    records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
     for diagnostic in calibration_diagnostics(cast("Any", SimpleNamespace(calibration=records)), now):
         assert (diagnostic.well, bool(diagnostic.advice)) == (well, not well)
         assert diagnostic.seen.startswith(f"head-1, {said} ")

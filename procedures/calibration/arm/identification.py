@@ -1,0 +1,142 @@
+"""Deviations of the arm from looks at spheres at rest: weighted least squares with the prior of set S.
+
+Where the spheres are is not known beforehand, so nothing is learnt about how the arm stands in the room, and
+nothing need be: a case measures its spheres with the same arm. The arm's random error is estimated from the
+looks themselves, with the share of each look in the fit taken into account.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.bundle import orientation_spread
+from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
+from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.frames import Transform
+
+Array = NDArray[np.float64]
+
+LEAST_LOOKS = 60  # below, validation shows errors beyond those of a calibrated arm
+LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
+ROUNDS = 6  # of fit, size of the random error and outliers: they settle within four
+FIRST_SCATTER_MM = 0.05
+LEAST_SCATTER_MM = 0.003  # no arm is better
+LARGEST_SCATTER_MM = 0.15  # no arm of this class is worse: something moved
+OUTLIER_CHI2 = 16.3  # exceeded by 0.1 % of good looks, with three coordinates
+MOST_OUTLIERS = 0.1
+
+
+@dataclass(frozen=True)
+class ArmFit:
+    """The identified arm. `covariance` (n, n) of `values`, both as `ArmModel` orders and scales them.
+
+    `scatter_mm` is the random error of the arm per axis; `residuals_mm` (m, 3) in the robot frame; `used`
+    (m,) marks the inliers.
+    """
+
+    model: ArmModel
+    values: Array
+    covariance: Array
+    scatter_mm: float
+    residuals_mm: Array
+    used: NDArray[np.bool_]
+
+    @property
+    def deviations(self) -> ArmDeviations:
+        """Of the arm from its nominal chain."""
+        return self.model.deviations(self.values)
+
+    @property
+    def flange_from_tool(self) -> Transform:
+        """FLANGE <- TOOL of the head, as the looks have it."""
+        return self.model.tool(self.values)
+
+    @property
+    def learnt(self) -> Array:
+        """Standard error of each value but the spheres', as a share of what was known before."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
+
+
+def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
+    """The arm that explains the looks. Raises CAL-002, CAL-003, CAL-004."""
+    count = len(looks.joints_rad)
+    if count < LEAST_LOOKS:
+        raise TooFewPoses(
+            "too few looks to calibrate an arm", expected=f"at least {LEAST_LOOKS}", got=str(count)
+        )
+    rotations = model.rotations(looks)
+    spread = orientation_spread(rotations)
+    if spread < LEAST_SPREAD:
+        raise DegeneratePoses(
+            "the orientations of the looks hardly vary",
+            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
+            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+        )
+    stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
+    values = _start(model, looks)
+    scatter, used = FIRST_SCATTER_MM, np.ones(count, dtype=bool)
+    for _ in range(ROUNDS):
+        whitening = whitening_of(stereo, scatter)
+        slopes = model.slopes(values, looks)
+        covariance, values = _step(model, looks, values, slopes, whitening, used)
+        residuals = model.misses(values, looks)
+        scatter = _scatter(residuals, slopes @ covariance @ slopes.transpose(0, 2, 1), stereo, used)
+        whitened = np.einsum("mij,mj->mi", whitening_of(stereo, scatter), residuals)
+        used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
+    if scatter > LARGEST_SCATTER_MM:
+        raise DoesNotFit(
+            "spheres seem to move from look to look",
+            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
+            got=f"{scatter:.2f} mm",
+        )
+    if np.mean(~used) > MOST_OUTLIERS:
+        raise DoesNotFit(
+            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
+        )
+    return ArmFit(model, values, covariance, scatter, residuals, used)
+
+
+def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
+    """Matrices (m, 3, 3) that whiten the misses of looks with these covariances and that random error."""
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(stereo_mm2 + scatter_mm**2 * np.eye(3))))
+
+
+def _start(model: ArmModel, looks: LookArrays) -> Array:
+    """The nominal arm, and every sphere in the middle of where it was seen."""
+    values = np.zeros(model.size + 3 * looks.spheres)
+    seen = model.misses(values, looks)
+    places = [np.median(seen[looks.sphere == number], axis=0) for number in range(looks.spheres)]
+    values[model.size :] = np.ravel(places)
+    return values
+
+
+def _step(
+    model: ArmModel,
+    looks: LookArrays,
+    values: Array,
+    slopes: Array,
+    whitening: Array,
+    used: NDArray[np.bool_],
+) -> tuple[Array, Array]:
+    """Covariance and values after one step of Gauss and Newton."""
+    rows = (whitening @ slopes)[used].reshape(-1, len(values))
+    misses = np.einsum("mij,mj->mi", whitening, model.misses(values, looks))[used].ravel()
+    prior = np.zeros(len(values))
+    prior[: model.size] = 1.0
+    covariance: Array = np.asarray(np.linalg.inv(rows.T @ rows + np.diag(prior)), dtype=float)
+    return covariance, values - covariance @ (rows.T @ misses + prior * values)
+
+
+def _scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
+    """Random error of the arm per axis: what the residuals have beyond the images' share.
+
+    `explained` (m, 3, 3) is the covariance that the fit has at the looks: it has drawn the residuals so far
+    towards zero.
+    """
+    square = np.sum(residuals**2, axis=1) - np.einsum("mii->m", stereo) + np.einsum("mii->m", explained)
+    return float(max(np.sqrt(max(np.mean(square[used]) / 3.0, 0.0)), LEAST_SCATTER_MM))

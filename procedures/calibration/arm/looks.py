@@ -1,0 +1,77 @@
+"""The input of a calibration of the arm: spheres at rest, each seen by the stereo head from many poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from datetime import datetime
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.calibration.observations import Joints
+from ronna_hw.calibration import ArmCalibration, Numbers3, StereoHeadCalibration, Strict, ToolTipCalibration
+
+Array = NDArray[np.float64]
+
+LOOKS_FILE = "looks.json"
+Side = Literal[-1, 1]
+Flanks = tuple[Side, Side, Side, Side, Side, Side]
+
+
+class SphereLook(Strict):
+    """One look at one sphere."""
+
+    sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
+    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    flanks: Flanks = Field(description="The direction in which each joint arrived.")
+    point_mm: Numbers3 = Field(description="The sphere in the tool frame of the record in use.")
+    covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Of that point.")
+    validation: bool = Field(description="Kept from the identification, to judge it.")
+
+
+class ArmLooks(Strict):
+    """All looks of one calibration, and the records they were taken with."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    created: datetime = Field(description="When the looks were taken.")
+    arm: str = Field(description="Name of the arm's kinematic model.")
+    serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
+    stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
+    tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
+    arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
+    looks: tuple[SphereLook, ...] = Field(description="The looks.")
+
+
+@dataclass(frozen=True)
+class LookArrays:
+    """Looks as arrays of m rows; `sphere` numbers them from 0 without gaps."""
+
+    joints_rad: Array  # (m, n)
+    flanks: Array  # (m, n)
+    points_mm: Array  # (m, 3) tool frame
+    covariances_mm2: Array  # (m, 3, 3) tool frame
+    sphere: NDArray[np.intp]  # (m,)
+
+    @property
+    def spheres(self) -> int:
+        """How many there are."""
+        return int(self.sphere.max()) + 1
+
+    def only(self, rows: NDArray[np.bool_]) -> LookArrays:
+        """Some of the looks, with the same numbers of spheres."""
+        return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
+
+
+def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
+    """The looks as arrays; spheres that were never seen leave no gap in the numbers."""
+    _, sphere = np.unique([one.sphere for one in looks], return_inverse=True)
+    return LookArrays(
+        joints_rad=np.array([one.joints_rad for one in looks]),
+        flanks=np.array([one.flanks for one in looks], dtype=float),
+        points_mm=np.array([one.point_mm for one in looks]),
+        covariances_mm2=np.array([one.covariance_mm2 for one in looks]),
+        sphere=np.asarray(sphere, dtype=np.intp),
+    )

@@ -1,0 +1,38 @@
+"""Which of many possible looks reveal most of an arm: D-optimal choice, one look after the other.
+
+Each look adds the information that it has beyond what is known already; the one that adds most is next. At
+first the prior of an uncalibrated arm is all that is known.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.arm.parameters import ArmModel
+
+Array = NDArray[np.float64]
+
+LOOK_SIGMA_MM = 0.02  # of a look per axis: repeatability of a good arm, and the stereo head
+SPHERE_SIGMA_MM = 10.0  # of what is known of a sphere's place
+
+
+def most_telling(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
+    """Numbers of `count` looks, in the order in which they were chosen; fewer where there are not so many."""
+    values = np.zeros(model.size + 3 * candidates.spheres)
+    slopes = model.slopes(values, candidates) / LOOK_SIGMA_MM
+    known = np.ones(len(values))
+    known[model.size :] = SPHERE_SIGMA_MM**2
+    covariance: Array = np.diag(known)
+    rest = np.ones(len(slopes), dtype=bool)
+    chosen = []
+    for _ in range(min(count, len(slopes))):
+        spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
+        gain = np.linalg.det(np.eye(3) + spread)
+        best = int(np.argmax(np.where(rest, gain, 0.0)))
+        rest[best] = False
+        chosen.append(best)
+        through = covariance @ slopes[best].T
+        covariance = covariance - through @ np.linalg.solve(np.eye(3) + spread[best], through.T)
+    return np.array(chosen, dtype=np.intp)

@@ -1,0 +1,70 @@
+"""From the identified arm to the records of the theatre file: deviations, head and tip, dated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import timedelta
+from typing import Any
+
+import numpy as np
+
+from procedures.calibration.arm.identification import ArmFit, identify
+from procedures.calibration.arm.looks import ArmLooks, arrays_of
+from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.arm.validation import ArmValidation, validate
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.record import LIFE, moved_tip, new_identifier
+from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
+from ronna_hw.frames import Frame
+
+MADE_BY = "ronna-arm calibrate"
+
+
+@dataclass(frozen=True)
+class ArmResult:
+    """The new records, and how good they are; `tool_shift_mm` is by how much the head's tool centre moved."""
+
+    fit: ArmFit
+    validation: ArmValidation
+    arm: ArmCalibration
+    stereo_head: StereoHeadCalibration
+    tool_tip: ToolTipCalibration | None
+    tool_shift_mm: float
+
+
+def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
+    """Records from looks, with their date. Raises CAL-002 to CAL-004, CAL-011."""
+    head = observed.stereo_head
+    before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    looks = arrays_of(observed.looks)
+    kept = np.array([one.validation for one in observed.looks])
+    fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
+    validation = validate(fit, looks.only(kept))
+    after = fit.flange_from_tool
+    dates: dict[str, Any] = {
+        "created": observed.created,
+        "expires": observed.created + life,
+        "made_by": MADE_BY,
+    }
+    return ArmResult(
+        fit=fit,
+        validation=validation,
+        arm=ArmCalibration(
+            identifier=new_identifier("arm", observed.created),
+            stated_error_mm=validation.model_mm,
+            arm=observed.arm,
+            scatter_mm=fit.scatter_mm,
+            **fit.deviations.as_plain(),
+            **dates,
+        ),
+        stereo_head=head.model_copy(
+            update={
+                "identifier": new_identifier("stereo-head", observed.created),
+                "flange_from_tool": pose_record(after),
+                **dates,
+            }
+        ),
+        tool_tip=None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after),
+        tool_shift_mm=float(np.linalg.norm(after.translation_mm - before.translation_mm)),
+    )

@@ -1,0 +1,86 @@
+"""Whether an identified arm holds where it was not fitted: looks kept apart, and what the looks reveal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from procedures.calibration.arm.identification import ArmFit, whitening_of
+from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.errors import DoesNotFit, TooFewPoses, Unobservable
+
+Array = NDArray[np.float64]
+
+LEAST_VALIDATION = 12
+ACCEPTED = 1e-4  # probability with which a good calibration is refused
+LARGEST_ERROR_MM = 0.10  # of the model at a pose like those of the looks: three times a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, links that bend
+
+
+@dataclass(frozen=True)
+class ArmValidation:
+    """`misses_mm` (m, 3) of looks that were not used; the rest in mm, three-dimensional, rms.
+
+    `before_mm` is what the nominal arm misses there, `predicted_mm` what the model's covariance and the
+    random error lead one to expect, `model_mm` the model's own share of it.
+    """
+
+    misses_mm: Array
+    before_mm: float
+    error_mm: float
+    predicted_mm: float
+    model_mm: float
+
+
+def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
+    """Judge a fit by looks that it has not seen. Raises CAL-002, CAL-004, CAL-011."""
+    count = len(looks.joints_rad)
+    if count < LEAST_VALIDATION:
+        raise TooFewPoses(
+            "too few looks to validate the arm", expected=f"at least {LEAST_VALIDATION}", got=str(count)
+        )
+    model, rotations = fit.model, fit.model.rotations(looks)
+    misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
+    own = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
+    random = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1) + fit.scatter_mm**2 * np.eye(3)
+    model_mm = float(np.sqrt(np.mean(np.einsum("mii->m", own))))
+    if model_mm > LARGEST_ERROR_MM:
+        worst = np.argsort(fit.learnt)[::-1][:3]
+        raise Unobservable(
+            "the looks do not reveal enough of the arm: least of all "
+            + ", ".join(model.names[number] for number in worst),
+            limit=f"{LARGEST_ERROR_MM:g} mm where it was not looked",
+            got=f"{model_mm:.2f} mm",
+        )
+    whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
+    statistic, limit = float(np.sum(whitened**2)), float(chi2.isf(ACCEPTED, 3 * count)) * (1.0 + MODEL_SHARE)
+    if statistic > limit:
+        raise DoesNotFit(
+            "the identified arm does not hold for looks that it has not seen",
+            limit=f"chi-square {limit:.0f}",
+            got=f"{statistic:.0f}: {_rms(misses):.3f} mm",
+        )
+    return ArmValidation(
+        misses_mm=misses,
+        before_mm=_before(fit, looks),
+        error_mm=_rms(misses),
+        predicted_mm=float(np.sqrt(np.mean(np.einsum("mii->m", own + random)))),
+        model_mm=model_mm,
+    )
+
+
+def _before(fit: ArmFit, looks: LookArrays) -> float:
+    """What nominal arm and head miss: each sphere about the middle of where they see it."""
+    nothing = np.zeros(len(fit.values))
+    seen = fit.model.misses(nothing, looks)
+    for number in range(looks.spheres):
+        here = looks.sphere == number
+        seen[here] -= seen[here].mean(axis=0)
+    return _rms(seen)
+
+
+def _rms(misses: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))

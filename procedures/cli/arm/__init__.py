@@ -1,0 +1,1 @@
+"""`ronna-arm`: calibrate the arm, check that its calibration still holds."""

@@ -1,0 +1,184 @@
+"""`ronna-arm`: calibrate the arm, check that its calibration still holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.stereo.command import ConfigOption, OutOption, SceneOption, SeedOption, SimOption
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.calibration.arm.check import ArmCheck
+    from procedures.calibration.arm.looks import ArmLooks
+    from procedures.calibration.arm.record import ArmResult
+    from procedures.cli.case.request import TheatreRequest
+    from procedures.engine.engine import Engine
+    from ronna_hw.config import Calibrations
+
+app = typer.Typer(
+    name="ronna-arm",
+    help="The arm: calibrate its geometry by spheres at rest, check that the calibration still holds.",
+    epilog="Example: ronna-arm calibrate --sim --scene mini",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def arm() -> None:
+    """The arm: calibrate its geometry by spheres at rest, check that the calibration still holds."""
+
+
+@app.command()
+def calibrate(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    recorded: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="FOLDER", help="Compute again from the looks in this folder."),
+    ] = None,
+    looks: Annotated[int, typer.Option(min=60, max=300, help="Looks to identify the arm with.")] = 90,
+    validation: Annotated[
+        int, typer.Option(min=12, max=100, help="More looks, kept apart to judge the result by.")
+    ] = 24,
+    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30,
+    write: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
+    ] = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Identify links, joints, gravity, backlash and the head on the flange from looks at spheres at rest.
+
+    The tracker says where the spheres are. The arm moves, after a confirmation. Exit codes: 0 done, 1 the
+    looks do not give a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not
+    confirmed, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    one_theatre = sim != (config is not None)
+    if (recorded is None and not one_theatre) or (recorded is not None and sim):
+        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
+    if write is not None and config is None:
+        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    from procedures.calibration.arm.record import calibrate_arm
+    from procedures.cli.arm import files
+    from procedures.cli.case.leaving_report import leaving_report
+    from procedures.cli.stereo.command import theatre_request
+    from procedures.cli.stereo.files import write_theatre
+    from procedures.cli.stereo.opening import new_folder
+
+    results: list[ArmResult] = []
+
+    def conclude(observed: ArmLooks) -> None:
+        files.write_looks(observed, folder)
+        result = calibrate_arm(observed, life=timedelta(days=days))
+        files.write_result(result, folder)
+        results.append(result)
+
+    if recorded is not None:
+        observed = files.read_looks(recorded)
+        folder = new_folder(out, "arm")
+        conclude(observed)
+    else:
+        request = theatre_request(sim, scene, seed, config)
+        folder = new_folder(out, "arm")
+        with leaving_report(folder, with_truth=False):
+            _look(request, folder, (looks, validation), conclude)
+    (result,) = results
+    if write is not None and config is not None:
+        write_theatre(config, write, files.records_of(result))
+    if as_json:
+        console.print_json({**files.payload_of(result), "folder": str(folder)})
+        return
+    from procedures.cli.arm.display import print_calibration
+
+    print_calibration(result, folder)
+
+
+@app.command()
+def check(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    config: ConfigOption = None,
+    looks: Annotated[int, typer.Option(min=12, max=100, help="Looks to judge by.")] = 24,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Look at spheres from a few poses: is the arm still as its calibration record says?
+
+    With --sim the theatre is a calibrated one. Exit codes: 0 it is, 3 it has changed or has no record, others
+    as in `calibrate`.
+    """
+    console.set_up_logging(verbose)
+    from procedures.calibration.arm.check import check_arm
+    from procedures.cli.arm import files
+    from procedures.cli.arm.display import print_check
+    from procedures.cli.case.leaving_report import leaving_report
+    from procedures.cli.stereo.command import theatre_request
+    from procedures.cli.stereo.files import write_payload
+    from procedures.cli.stereo.opening import new_folder
+
+    results: list[ArmCheck] = []
+
+    def conclude(observed: ArmLooks) -> None:
+        results.append(check_arm(observed))
+        write_payload(files.check_payload(results[0]), folder)
+        results[0].require()
+
+    request = theatre_request(sim, scene, seed, config, calibrated=True)
+    folder = new_folder(out, "check")
+    try:
+        with leaving_report(folder, with_truth=False):
+            _look(request, folder, (0, looks), conclude)
+    finally:
+        for result in results:
+            if as_json:
+                console.print_json(files.check_payload(result))
+            else:
+                print_check(result)
+
+
+def _look(
+    request: TheatreRequest, folder: Path, numbers: tuple[int, int], conclude: Callable[[ArmLooks], None]
+) -> None:
+    """Look at the spheres; what `conclude` raises is how the run has ended."""
+    from procedures.cli.stereo.opening import run_steps
+    from procedures.steps.calibration.procedures import arm_looks
+    from procedures.steps.calibration.sphere_looks import ObservedSpheres
+
+    identifying = numbers[0] > 0
+
+    def in_use(calibrations: Calibrations) -> Calibrations:
+        """An arm is identified from its nominal geometry, whatever a former record says."""
+        return calibrations.model_copy(update={"arm": None}) if identifying else calibrations
+
+    def judge(engine: Engine) -> None:
+        conclude(engine.case.get(ObservedSpheres).result.observed)
+
+    title = "Calibration of the arm" if identifying else "Check of the arm"
+    with console.progress_bar("looking at the spheres") as advance:
+        engine = run_steps(
+            request, folder, arm_looks(*numbers), advance, title=title, in_use=in_use, judge=judge
+        )
+    for remark in engine.case.get(ObservedSpheres).result.remarks:
+        console.tell(remark)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)

@@ -1,0 +1,214 @@
+"""Look at every sphere that stands alone from the poses that reveal most of the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.calibration.arm.check import require_record
+from procedures.calibration.arm.looks import ArmLooks, Flanks, Side, SphereLook, arrays_of
+from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.errors import NoBall, PosesOutOfReach
+from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
+from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.relocalization.errors import SphereNotInView
+from procedures.steps.calibration.ball_place import BallPlace, standing_alone
+from procedures.steps.calibration.over_ball import BALL_PICTURE
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.stereo_picture import pair_picture
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame
+
+MOST_SPHERES = 6  # more add travel and hardly knowledge
+CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken
+GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns, whatever is counted
+NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look, its covariance
+
+
+class ObservedSpheres(StepResult, kind="sphere_looks"):
+    """The looks that a calibration or check of the arm is computed from."""
+
+    observed: ArmLooks = Field(description="As `looks.json` has them.")
+    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+
+
+@dataclass(frozen=True)
+class _Planned:
+    """A look that can be reached; `look` is what it would be worth."""
+
+    pose: PlannedLook
+    look: SphereLook
+
+
+@dataclass(frozen=True)
+class SphereLooks:
+    """How many looks to identify the arm with, none for a check, and how many to judge it by."""
+
+    count: int
+    validation: int
+
+    def run(self, context: StepContext) -> Outcome[ObservedSpheres]:
+        """Raises CAL-009, CAL-010 with too few poses, CAL-014 for a check, PRO-002 unless confirmed."""
+        context.result(CheckedSetUp)
+        workcell = context.workcell
+        if self.count == 0:
+            require_record(workcell.calibrations.arm)
+        places = _places(context.result(GlobalLocalization).points_mm, workcell)
+        head = workcell.calibrations.stereo_head
+        model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
+        plan = self._plan(model, places, workcell)
+        context.confirm(
+            Topic.CALIBRATION,
+            f"The arm will look at {len(places)} spheres from {len(plan)} poses around them. "
+            "Nobody and nothing else may be within its reach",
+            f"{len(plan)} looks",
+        )
+        seen: list[SphereLook] = []
+        remarks: list[str] = []
+        for number, place in enumerate(places):
+            mine = [one for one in plan if one.look.sphere == number]
+            seen += self._looks_at(context, place, mine, len(seen) / len(plan), remarks)
+        try:
+            workcell.go_home()
+        except NotClear as error:  # raised before anything moved; what was seen is worth keeping
+            remarks.append(f"the arm stays where it is: {error.what}")
+        observed = ArmLooks(
+            created=datetime.now(UTC).replace(microsecond=0),
+            arm=workcell.arm.kinematics.name,
+            serials=workcell.stereo.serials,
+            stereo_head=head,
+            tool_tip=workcell.calibrations.tool_tip,
+            arm_record=workcell.calibrations.arm,
+            looks=tuple(seen),
+        )
+        return Outcome(ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} looks")
+
+    def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
+        """The most telling looks, and evenly spread ones to judge by."""
+        reached = [
+            _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
+            for number, place in enumerate(places)
+            for order, look in enumerate(centred_looks(place.reference, place.ball_mm, CANDIDATES))
+            if (joints := _joints(workcell, look)) is not None
+        ]
+        if len(reached) < self.count + self.validation:
+            raise PosesOutOfReach(
+                "too few poses about the spheres can be reached",
+                expected=f"{self.count + self.validation} poses",
+                got=f"{len(reached)} of {CANDIDATES * len(places)}",
+            )
+        telling = most_telling(model, arrays_of([one.look for one in reached]), self.count)
+        rest = sorted(set(range(len(reached))) - set(telling.tolist()))
+        judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, self.validation)]
+        judged = [
+            _Planned(one.pose, one.look.model_copy(update={"validation": True}))
+            for one in (reached[number] for number in judging)
+        ]
+        return (*(reached[number] for number in telling), *judged)
+
+    def _looks_at(
+        self,
+        context: StepContext,
+        place: BallPlace,
+        plan: Sequence[_Planned],
+        done: float,
+        remarks: list[str],
+    ) -> list[SphereLook]:
+        workcell = context.workcell
+        watcher = BallWatcher(workcell, np.array(place.ball_mm))
+        tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+        workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
+        workcell.start(cameras=True)
+        workcell.read_whole_sensors()
+        x, y, z = place.ball_mm
+        named = f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
+        try:
+            context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
+        except SphereNotInView as error:
+            remarks.append(f"{named} was left out: {error.what}")
+            return []
+        seen: list[SphereLook] = []
+        by_pose = {id(one.pose): one.look for one in plan}
+        for step, pose in enumerate(in_short_order([one.pose for one in plan])):
+            planned = by_pose[id(pose)]
+            look = watcher.take(pose, planned.flanks)
+            if look is not None and look.point is not None:
+                seen.append(
+                    planned.model_copy(
+                        update={
+                            "joints_rad": workcell.joints_rad(),
+                            "point_mm": tuple(look.point.position_mm.tolist()),
+                            "covariance_mm2": tuple(map(tuple, look.point.covariance_mm2.tolist())),
+                        }
+                    )
+                )
+            context.progress(
+                min(1.0, done + (step + 1) / (self.count + self.validation)), "looking at spheres"
+            )
+        if watcher.rejected:
+            remarks.append(f"{watcher.rejected.total()} looks at {named} failed: {watcher.why_rejected()}")
+        return seen
+
+
+def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
+    """The step for so many looks."""
+    return StepSpec(
+        ObservedSpheres,
+        "Look at the spheres",
+        Phase.OPERATION,
+        SphereLooks(count, validation).run,
+        reads=(CheckedSetUp, GlobalLocalization),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )
+
+
+def flanks_of(number: int) -> Flanks:
+    """From which side each joint arrives at look `number`: all patterns come alike."""
+    pattern = int(GOLDEN * number % 1.0 * 64)
+    sides: list[Side] = [1 if pattern >> axis & 1 else -1 for axis in range(6)]
+    a, b, c, d, e, f = sides
+    return (a, b, c, d, e, f)
+
+
+def _places(points_mm: NDArray[np.float64], workcell: Workcell) -> tuple[BallPlace, ...]:
+    """Spheres that stand alone, the nearest to the head first."""
+    alone = standing_alone(points_mm)
+    if not alone:
+        raise NoBall("the tracker sees no sphere that stands alone", got=f"{len(points_mm)} stray spheres")
+    head_mm = workcell.tool_pose().translation_mm
+    near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
+    return tuple(BallPlace.among(points_mm, number) for number in near[:MOST_SPHERES])
+
+
+def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
+    try:
+        return workcell.joints_at(look.pose, workcell.home_rad)
+    except LimitError:
+        return None
+
+
+def _unseen(sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool) -> SphereLook:
+    return SphereLook(
+        sphere=sphere,
+        joints_rad=joints_rad,
+        flanks=flanks,
+        point_mm=(0.0, 0.0, 0.0),
+        covariance_mm2=NOT_KNOWN,
+        validation=validation,
+    )

@@ -1,0 +1,51 @@
+"""The mounted tool on the arm as it is: nominal, or by the calibration record where the theatre has one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from procedures.workcell.errors import AnotherArm
+from ronna_hw.arm.calibrated import CalibratedArm
+from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibration import ArmCalibration
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
+
+
+def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
+    """The arm with its deviations; the nominal one without a record. Raises CAL-013 for another arm's."""
+    if record is None:
+        return CalibratedArm(kinematics)
+    if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
+        raise AnotherArm(
+            f"calibration {record.identifier} is of another arm", expected=kinematics.name, got=record.arm
+        )
+    return CalibratedArm(kinematics, ArmDeviations.of(record))
+
+
+@dataclass(frozen=True)
+class CarriedTool:
+    """A tool on an arm: between poses ROBOT <- TOOL and joint angles."""
+
+    arm: CalibratedArm
+    flange_from_tool: Transform
+
+    def pose(self, joints_rad: JointVector) -> Transform:
+        """Where the tool is at joint angles."""
+        return self.arm.flange_pose(joints_rad) @ self.flange_from_tool
+
+    def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
+        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near).joints_rad
+
+    def told(self, pose: Transform, here_rad: Callable[[], JointVector]) -> Transform:
+        """What the controller, which knows no calibration, must be told to bring the tool to a pose.
+
+        `here_rad` measures the joints, in whose branch the arm stays.
+        """
+        if self.arm.is_nominal:
+            return pose
+        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad()).told
+        return flange.to_transform() @ self.flange_from_tool

@@ -1,0 +1,85 @@
+"""Where a calibrated arm really brings its flange, and what its controller must be told for that.
+
+A controller knows the nominal chain only. It is told a pose beside the wanted one, such that the deviations
+lead to the wanted one. Deviations are small and smooth, so each round leaves a thousandth of the error.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.errors import Unreachable
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
+
+CLOSE_MM = 1e-5  # the numbers of a record end there
+CLOSE_RAD = 1e-8
+MOST_ROUNDS = 8  # four are enough for an uncalibrated arm away from singularities
+
+
+class Compensated(NamedTuple):
+    """`joints_rad` bring the flange to the wanted pose; the controller takes them for `told`."""
+
+    joints_rad: JointVector
+    told: Pose
+
+
+class CalibratedArm:
+    """An arm by its deviations; without any, the nominal arm to the last digit."""
+
+    def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
+        self.nominal = nominal
+        self._deviations = deviations
+
+    @property
+    def is_nominal(self) -> bool:
+        """Whether nothing is known of this arm's deviations."""
+        return self._deviations is None
+
+    def forward(self, joints_rad: JointVector) -> Pose:
+        """Pose of the flange in the robot base, with every joint in the middle of its backlash."""
+        if self._deviations is None:
+            return self.nominal.forward(joints_rad)
+        pose = flange_poses(self.nominal.chain, self._deviations, joints_rad)[0]
+        return Pose.from_matrix(pose.tolist())
+
+    def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
+        """The room in the controller's own coordinates, exact at these joints.
+
+        Its driver checks clearances by the nominal chain. Within reach of one head the deviations differ by
+        some tenths of a millimetre, which margins and corridors allow for.
+        """
+        if self._deviations is None:
+            return surroundings
+        return surroundings.moved(self.nominal.forward(at_rad).compose(self.forward(at_rad).inverse()))
+
+    def flange_pose(self, joints_rad: JointVector) -> Transform:
+        """The same as a checked transform, ROBOT <- FLANGE."""
+        return self.forward(joints_rad).to_transform()
+
+    def compensated(self, flange: Transform, near: JointVector) -> Compensated:
+        """Joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
+
+        Raises ARM-001 to ARM-003 as `Kinematics.solve_branch`; ARM-001 also next to a singularity, where no
+        pose of the controller's leads to the wanted one.
+        """
+        branch = self.nominal.branch_of(near)
+        wanted = Pose.from_transform(flange)
+        told = wanted
+        for _ in range(MOST_ROUNDS):
+            joints = self.nominal.solve_branch(told, branch, near)
+            if self._deviations is None:
+                return Compensated(joints, told)
+            reached = self.forward(joints)
+            if reached.distance_mm(wanted) < CLOSE_MM and reached.angle_rad(wanted) < CLOSE_RAD:
+                return Compensated(joints, told)
+            told = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)
+        raise Unreachable(
+            "the calibrated arm does not reach the pose exactly",
+            limit=f"{CLOSE_MM} mm after {MOST_ROUNDS} rounds",
+            got=f"{reached.distance_mm(wanted):.2g} mm",
+        )

@@ -1,0 +1,136 @@
+"""How one arm differs from its nominal chain: links, joints, gravity and backlash.
+
+The angle that acts in a joint is
+
+    q + offset + sum over k = 1, 2 of (s_k sin kq + c_k cos kq) + sag g(q) + backlash / 2 * flank
+
+where `flank`, -1 to 1, is the side from which the joint arrived, and g(q) the horizontal lever of the wrist
+about the joint as a share of the stretched arm. At its far end every link is displaced by a small translation
+and a small rotation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ronna_hw.arm.links import Chain
+from ronna_hw.calibration import ArmCalibration
+
+Array = NDArray[np.float64]
+
+HARMONICS = (1, 2)  # per turn of a joint
+FLANK_SHARE = 0.5  # of the dead way, to either side
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
+@dataclass(frozen=True)
+class ArmDeviations:
+    """Deviations of an arm of n joints, from the base outwards. Millimetres and radians."""
+
+    link_translation_mm: Array  # (n, 3) at the far end of the link behind each joint, in its frame
+    link_rotation_rad: Array  # (n, 3) there
+    joint_offset_rad: Array  # (n,)
+    sine_rad: Array  # (n, 2) once and twice per turn
+    cosine_rad: Array  # (n, 2)
+    sag_rad: Array  # (n,) of the stretched arm
+    backlash_rad: Array  # (n,) the whole dead way
+
+    @classmethod
+    def none(cls, joints: int) -> Self:
+        """The nominal arm."""
+        each, per_axis = np.zeros(joints), np.zeros((joints, 3))
+        per_turn = np.zeros((joints, len(HARMONICS)))
+        return cls(per_axis, per_axis, each, per_turn, per_turn, each, each)
+
+    @classmethod
+    def of(cls, record: ArmCalibration) -> Self:
+        """From a calibration record."""
+        return cls(*(np.array(getattr(record, field.name)) for field in fields(cls)))
+
+    def as_plain(self) -> dict[str, Any]:
+        """By the names that a calibration record has for them."""
+        plain: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            plain[field.name] = tuple(values.tolist() if values.ndim == 1 else map(tuple, values.tolist()))
+        return plain
+
+    def flat(self) -> Array:
+        """All values in a row, field by field."""
+        return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
+
+    @classmethod
+    def of_flat(cls, row: Array, joints: int) -> Self:
+        """From such a row."""
+        parts, begin = [], 0
+        for field in fields(cls):
+            shape = getattr(cls.none(joints), field.name).shape
+            end = begin + int(np.prod(shape))
+            parts.append(row[begin:end].reshape(shape))
+            begin = end
+        return cls(*parts)
+
+
+def flange_poses(
+    chain: Chain, deviations: ArmDeviations, joints_rad: ArrayLike, flanks: ArrayLike = 0.0
+) -> Array:
+    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) whose joints rest on `flanks` (m, n)."""
+    encoders = np.atleast_2d(np.asarray(joints_rad, dtype=float))
+    acting = encoders + joint_errors(chain, deviations, encoders, flanks)
+    place = np.tile(chain.base_mm, (len(encoders), 1))
+    turned = np.tile(np.eye(3), (len(encoders), 1, 1))  # robot <- link
+    link_turns = rotations(deviations.link_rotation_rad)
+    for number, joint in enumerate(chain.joints):
+        turned = turned @ rotations(acting[:, number, None] * np.array(joint.axis))
+        place = place + turned @ (np.array(joint.to_next_mm) + deviations.link_translation_mm[number])
+        turned = turned @ link_turns[number]
+    poses = np.zeros((len(encoders), 4, 4))
+    poses[:, :3, :3] = turned @ np.reshape(chain.flange_rotation, (3, 3))
+    poses[:, :3, 3], poses[:, 3, 3] = place, 1.0
+    return poses
+
+
+def joint_errors(chain: Chain, deviations: ArmDeviations, encoders_rad: Array, flanks: ArrayLike) -> Array:
+    """By how much the angles that act differ from the encoders', (m, n) rad."""
+    errors = deviations.joint_offset_rad + FLANK_SHARE * deviations.backlash_rad * np.asarray(flanks)
+    errors = errors + deviations.sag_rad * gravity_levers(chain, encoders_rad)
+    for column, order in enumerate(HARMONICS):
+        errors = errors + deviations.sine_rad[:, column] * np.sin(order * encoders_rad)
+        errors = errors + deviations.cosine_rad[:, column] * np.cos(order * encoders_rad)
+    return np.asarray(errors)
+
+
+def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
+    """Horizontal lever (m, n) of the wrist about each joint, as a share of the stretched arm.
+
+    Positive where weight turns the joint in its positive direction; 0 for the joints at the wrist.
+    """
+    places, axes = [], []
+    place = np.tile(chain.base_mm, (len(joints_rad), 1))
+    turned = np.tile(np.eye(3), (len(joints_rad), 1, 1))
+    for number, joint in enumerate(chain.joints):
+        places.append(place)
+        axes.append(turned @ np.array(joint.axis))
+        turned = turned @ rotations(joints_rad[:, number, None] * np.array(joint.axis))
+        place = place + turned @ np.array(joint.to_next_mm)
+    lengths_mm = [float(np.linalg.norm(joint.to_next_mm)) for joint in chain.joints]
+    wrist = len(chain.joints) - 2
+    levers = np.zeros_like(joints_rad)
+    for number in range(wrist):
+        moments = np.cross(places[wrist] - places[number], DOWN)
+        levers[:, number] = np.einsum("mi,mi->m", moments, axes[number]) / sum(lengths_mm[number:wrist])
+    return levers
+
+
+def rotations(vectors_rad: Array) -> Array:
+    """Rotation matrices (m, 3, 3) of rotation vectors (m, 3), by Rodrigues' formula."""
+    angles = np.linalg.norm(vectors_rad, axis=1)
+    x, y, z = vectors_rad.T / np.where(angles > 0.0, angles, 1.0)
+    zero = np.zeros_like(x)
+    cross = np.array([[zero, -z, y], [z, zero, -x], [-y, x, zero]]).transpose(2, 0, 1)
+    sine, versine = np.sin(angles)[:, None, None], (1.0 - np.cos(angles))[:, None, None]
+    return np.asarray(np.eye(3) + sine * cross + versine * (cross @ cross))

@@ -1,0 +1,171 @@
+"""An arm is identified from looks of the simulator's own arm, and judged by looks that were kept apart."""
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
+
+from procedures.calibration.arm.check import check_arm
+from procedures.calibration.arm.looks import ArmLooks, arrays_of
+from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.arm.record import ArmResult, calibrate_arm
+from procedures.calibration.errors import (
+    ArmChanged,
+    DegeneratePoses,
+    DoesNotFit,
+    NoArmRecord,
+    TooFewPoses,
+    Unobservable,
+)
+from ronna_hw.arm.calibrated import CalibratedArm
+from ronna_hw.arm.deviations import ArmDeviations
+from ronna_hw.frames import Frame
+
+LOOKS, VALIDATION = 90, 24
+
+
+@pytest.fixture(scope="module")
+def identified() -> tuple[LookingArm, ArmLooks, ArmResult]:
+    arm = LookingArm.of(3)
+    observed = arm.looks(LOOKS, VALIDATION, SPHERES_MM)
+    return arm, observed, calibrate_arm(observed, life=timedelta(days=10))
+
+
+def test_looks_that_were_not_used_are_met_as_well_as_predicted(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    _, _, result = identified
+    held = result.validation
+    assert held.before_mm > 1.0
+    assert 0.7 < held.error_mm / held.predicted_mm < 1.4
+    assert held.error_mm < 0.04
+
+
+def test_the_random_error_of_the_arm_is_found(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
+    arm, _, result = identified
+    assert result.fit.scatter_mm == pytest.approx(arm.scene.arm.repeatability_mm, rel=0.2)
+
+
+def test_backlash_is_found_from_looks_that_arrive_from_both_sides(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    arm, _, result = identified
+    np.testing.assert_allclose(result.arm.backlash_rad, arm.scene.arm.backlash_rad, atol=1e-4)
+
+
+def test_points_near_the_spheres_are_reached_relative_to_each_other(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    arm, _, result = identified
+    calibrated = CalibratedArm(KINEMATICS, ArmDeviations.of(result.arm))
+    head = result.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    nominal = arm.head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    generator = np.random.default_rng(7)
+    missed = []
+    for number in range(40):
+        joints = np.array(KINEMATICS.home_rad) + generator.uniform(-0.2, 0.2, 6)
+        true = arm.true_tool(joints, np.zeros(6), number).translation
+        missed.append(
+            [
+                (calibrated.flange_pose(tuple(joints)) @ head).translation_mm - true,
+                (KINEMATICS.flange_pose(tuple(joints)) @ nominal).translation_mm - true,
+            ]
+        )
+    after, before = np.moveaxis(np.array(missed), 1, 0)
+    spread = [
+        float(np.sqrt(np.mean(np.sum((one - one.mean(axis=0)) ** 2, axis=1)))) for one in (after, before)
+    ]
+    assert spread[0] < 0.1
+    assert spread[1] > 5.0 * spread[0]
+
+
+def test_records_are_dated_and_the_tip_moves_with_the_head(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    _, observed, result = identified
+    for record in (result.arm, result.stereo_head):
+        assert record.created == observed.created
+        assert record.expires - record.created == timedelta(days=10)
+    assert result.tool_tip is None
+    assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
+
+
+def test_an_unchanged_arm_passes_its_check_and_a_screw_that_gave_way_does_not(
+    identified: tuple[LookingArm, ArmLooks, ArmResult],
+) -> None:
+    arm, _, result = identified
+    later = arm.looks(0, 24, SPHERES_MM).model_copy(
+        update={"arm_record": result.arm, "stereo_head": result.stereo_head}
+    )
+    check_arm(later).require()
+    moved = result.stereo_head.flange_from_tool
+    x, y, z = moved.translation_mm
+    slipped = result.stereo_head.model_copy(
+        update={"flange_from_tool": moved.model_copy(update={"translation_mm": (x + 0.3, y, z)})}
+    )
+    with pytest.raises(ArmChanged, match="CAL-012"):
+        check_arm(later.model_copy(update={"stereo_head": slipped})).require()
+
+
+def test_a_check_without_a_record_says_how_to_get_one() -> None:
+    with pytest.raises(NoArmRecord, match="ronna-arm calibrate"):
+        check_arm(LookingArm.of(3).looks(0, 12, SPHERES_MM))
+
+
+def test_too_few_looks_are_refused() -> None:
+    with pytest.raises(TooFewPoses, match="at least 60"):
+        calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
+
+
+def test_looks_from_one_orientation_are_refused() -> None:
+    observed = LookingArm.of(3).looks(60, 24, SPHERES_MM)
+    same = observed.looks[0]
+    alike = tuple(
+        same.model_copy(update={"validation": number >= 60}) for number in range(len(observed.looks))
+    )
+    with pytest.raises(DegeneratePoses):
+        calibrate_arm(observed.model_copy(update={"looks": alike}))
+
+
+def test_a_sphere_that_moves_on_the_way_is_refused() -> None:
+    observed = LookingArm.of(3).looks(LOOKS, VALIDATION, SPHERES_MM)
+    late = tuple(
+        one
+        if number < LOOKS // 2
+        else one.model_copy(update={"point_mm": (one.point_mm[0] + 1.0, *one.point_mm[1:])})
+        for number, one in enumerate(observed.looks)
+    )
+    with pytest.raises(DoesNotFit):
+        calibrate_arm(observed.model_copy(update={"looks": late}))
+
+
+def test_backlash_that_no_look_reveals_is_named_as_unknown() -> None:
+    one_side = LookingArm.of(3).looks(LOOKS, VALIDATION, SPHERES_MM, same_side=True)
+    result = calibrate_arm(one_side)
+    names = result.fit.model.names
+    assert result.fit.learnt[names.index("A2 backlash")] > 0.5
+
+
+def test_a_model_that_the_looks_leave_open_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.calibration.arm.validation.LARGEST_ERROR_MM", 0.005)
+    with pytest.raises(Unobservable, match="least of all"):
+        calibrate_arm(LookingArm.of(3).looks(60, 24, SPHERES_MM))
+
+
+def test_chosen_looks_leave_less_unknown_than_the_first_ones() -> None:
+    arm = LookingArm.of(3)
+    model = ArmModel(KINEMATICS, arm.head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
+    candidates = arrays_of(arm.looks(200, 0, SPHERES_MM).looks)
+    chosen = most_telling(model, candidates, 40)
+    assert len(set(chosen.tolist())) == 40
+
+    def information(rows: object) -> float:
+        mask = np.zeros(200, dtype=bool)
+        mask[rows] = True
+        part = candidates.only(mask)
+        slopes = model.slopes(np.zeros(model.size + 12), part)[:, :, : model.size].reshape(-1, model.size)
+        return float(np.linalg.slogdet(slopes.T @ slopes / 0.02**2 + np.eye(model.size))[1])
+
+    assert information(chosen) > information(range(40)) + 5.0
