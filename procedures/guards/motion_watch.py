@@ -1,7 +1,7 @@
 """Watches the patient with the tracker while the arm moves, and while an instrument is at its target.
 
 A thread of its own reads the tracker; it stops the arm when the spheres on the head are not where they were
-localized, or when a guide approaches them unseen for too long. It reads every third frame, and every frame
+localized, or when a guide approaches them unseen for too long. It reads every fourth frame, and every frame
 while there is doubt. What it saw is told by the thread that moves, when the motion has ended.
 """
 
@@ -27,7 +27,7 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
 
 FRAME_S = 1 / 60  # of the tracker's frame counter
-PASSED_FRAMES = 2  # unread, while there is no doubt
+PASSED_FRAMES = 3  # unread, while there is no doubt
 PASSED_S = (PASSED_FRAMES - 0.5) * FRAME_S  # theatre time
 LONGEST_UNSEEN_S = 5.0  # theatre time under way; then it is a finding
 FIRST_FRAME_S = 1.0  # host time to wait for the first frame; without it the motion begins all the same

@@ -99,7 +99,7 @@ class How(StrEnum):
 
 @dataclass(frozen=True)
 class Ended:
-    """`begun` counts the motions towards the head that began between the shift and what ended the trial."""
+    """`begun` counts the motions towards the head that began more than a reading of 0.2 s after the shift."""
 
     how: How
     begun: int
@@ -134,7 +134,7 @@ class CoveredApproach:
         self._frames = HeadFrames(self._watch.spheres_mm)
 
     def run(self) -> Ended:
-        """Up to the end of the work at the target."""
+        """Until the guide is out again."""
         try:
             how = self._run()
         except (PatientMoved, BaseShifted):
@@ -157,8 +157,15 @@ class CoveredApproach:
                 return How.SUSPENDED
         if self._move(self._at, self._at, self._hold):
             return How.SUSPENDED
-        self._rest(self._at)  # the retreat's first
-        return How.SUSPENDED if watch.overdue(self._now_s) else How.PASSED
+        if watch.overdue(self._now_s):  # when the work is said to be done; the guard looks itself
+            self._rest(self._at)
+            if watch.overdue(self._now_s):
+                return How.SUSPENDED
+        self._covered[:] = False  # at the latest when the guide is out hands and drapes go
+        watch.approach = None
+        self._move(self._at, self._over, INSERT_FRAMES)
+        self._rest(self._over)
+        return How.PASSED
 
     @property
     def _now_s(self) -> float:
@@ -188,7 +195,8 @@ class CoveredApproach:
 
     def _move(self, start: JointVector, end: JointVector, frames: int) -> bool:
         """A motion, or a wait, watched; whether it was stopped because the head is overdue."""
-        if self._has_shifted and start != end:
+        due = self._has_shifted and self._frame - self._shift > FRAMES
+        if due and self._watch.approach is not None and start != end:
             self._begun += 1
             self._unseen_s = self._watch.unseen_s(self._now_s)
         places = list(self._places(start, end))

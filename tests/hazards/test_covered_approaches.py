@@ -1,0 +1,52 @@
+"""Hazards 12 and 13: shifts at random moments of an approach, with spheres covered for part of the time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+from room_trials import TrackedCase
+from sight_trials import CoveredApproach, Ended, GuideSight, How, Moved
+
+from procedures.guards.room_watch import MOST_UNSEEN_S
+
+HEAD_MM, CART_MM = 0.5, 1.7
+READING_S = 0.2
+SIZES = [(2, 6), pytest.param(50, 20, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])]  # scenes, trials
+
+
+def ended(scenes: int, trials: int, moved: Moved, shift_mm: float, *, covers: bool) -> Iterator[Ended]:
+    for seed in range(scenes):
+        case = TrackedCase(seed)
+        sight = GuideSight(case)
+        for _ in range(trials):
+            yield CoveredApproach(case, sight, moved, shift_mm, covers).run()
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.hazard(13)
+@pytest.mark.parametrize(("scenes", "trials"), SIZES)
+def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
+    scenes: int, trials: int
+) -> None:
+    assert {one.how for one in ended(scenes, trials, Moved.NOTHING, 0.0, covers=False)} == {How.PASSED}
+    covered = {one.how for one in ended(scenes, trials, Moved.NOTHING, 0.0, covers=True)}
+    assert How.NOTICED not in covered
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize(("scenes", "trials"), SIZES)
+def test_a_shift_of_the_head_is_noticed_before_the_next_motion(scenes: int, trials: int) -> None:
+    for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=False):
+        assert one.how is How.NOTICED
+        assert one.begun == 0 or one.unseen_s > READING_S  # the arm itself was in the way over the target
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize(("scenes", "trials"), SIZES)
+def test_nothing_goes_to_a_covered_head_that_was_not_seen_for_longer_than_allowed(
+    scenes: int, trials: int
+) -> None:
+    for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=True):
+        assert one.how is not How.PASSED
+        assert one.unseen_s <= MOST_UNSEEN_S

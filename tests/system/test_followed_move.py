@@ -1,0 +1,53 @@
+"""The head moves under the guide, the registration follows, and the whole case reaches its target."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from ronna_hw.records import read_record
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
+
+CASE = ("--scene", "mini", "--seed", "3", "--markers", "5", "--targets", "1")
+MOVE_MM = 1.7  # of the fault below
+LARGEST_ERROR_MM = 0.6  # what the followed registration predicts holds 95 %, and some
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.branch("MOVE_FOLLOWED")
+def test_the_guide_reaches_the_target_in_a_head_that_moved_and_the_run_replays(
+    commands: Commands, tmp_path: Path
+) -> None:
+    faults, answers = tmp_path / "faults.txt", tmp_path / "answers.toml"
+    # A fault lasts as long as its step.
+    steps = ("positioning", "registration", "at_target", "retreat")
+    faults.write_text("".join(f"when step == {step}: room shift head 0.9 -1.2 0.8 mm\n" for step in steps))
+    answers.write_text('default = "first"\n')
+    options = ("--faults", str(faults), "--answers", str(answers), "--out", str(tmp_path / "runs"))
+    done = subprocess.run(
+        commands.line("ronna-procedure", "step", "--sim", *CASE, *options),
+        env=commands.environment,
+        input="to positioning:T1\nto retreat:T1\nquit\n",
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert "PRO-020" in done.stderr
+    (run,) = (tmp_path / "runs").iterdir()
+    lines = list(read_journal(run / JOURNAL_FILE))
+    (asked,) = [line for line in lines if line.get("topic") == "move_followed:T1"]
+    assert asked["answer"] == "follow"
+    former, followed = [line for line in lines if line.get("step") == "registration:T1" and "record" in line]
+    old, new = (read_record(run / "records" / f"{line['record']}.json") for line in (former, followed))
+    assert old.parents == new.parents
+    assert new.payload["followed"]["way_mm"] == pytest.approx(MOVE_MM, abs=0.15)
+    (target,) = json.loads((run / "report" / "truth.json").read_text())["targets"]
+    assert target["application_error_mm"] <= LARGEST_ERROR_MM
+    assert "It follows a move of the head by" in (run / "report.html").read_text()
+    replayed = commands.run("ronna-procedure", "replay", str(run), timeout_s=300)
+    assert replayed.returncode == 0, replayed.stdout

@@ -1,0 +1,41 @@
+"""How a body has moved, and how well that is known."""
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.registration.rigid_move import rigid_move
+
+SPHERES_MM = np.array([[0, 0, 80], [60, 0, 50], [-60, 10, 50], [10, 70, 30], [0, -70, 40]], dtype=float)
+SIGMA_MM = np.array([0.03, 0.03, 0.1])  # a tracker is worse in depth
+COVARIANCE_MM2 = np.tile(np.diag(2.0 * SIGMA_MM**2), (len(SPHERES_MM), 1, 1))
+TARGET_MM = np.array([20.0, 10.0, -20.0])
+MOVE = RigidTransform.from_components([1.0, -2.0, 0.5], Rotation.from_rotvec([0.0, 0.3, 0.6], degrees=True))
+TRIALS = 400
+
+
+def measured(generator: np.random.Generator, places_mm: np.ndarray) -> np.ndarray:
+    return np.asarray(places_mm + SIGMA_MM * generator.standard_normal(places_mm.shape))
+
+
+def test_the_error_of_a_followed_place_is_what_it_says() -> None:
+    generator = np.random.default_rng(5)
+    errors_mm, told_mm = [], []
+    for _ in range(TRIALS):
+        before, after = measured(generator, SPHERES_MM), measured(generator, MOVE.apply(SPHERES_MM))
+        move = rigid_move(before, after, COVARIANCE_MM2)
+        errors_mm.append(np.linalg.norm(move.fit.transform.apply(TARGET_MM) - MOVE.apply(TARGET_MM)))
+        told_mm.append(move.error_mm(TARGET_MM))
+        assert move.way_mm == pytest.approx(2.3, abs=0.3)
+    assert np.sqrt(np.mean(np.square(errors_mm))) == pytest.approx(np.mean(told_mm), rel=0.1)
+
+
+def test_a_sphere_that_went_its_own_way_fails_the_gate_and_noise_hardly_ever_does() -> None:
+    generator = np.random.default_rng(6)
+    passed = []
+    for _ in range(TRIALS):
+        before, after = measured(generator, SPHERES_MM), measured(generator, MOVE.apply(SPHERES_MM))
+        passed.append(rigid_move(before, after, COVARIANCE_MM2).gate.passed)
+        after[0] += (1.0, 0.0, 0.0)
+        assert not rigid_move(before, after, COVARIANCE_MM2).gate.passed
+    assert np.mean(passed) >= 0.99
