@@ -64,6 +64,10 @@ def correspondence(
         bool,
         typer.Option("--sweep", help="Only the thesis methods, with 51 values of e from 1 to 6 mm."),
     ] = False,
+    template: Annotated[
+        bool,
+        typer.Option("--template", help="3 and 4 markers implanted by a template of `ronna-plan template`."),
+    ] = False,
     methods: Annotated[
         list[MethodChoice] | None,
         typer.Option("--method", help="Only this method; may be given more than once [all]."),
@@ -103,14 +107,22 @@ def correspondence(
         Method,
     )
 
-    if (xframe or sweep) and (methods or tolerances_mm):
-        raise UsageMistake("--method and --e belong to neither --sweep nor --xframe: both have their own")
-    if xframe and sweep:
-        raise UsageMistake("--sweep and --xframe are studies of their own: give one of them")
+    if xframe + sweep + template > 1:
+        raise UsageMistake("--sweep, --xframe and --template are studies of their own: give one of them")
+    if (xframe or sweep or template) and (methods or tolerances_mm):
+        raise UsageMistake(
+            "--method and --e do not go with --sweep, --xframe or --template: they have their own"
+        )
     if xframe:
         _clinical(runs, seed, workers, scheduler, out, as_json, verbose)
         return
     runs = runs or THESIS_RUNS
+    if template:
+        from procedures.studies import template_pairing as by_template
+
+        implanted = by_template.TemplateStudy(runs, seed)
+        _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json, verbose)
+        return
     chosen = tuple(Method[one.name] for one in dict.fromkeys(methods)) if methods else tuple(Method)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(runs, seed, chosen, values_mm)

@@ -1,4 +1,4 @@
-"""`ronna-plan`: checks a plan against its CT series and against the arm."""
+"""`ronna-plan`: checks a plan against its CT series and the arm, proposes where markers go on a head."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Theatre(NamedTuple):
 
 app = typer.Typer(
     name="ronna-plan",
-    help="Check plans.",
+    help="Check plans, and propose where markers go.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -46,7 +46,7 @@ app = typer.Typer(
 
 @app.callback()
 def plan() -> None:
-    """Check plans."""
+    """Check plans, and propose where markers go."""
 
 
 @app.command()
@@ -123,6 +123,75 @@ def check(
         if result.motions:
             _print_motions(result)
     result.require()
+
+
+@app.command()
+def template(
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file: the template, TOML.")],
+    series_dir: Annotated[
+        Path | None,
+        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of a CT series that shows the head's skin."),
+    ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
+    ] = None,
+    markers: Annotated[int, typer.Option("--markers", min=3, max=4, help="How many markers.")] = 4,
+    margin_mm: Annotated[
+        float,
+        typer.Option(
+            "--margin", metavar="MM", min=1.0, max=60.0, help="By which all distances differ at least."
+        ),
+    ] = 10.0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Propose where three or four markers go on a head, for a template that the surgeon implants them by.
+
+    All their distances differ by the margin, so that they cannot be taken for one another; among such places
+    those with the least expected error in the middle of the head are taken. A plan names the template as
+    `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
+    """
+    console.set_up_logging(verbose)
+    from procedures.planning.template import propose_template
+    from procedures.planning.template_file import head_of_scene, write_template
+
+    if (series_dir is None) == (scene is None):
+        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+    if out.exists():
+        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file.")
+    if scene is not None:
+        found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
+    else:
+        from procedures.imaging import read_series
+        from procedures.planning.head_shape import head_shape
+
+        assert series_dir is not None
+        with console.progress_bar("reading the series") as advance:
+            volume = read_series(series_dir, progress=advance)
+        found = propose_template(head_shape(volume), markers, margin_mm, volume=volume, seed=seed)
+    write_template(out, found)
+    if as_json:
+        console.print_json(
+            {**found.model_dump(mode="json", by_alias=True), "least_difference_mm": found.least_difference_mm}
+        )
+        return
+    distances = ", ".join(f"{value:.1f}" for value in found.distances_mm)
+    console.print_table(
+        f"{out}: {markers} markers; their distances, {distances} mm, differ by"
+        f" {found.least_difference_mm:.1f} mm or more",
+        ["marker", "centre LPS mm", "post"],
+        [
+            [
+                str(number),
+                " ".join(f"{value:.1f}" for value in one.centre_mm),
+                " ".join(f"{value:.3f}" for value in one.post),
+            ]
+            for number, one in enumerate(found.markers, start=1)
+        ],
+    )
 
 
 def _theatre(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.planning.errors import (
     FiducialsNotYet,
     NotReachable,
+    NotTheTemplate,
     OutsideField,
     UnknownTool,
     WrongMarkerCount,
@@ -19,7 +20,7 @@ from procedures.planning.errors import (
     WrongSeries,
     raise_together,
 )
-from procedures.planning.layout import layout_warnings
+from procedures.planning.layout import layout_warnings, shows_template
 from procedures.planning.plan import FiducialKind, Plan
 from procedures.planning.tissue import way_into_head
 from ronna_hw.errors import RonnaError
@@ -151,7 +152,9 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
 def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
     """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart."""
     if len(points_mm) == plan.implanted:
-        return [], layout_warnings(points_mm)
+        if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
+            return [], layout_warnings(points_mm)
+        return [NotTheTemplate("the fiducials in the CT do not lie as the plan's template has them")], []
     wrong = WrongMarkerCount(
         "the CT shows another number of fiducials",
         expected=str(plan.implanted),

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-014.
+"""What can be wrong with a plan, PLAN-001 to PLAN-017.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -104,6 +104,27 @@ class NoHeadInCt(PlanError):
 
     code = "PLAN-014"
     action = "Check that this is the CT of the head, in Hounsfield units."
+
+
+class NoTemplate(PlanError):
+    """No places on the head have distances that differ by the margin asked for."""
+
+    code = "PLAN-015"
+    action = "Ask for a smaller --margin or for three markers."
+
+
+class HeadUnreadable(ConfigurationError):
+    """The file that should describe a head does not."""
+
+    code = "PLAN-016"
+    action = "Give the output of `ronna-sim scene`, or a CT series with --ct."
+
+
+class NotTheTemplate(PlanError):
+    """The fiducials in the CT do not lie as the plan's template has them."""
+
+    code = "PLAN-017"
+    action = "Look whether this is the patient's template; without one, leave template_mm out of the plan."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

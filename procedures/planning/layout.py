@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.registration import MatchStatus, match
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
+CT_SIGMA_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
 ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker that the correspondence was studied with
 
 
@@ -18,6 +20,18 @@ def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
     points = np.asarray(triangle_mm, dtype=float)
     sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
     return float(np.diff(sides).min())
+
+
+def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
+    """Whether fiducials (n, 3) of a CT hold those of a template (k, 3), in one way only; both in mm."""
+    found = match(
+        template_mm,
+        fiducials_mm,
+        sigma_image_mm=IMPLANTED_SIGMA_MM,
+        sigma_physical_mm=CT_SIGMA_MM,
+        expected=len(np.asarray(template_mm)),
+    )
+    return found.status is MatchStatus.UNIQUE
 
 
 def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from enum import StrEnum
+from itertools import combinations
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
@@ -14,6 +15,7 @@ from pydantic_core import PydanticCustomError
 
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
+from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
 
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
@@ -107,10 +109,29 @@ class Plan(Strict):
     patient_orientation: PatientPosition = Field(description="How the patient lay in the scanner.")
     implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
     fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
+    template_mm: tuple[Point, ...] | None = Field(
+        default=None,
+        description="Centres of the template's spheres, in any frame, when they were implanted by one.",
+    )
     tool: str = Field(min_length=1, max_length=64, description="What is carried to the target.")
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
         description="In the order in which they are meant to be done."
     )
+
+    @model_validator(mode="after")
+    def _is_a_template(self) -> Plan:
+        if self.template_mm is None:
+            return self
+        count = len(self.template_mm)
+        if not FEWEST <= count <= MOST or count != self.implanted:
+            raise PydanticCustomError(
+                "template",
+                "template_mm has {count} spheres, {implanted} are implanted ({fewest} or {most})",
+                {"count": count, "implanted": self.implanted, "fewest": FEWEST, "most": MOST},
+            )
+        if min(math.dist(a, b) for a, b in combinations(self.template_mm, 2)) < LEAST_DISTANCE_MM:
+            raise PydanticCustomError("template", "two spheres of template_mm are one")
+        return self
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
         """The trajectory with this id; raises KeyError."""

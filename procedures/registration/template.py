@@ -19,6 +19,7 @@ from procedures.registration.matching import evidence_of, match
 from procedures.registration.points import checked_points
 
 Array = NDArray[np.float64]
+Sigma = float | Sequence[float] | NDArray[np.float64]
 
 TEMPLATE_SIGMA_MM = 0.05  # per axis: how exactly such a frame is made and measured
 
@@ -28,8 +29,8 @@ def match_by_template(
     image_mm: ArrayLike,
     physical_mm: ArrayLike,
     *,
-    sigma_image_mm: float | Sequence[float] | NDArray[np.float64],
-    sigma_physical_mm: float | Sequence[float] | NDArray[np.float64],
+    sigma_image_mm: Sigma,
+    sigma_physical_mm: Sigma,
     sigma_template_mm: float = TEMPLATE_SIGMA_MM,
     prior: Prior | Rotation | None = None,
 ) -> Match:
@@ -41,29 +42,19 @@ def match_by_template(
     """
     template = checked_points(template_mm, "template")
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
-    sides = {}
-    for side, points, sigma_mm in (
-        ("image", image, sigma_image_mm),
-        ("physical", physical, sigma_physical_mm),
-    ):
-        found = match(
-            template,
-            points,
-            sigma_image_mm=sigma_template_mm,
-            sigma_physical_mm=sigma_mm,
-            expected=len(template),
-        )
-        if found.status is not MatchStatus.UNIQUE:
-            return _failed(found, side, image, physical)
-        sides[side] = found
-    in_image, in_physical = sides["image"].pairs[:, 1], sides["physical"].pairs[:, 1]
+    known = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
+    in_ct = _found(template, image, sigma_template_mm, sigma_image_mm, None)
+    if in_ct.transform is None or in_ct.status is not MatchStatus.UNIQUE:
+        return _failed(in_ct, "image", image, physical)
+    # What is known of the orientation of the image holds for the template as it lies in the image.
+    turned = known and replace(known, rotation=known.rotation * in_ct.transform.rotation)
+    in_room = _found(template, physical, sigma_template_mm, sigma_physical_mm, turned)
+    if in_room.status is not MatchStatus.UNIQUE:
+        return _failed(in_room, "physical", image, physical)
+    in_image, in_physical = in_ct.pairs[:, 1], in_room.pairs[:, 1]
     nodes = sum(1 << int(i) * len(physical) + int(j) for i, j in zip(in_image, in_physical, strict=True))
     (pairing,) = evaluate([nodes], image, physical, evidence_of(sigma_image_mm, sigma_physical_mm))
     paired = as_hypothesis(pairing, len(physical))
-    checked_prior = Prior(prior) if prior is not None and not isinstance(prior, Prior) else prior
-    if checked_prior is not None and not checked_prior.allows(pairing.rotation):
-        reason = "the template is found only in an orientation that the prior excludes"
-        return _nothing(reason, paired, image, physical)
     if not pairing.passed:
         return _nothing("image and physical points differ beyond the noise", paired, image, physical)
     return Match(
@@ -72,9 +63,22 @@ def match_by_template(
         paired.transform,
         f"all {len(template)} template points were found on both sides",
         runner_up=None,
-        margin_nats=min(one.margin_nats for one in sides.values()),
+        margin_nats=min(in_ct.margin_nats, in_room.margin_nats),
         unmatched_image=_others(len(image), paired.pairs[:, 0]),
         unmatched_physical=_others(len(physical), paired.pairs[:, 1]),
+    )
+
+
+def _found(
+    template: Array, points: Array, sigma_template_mm: float, sigma_mm: Sigma, prior: Prior | None
+) -> Match:
+    return match(
+        template,
+        points,
+        sigma_image_mm=sigma_template_mm,
+        sigma_physical_mm=sigma_mm,
+        expected=len(template),
+        prior=prior,
     )
 
 

@@ -18,7 +18,6 @@ from procedures.studies.heads import (
     IMAGE_SIGMA_MM,
     OUTLIER_BALL_MM,
     PHYSICAL_SIGMA_MM,
-    SITES,
     NoiseReading,
     disturbance,
     in_balls,
@@ -41,11 +40,18 @@ class Readings:
 
 
 def draw_readings(
-    sites_mm: Array, count: int, outliers: int, noise: NoiseReading, runs: int, random: np.random.Generator
+    sites_mm: Array,
+    count: int,
+    outliers: int,
+    noise: NoiseReading,
+    runs: int,
+    random: np.random.Generator,
+    displaced_mm: float = DISPLACED_MM,
 ) -> Readings:
-    """`runs` readings of `count` fiducials at displaced sites (8, 3), with outliers on both sides."""
-    displaced = sites_mm + in_balls(runs * SITES, DISPLACED_MM, random).reshape(runs, SITES, 3)
-    chosen = random.permuted(np.tile(np.arange(SITES), (runs, 1)), axis=1)[:, :count]
+    """`runs` readings of `count` fiducials at displaced sites (s, 3), with outliers on both sides."""
+    sites = len(sites_mm)
+    displaced = sites_mm + in_balls(runs * sites, displaced_mm, random).reshape(runs, sites, 3)
+    chosen = random.permuted(np.tile(np.arange(sites), (runs, 1)), axis=1)[:, :count]
     points = np.take_along_axis(displaced, chosen[:, :, None], axis=1)
     rotations, shifts = Rotation.random(runs, rng=random), random.normal(size=(runs, 1, 3)) * AWAY_MM
     turned = points @ rotations.as_matrix().swapaxes(1, 2) + shifts

@@ -83,6 +83,7 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
         "patient_orientation": PATIENT_POSITION,
         "implanted": len(scene.head.fiducials),
         "fiducials": FREE if scan.fiducials == FREE else XFRAME,
+        **({"template_mm": [list(one) for one in template]} if (template := scene.head.template_mm) else {}),
         "tool": TOOL,
         "trajectories": [
             {

@@ -16,6 +16,7 @@ from painted_ct import write_series
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
+from ronna_hw.marker_template import read_marker_template
 
 PLAN = f"""
 schema = 1
@@ -144,6 +145,58 @@ def test_a_plan_for_another_series_names_both(case):
     assert SERIES in line
     assert "1.2.3.4" in line
     assert json.loads(done.stdout)["findings"][0]["code"] == "PLAN-003"
+
+
+TEMPLATE = "template_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0], [0.0, 0.0, 95.0]]"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TEMPLATE.replace(", [0.0, 0.0, 95.0]", ""), "template_mm has 3 spheres, 4 are implanted"),
+        (TEMPLATE.replace("95.0", "5.0"), "two spheres of template_mm are one"),
+        (TEMPLATE.replace("95.0", "nan"), "template_mm"),
+    ],
+)
+def test_a_plan_whose_template_is_none_is_refused(case, text, said):
+    case[0].write_text(PLAN.replace('tool = "guide"', f'tool = "guide"\n{text}'))
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert done.returncode == 1
+    line = one_line(done)
+    assert line.startswith("PLAN-002")
+    assert said in line
+
+
+def test_a_template_is_made_on_the_skin_of_a_ct(case, tmp_path):
+    done = ronna_plan("template", "--ct", case[1], "--markers", "3", "--out", tmp_path / "t.toml", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["least_difference_mm"] >= 10.0
+    assert len(read_marker_template(tmp_path / "t.toml").markers) == len(told["markers"]) == 3
+
+
+SCENE = "[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\nsemi_axes_mm = [75.0, 95.0, 90.0]\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "exit_code", "said"),
+    [
+        (("--scene", "scene.toml", "--margin", "40"), 1, ("PLAN-015", "40 mm")),
+        (("--scene", "absent.toml"), 2, ("PLAN-016", "absent.toml")),
+        ((), 2, ("CLI-001", "--ct or from --scene")),
+        (("--scene", "scene.toml", "--markers", "5"), 2, ("CLI-001", "--markers")),
+        (("--scene", "scene.toml", "--out", "scene.toml"), 2, ("CLI-001", "left as it is")),
+    ],
+)
+def test_a_template_that_cannot_be_made_is_one_line(tmp_path, monkeypatch, arguments, exit_code, said):
+    monkeypatch.chdir(tmp_path)
+    Path("scene.toml").write_text(SCENE)
+    done = ronna_plan("template", "--out", "t.toml", *arguments)
+    assert done.returncode == exit_code
+    line = one_line(done)
+    assert line.startswith(said[0])
+    assert said[1] in line
+    assert not Path("t.toml").exists()
 
 
 def test_a_missing_plan_or_series_is_one_line(case):

@@ -8,7 +8,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.registration import match
+from procedures.registration import match, match_by_template
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.clinical.conditions import localizable
@@ -16,6 +16,7 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 
 SIGMA_CT_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
@@ -33,18 +34,29 @@ class Correspondence(StepResult, kind="correspondence"):
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
-    """Match; anything but a unique answer stops here with its reason."""
+    """Match, by the template where the plan has one; anything but a unique answer stops with its reason."""
     localization = context.result(LocalizedFiducials)
     room = context.result(GlobalLocalization)
     plan = context.result(CheckedPlan)
     image, physical = localization.centres_mm, room.points_mm
-    found = match(
-        image,
-        physical,
-        sigma_image_mm=SIGMA_CT_MM,
-        sigma_physical_mm=SIGMA_TRACKER_MM,
-        expected=plan.implanted,
-    )
+    template_mm = plan.plan.template_mm
+    if template_mm is not None and plan.implanted == len(template_mm):
+        found = match_by_template(
+            template_mm,
+            image,
+            physical,
+            sigma_image_mm=SIGMA_CT_MM,
+            sigma_physical_mm=SIGMA_TRACKER_MM,
+            sigma_template_mm=IMPLANTED_SIGMA_MM,
+        )
+    else:
+        found = match(
+            image,
+            physical,
+            sigma_image_mm=SIGMA_CT_MM,
+            sigma_physical_mm=SIGMA_TRACKER_MM,
+            expected=plan.implanted,
+        )
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
     table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -12,11 +13,24 @@ def scene(
     seed: Annotated[int, typer.Option(min=0, help="Seed of a named scene.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    template: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Implant the spheres by this template of `ronna-plan template`."),
+    ] = None,
 ) -> None:
     """Print the whole truth of a scene as TOML: a starting point for a scene of your own."""
     import tomli_w
 
+    from ronna_hw.marker_template import read_marker_template
+    from sim.errors import BadScene
     from sim.theatre.process import load_scene
+    from sim.theatre.scene.named_scenes import SCENES, named_scene
 
-    truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    if template is None:
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+    else:
+        if scene not in SCENES or markers is not None:
+            raise BadScene("a template belongs to a named scene, and has its own number of markers")
+        implanted = read_marker_template(template)
+        truth = named_scene(scene, seed=seed, targets=targets, template=implanted)
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.marker_template import MarkerTemplate
 from sim.errors import BadScene
 from sim.theatre.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
 from sim.theatre.scene.model import Fiducial, Head, Target
@@ -26,6 +27,7 @@ CAP_HALF_ANGLE_RAD = radians(50.0)
 STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
 SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # of triangles: below 6 mm three points are ambiguous
+JIG_MM = 0.2  # per axis: how far a sphere is from where its template would have it
 ENTRY_HALF_ANGLE_RAD = radians(22.0)
 TILT_RAD = radians(10.0)  # of a trajectory against the skin's normal
 DEPTH_RANGE_MM = (35.0, 75.0)
@@ -33,19 +35,25 @@ ENTRY_CLEARANCE_MM = 28.0  # from every sphere, so that guide and cameras fit
 ATTEMPTS = 20_000
 
 
-def draw_head(generator: np.random.Generator, markers: int, targets: int) -> Head:
-    """Draw a head with that many spheres (3..8) and targets; raises SIM-001 when they do not fit."""
+def draw_head(
+    generator: np.random.Generator, markers: int, targets: int, template: MarkerTemplate | None = None
+) -> Head:
+    """Draw a head with that many spheres (3..8) and targets; raises SIM-001 when they do not fit.
+
+    With a template the spheres are implanted by it, each a little off.
+    """
     if not 3 <= markers <= 8:
         raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
     if not 1 <= targets <= 10:
         raise BadScene(f"a plan has 1 to 10 targets, not {targets}")
-    fiducials = _draw_fiducials(generator, markers)
+    fiducials = _implanted(generator, template) if template else _draw_fiducials(generator, markers)
     pose = _draw_pose(generator)
     return Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
         semi_axes_mm=SEMI_AXES_MM,
         fiducials=fiducials,
+        template_mm=template.centres_mm if template else None,
         targets=_draw_targets(generator, targets, fiducials, pose),
     )
 
@@ -90,6 +98,19 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
         Fiducial(number=k + 1, centre_ct_mm=_three(centres[k] + CENTRE_CT_MM), post_ct=_three(found[k][1]))
         for k in range(count)
     )
+
+
+def _implanted(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
+    """The spheres of a template, as its jig places them."""
+    found = []
+    for number, marker in enumerate(template.markers, start=1):
+        centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
+        fiducial = Fiducial(number=number, centre_ct_mm=_three(centre), post_ct=marker.post)
+        height = centre - CENTRE_CT_MM
+        if np.linalg.norm(height / np.array(SEMI_AXES_MM)) <= 1.0 or np.dot(height, marker.post) <= 0.0:
+            raise BadScene(f"marker {number} of the template does not stand on this head")
+        found.append(fiducial)
+    return tuple(found)
 
 
 def _well_spread(centres: Vector) -> bool:

@@ -54,6 +54,9 @@ class Head(Strict):
     fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
         description="Spheres on bone screws."
     )
+    template_mm: tuple[Numbers3, ...] | None = Field(
+        default=None, description="Where the template by which they were implanted would have them."
+    )
     targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
         description="Trajectories of the plan."
     )

@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ronna_hw.marker_template import MarkerTemplate
 from sim.errors import BadScene
 from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.theatre.scene.arm_truth import draw_arm
@@ -33,7 +34,14 @@ BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 SceneName = Literal["default", "mini", "bench", "bench-near"]
 
 
-def named_scene(name: str, *, seed: int = 0, markers: int | None = None, targets: int | None = None) -> Scene:
+def named_scene(
+    name: str,
+    *,
+    seed: int = 0,
+    markers: int | None = None,
+    targets: int | None = None,
+    template: MarkerTemplate | None = None,
+) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
@@ -46,6 +54,7 @@ def named_scene(name: str, *, seed: int = 0, markers: int | None = None, targets
         generator,
         (3 if mini else 5) if markers is None else markers,
         (1 if mini else 3) if targets is None else targets,
+        template,
     )
     left, right = draw_cameras(generator)
     return Scene(

@@ -13,6 +13,7 @@ from procedures.planning.errors import (
     FiducialsNotYet,
     NotIntoHead,
     NotReachable,
+    NotTheTemplate,
     OutsideField,
     PlanMistakes,
     UnknownTool,
@@ -64,6 +65,15 @@ def test_a_series_that_does_not_say_how_the_patient_lay_is_warned_about(plan, ma
 def test_another_number_of_fiducials_is_refused(plan, make_volume):
     with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*expected 4.*3"):
         check_plan(plan, make_volume(), fiducials_mm=FOUR[:3]).require()
+
+
+def test_fiducials_that_are_not_where_the_template_has_them_are_refused(plan, make_volume):
+    four = np.asarray(FOUR, dtype=float)
+    as_planned = plan.model_copy(update={"template_mm": tuple(map(tuple, four[::-1] + 7.0))})
+    assert check_plan(as_planned, make_volume(), fiducials_mm=four).passed
+    another = plan.model_copy(update={"template_mm": tuple(map(tuple, 1.2 * four))})
+    with pytest.raises(NotTheTemplate, match="PLAN-017"):
+        check_plan(another, make_volume(), fiducials_mm=four).require()
 
 
 def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_path, make_volume):

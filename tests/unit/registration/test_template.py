@@ -56,6 +56,17 @@ def test_an_orientation_that_cannot_be_is_refused(random, any_pose):
     assert found.runner_up.pairs.tolist() == [[0, 0], [1, 1], [2, 2], [3, 3]]
 
 
+def test_a_known_orientation_tells_two_frames_in_sight_apart(random, any_pose):
+    turn = any_pose(random)
+    other = Rotation.from_rotvec([np.pi, 0.0, 0.0]) * turn.rotation
+    physical = np.vstack([turn.apply(FRAME), other.apply(FRAME) + 900.0])
+    in_ct = any_pose(random)
+    image = in_ct.apply(FRAME)
+    found = match_by_template(FRAME, image, physical, prior=turn.rotation * in_ct.rotation.inv(), **SIGMAS)
+    assert found.status is MatchStatus.UNIQUE, found.reason
+    assert found.pairs.tolist() == [[0, 0], [1, 1], [2, 2], [3, 3]]
+
+
 def test_sides_that_fit_the_template_but_not_each_other_are_refused(random, any_pose):
     """A coarse template lets both sides pass that differ by more than their own noise."""
     bent = FRAME + np.array([[0.0, 0, 0], [0, 0, 0], [0, 0, 0], [1.0, 1.0, 0]])

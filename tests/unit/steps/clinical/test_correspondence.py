@@ -17,6 +17,7 @@ from procedures.engine.case import Stored
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import NoUniqueMatch
 from procedures.steps.clinical.correspondence import STEP, Correspondence
+from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.frames import Frame
 
 Array = NDArray[np.float64]
@@ -37,6 +38,32 @@ def test_spheres_are_paired_in_whatever_order_the_tracker_saw_them(cell: Clinica
         found.robot_from_ct.transform.as_matrix(), ROBOT_FROM_CT.as_matrix(), atol=1e-6
     )
     assert found.two_way.unmatched_room == (("tracker", 2),)
+
+
+def implanted_by(template_mm: Array) -> CheckedPlan:
+    """The plan of a head whose markers a template placed."""
+    planned = checked_plan()
+    changes = {"implanted": len(template_mm), "template_mm": tuple(map(tuple, template_mm.tolist()))}
+    return planned.model_copy(
+        update={"plan": planned.plan.model_copy(update=changes), "implanted": len(template_mm)}
+    )
+
+
+def test_a_template_finds_its_spheres_among_others_in_ct_and_room(cell: ClinicalCell) -> None:
+    more = np.array([[30.0, -20.0, 55.0]])  # a sphere that is no marker, in the CT only
+    template = CENTRES_CT_MM[:3][[1, 2, 0]] - CENTRES_CT_MM[0]
+    planned = implanted_by(template)
+    seen = np.vstack([GHOST_MM, SPHERES_MM[:3]])
+    ct = localized_fiducials(np.vstack([CENTRES_CT_MM[:3], CENTRES_CT_MM[:1] + more]))
+    found = cell.run(ct, global_localization(seen), planned, STEP).result
+    assert found.status is MatchStatus.UNIQUE
+    assert sorted(found.pairs) == [(0, 1), (1, 2), (2, 3)]
+
+
+def test_spheres_that_are_not_where_the_template_has_them_pair_with_nothing(cell: ClinicalCell) -> None:
+    planned = implanted_by(1.1 * CENTRES_CT_MM[:3])
+    with pytest.raises(NoUniqueMatch, match="the template among the image points"):
+        cell.run(localized_fiducials(CENTRES_CT_MM[:3]), global_localization(SPHERES_MM[:3]), planned, STEP)
 
 
 def test_its_parents_are_spheres_room_and_plan(cell: ClinicalCell) -> None:

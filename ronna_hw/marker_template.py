@@ -1,0 +1,97 @@
+"""A template for three or four markers: where they go on a head, so that their distances tell them apart.
+
+The surgeon's jig is made from it; plan and simulated scene take the same file.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from itertools import combinations, pairwise
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from ronna_hw.bounded_input import read_toml
+from ronna_hw.calibration import Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.errors import ConfigurationError
+from ronna_hw.text.counting import counted
+
+FEWEST, MOST = 3, 4  # with more, their number tells them apart
+LEAST_DISTANCE_MM = 15.0  # two spheres of 11.5 mm, and a gap that a CT shows
+UNIT_TOLERANCE = 1e-3
+IMPLANTED_SIGMA_MM = 0.3  # per axis: a screw follows its jig to half a millimetre
+
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class BadTemplate(ConfigurationError):
+    """The file of a marker template is missing, not TOML, or has mistakes; all of them are listed."""
+
+    code = "TPL-001"
+    action = "Make one with `ronna-plan template`, or correct the lines named here."
+
+
+class TemplateMarker(Strict):
+    """One sphere: its centre, and which way its post stands."""
+
+    centre_mm: Point = Field(description="Of the sphere, LPS of the CT that the template was made on.")
+    post: Point = Field(description="Unit vector from the skull to the sphere, same axes.")
+
+    @model_validator(mode="after")
+    def _has_a_direction(self) -> Self:
+        if abs(math.hypot(*self.post) - 1.0) > UNIT_TOLERANCE:
+            raise ValueError(f"post is no unit vector: its length is {math.hypot(*self.post):.3f}")
+        return self
+
+
+class MarkerTemplate(Strict):
+    """Three or four markers."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this form."
+    )
+    markers: Annotated[tuple[TemplateMarker, ...], Field(min_length=FEWEST, max_length=MOST)] = Field(
+        description="In no particular order."
+    )
+
+    @property
+    def centres_mm(self) -> tuple[Point, ...]:
+        """Centres of the spheres."""
+        return tuple(marker.centre_mm for marker in self.markers)
+
+    @property
+    def distances_mm(self) -> tuple[float, ...]:
+        """Between all pairs of markers, ascending."""
+        return tuple(sorted(math.dist(one, other) for one, other in combinations(self.centres_mm, 2)))
+
+    @property
+    def least_difference_mm(self) -> float:
+        """By which the two most alike distances differ."""
+        return min(longer - shorter for shorter, longer in pairwise(self.distances_mm))
+
+    @model_validator(mode="after")
+    def _stand_apart(self) -> Self:
+        if self.distances_mm[0] < LEAST_DISTANCE_MM:
+            raise ValueError(
+                f"two markers are {self.distances_mm[0]:.1f} mm apart, limit {LEAST_DISTANCE_MM:g} mm"
+            )
+        return self
+
+
+def read_marker_template(path: Path) -> MarkerTemplate:
+    """Read and check a template; raises TPL-001 with every mistake in it."""
+    try:
+        content = read_toml(path, BadTemplate)
+    except OSError as error:
+        raise BadTemplate(f"cannot read {path}: {error.strerror}") from error
+    try:
+        return MarkerTemplate.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        mistakes = describe_mistakes(error)
+        raise BadTemplate(
+            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+        ) from error

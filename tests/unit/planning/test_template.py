@@ -1,0 +1,125 @@
+"""Where three or four markers go: apart, on free skin, at distances that cannot be taken for one another."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import HeadUnreadable, NoTemplate
+from procedures.planning.head_shape import HeadEllipsoid, head_shape
+from procedures.planning.template import (
+    APART_MM,
+    ENTRY_CLEARANCE_MM,
+    STANDOFF_MM,
+    propose_template,
+)
+from procedures.planning.template_file import head_of_scene, write_template
+from ronna_hw.marker_template import BadTemplate, read_marker_template
+
+HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
+
+
+@pytest.mark.parametrize(("markers", "margin_mm"), [(3, 30.0), (4, 10.0)])
+def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(markers, margin_mm) -> None:
+    found = propose_template(HEAD, markers, margin_mm)
+    assert len(found.markers) == markers
+    assert found.least_difference_mm >= margin_mm
+    assert found.distances_mm[0] >= APART_MM
+    for marker in found.markers:
+        foot = np.array(marker.centre_mm) - STANDOFF_MM * np.array(marker.post) - HEAD.centre_mm
+        assert np.linalg.norm(foot / np.array(HEAD.semi_axes_mm)) == pytest.approx(1.0, abs=1e-5)
+        assert (foot[2] - foot[1]) > 0.0  # between forehead and vertex
+
+
+def test_a_smaller_margin_never_costs_accuracy() -> None:
+    from procedures.planning.template import _expected_error
+
+    def error(margin_mm: float) -> float:
+        points = np.array([propose_template(HEAD, 4, margin_mm).centres_mm])
+        return float(_expected_error(points, np.array(HEAD.centre_mm))[0])
+
+    assert error(2.0) <= error(8.0) <= error(14.0)
+
+
+def test_entries_are_kept_clear() -> None:
+    taken = propose_template(HEAD, 3, 10.0).centres_mm
+    found = propose_template(HEAD, 3, 10.0, entries_mm=taken)
+    gaps = np.linalg.norm(np.array(found.centres_mm)[:, None] - np.array(taken)[None], axis=2)
+    assert gaps.min() > ENTRY_CLEARANCE_MM
+
+
+def test_a_margin_that_no_head_has_room_for_is_refused_with_the_largest_there_is() -> None:
+    with pytest.raises(NoTemplate, match=r"PLAN-015.*40 mm.*mm at most"):
+        propose_template(HEAD, 4, 40.0)
+
+
+def test_the_skin_is_that_of_the_ct_and_not_of_the_ellipsoid() -> None:
+    """A head that is flat on one side: the ellipsoid around it stands off there."""
+    radius_mm, flat_at_mm, voxel_mm = 88.0, 30.0, 4.0
+    axis = np.arange(-118.0, 119.0, voxel_mm)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    voxels = np.where((x**2 + y**2 + z**2 < radius_mm**2) & (x < flat_at_mm), 40, -1000).astype(np.int16)
+    geometry = VoxelGeometry(
+        voxels.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm)
+    )
+    volume = Volume(voxels, geometry, "1.2.3", "1.2.4")
+    found = propose_template(head_shape(volume), 3, 10.0, volume=volume)
+    feet = [np.array(one.centre_mm) - STANDOFF_MM * np.array(one.post) for one in found.markers]
+    for foot in feet:
+        assert min(abs(np.linalg.norm(foot) - radius_mm), abs(foot[0] - flat_at_mm)) < voxel_mm
+    assert max(foot[0] for foot in feet) < flat_at_mm + voxel_mm
+
+
+def test_a_template_comes_back_from_its_file(tmp_path: Path) -> None:
+    template = propose_template(HEAD, 4, 8.0)
+    write_template(tmp_path / "t.toml", template)
+    assert read_marker_template(tmp_path / "t.toml") == template
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("schema = 1\n", "markers"),
+        ("schema = 2\nmarkers = []\n", "schema"),
+        ("{", "not TOML"),
+        (
+            "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 2.0]\n" * 3,
+            "no unit vector: its length is 2.000",
+        ),
+        (
+            "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 1.0]\n" * 3,
+            "0.0 mm apart, limit 15 mm",
+        ),
+    ],
+)
+def test_a_file_that_is_no_template_is_refused_with_what_is_wrong(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    path = tmp_path / "t.toml"
+    path.write_text(text)
+    with pytest.raises(BadTemplate, match=said) as refused:
+        read_marker_template(path)
+    assert refused.value.code == "TPL-001"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("seed = 1\n", "head"), ("[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\n", "semi_axes_mm"), ("[", "not TOML")],
+)
+def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(HeadUnreadable, match=said):
+        head_of_scene(path)
+
+
+def test_every_two_distances_of_a_template_are_told_ascending() -> None:
+    template = propose_template(HEAD, 3, 10.0)
+    expected = sorted(
+        float(np.linalg.norm(np.subtract(a, b))) for a, b in combinations(template.centres_mm, 2)
+    )
+    assert template.distances_mm == pytest.approx(expected)

@@ -1,0 +1,34 @@
+"""Three and four markers by a template: drawn at its places, counted beside what five to eight reach."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.studies.correspondence import cell_key
+from procedures.studies.heads import NoiseReading
+from procedures.studies.template_pairing import MARGIN_MM, TemplateStudy, sites_mm, tables
+from procedures.studies.unit import Unit
+
+
+def test_the_sites_of_every_head_differ_by_the_margin() -> None:
+    for patient in (1, 2, 3):
+        for count in (3, 4):
+            sites = sites_mm(patient, count, MARGIN_MM)
+            apart = np.linalg.norm(sites[:, None] - sites[None], axis=2)[np.triu_indices(count, 1)]
+            assert np.diff(np.sort(apart)).min() >= MARGIN_MM
+
+
+def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
+    cell = cell_key(NoiseReading.PER_AXIS, 1, 4, 4)
+    sums = TemplateStudy(20, seed=3).run(Unit(cell, 0, 20))
+    assert sums == dict.fromkeys(
+        (
+            "distances|success",
+            "+ planned count|success",
+            "template|success",
+            "template + orientation|success",
+        ),
+        20.0,
+    )
+    (told,) = tables({cell: sums})
+    assert [row[3:] for row in told.rows] == [(20, 0.0, "0-0", 0.0, "yes", "yes")] * 4
