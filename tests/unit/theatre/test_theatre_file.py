@@ -6,6 +6,7 @@ import pytest
 from drivers.kuka_rsi.options import read_options
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
+from sim.theatre.process import load_scene
 from sim.theatre.rigid import inverse, matrix_of
 from sim.theatre.scene.model import Scene
 from sim.theatre.scene.named_scenes import named_scene
@@ -69,6 +70,20 @@ def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tm
     stated = matrix_of(record.stereo_head.left.camera_from_tool)
     shift = (inverse(true) @ stated)[:3, 3]
     assert 0.0 < float(np.linalg.norm(shift)) < 0.1
+
+
+def test_a_calibrated_arm_has_a_record_off_by_what_a_calibration_leaves_over(tmp_path: Path) -> None:
+    scene = load_scene("mini", seed=4, calibrated=True)
+    record = read_theatre_file(_written(scene, tmp_path)).calibration
+    assert record is not None
+    assert record.arm is not None
+    off = np.subtract(record.arm.joint_offset_rad, scene.arm.joint_offset_rad)
+    assert 0.0 < np.abs(off).max() < 6e-4
+    head = np.subtract(
+        record.stereo_head.flange_from_tool.translation_mm, scene.mount.flange_from_tool_true.translation_mm
+    )
+    assert 0.0 < np.abs(head).max() < 0.5
+    assert load_scene("mini", seed=4).calibration_error.arm is None
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

@@ -1,0 +1,92 @@
+"""`ronna-arm` as a user runs it: on recorded looks, on a simulated theatre, and with what goes wrong."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
+from user_commands import in_this_process, one_error
+
+from procedures.calibration.arm.looks import LOOKS_FILE
+from procedures.cli.arm.command import app
+from ronna_hw.config import parse_theatre
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
+
+
+@pytest.fixture
+def looks(tmp_path: Path) -> Path:
+    """Looks as a calibration leaves them."""
+    folder = tmp_path / "before"
+    folder.mkdir()
+    observed = LookingArm.of(3).looks(90, 24, SPHERES_MM)
+    (folder / LOOKS_FILE).write_text(observed.model_dump_json(by_alias=True))
+    return folder
+
+
+def test_recorded_looks_are_computed_again_into_records_for_the_theatre_file(
+    looks: Path, tmp_path: Path
+) -> None:
+    done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    payload = json.loads(done.stdout)
+    assert payload["error_mm"] < 0.04 < payload["before_mm"]
+    records = tomllib.loads((Path(payload["folder"]) / "calibration.toml").read_text())["calibration"]
+    content = theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
+    content["calibration"] |= records
+    assert parse_theatre(content).calibration is not None
+
+
+def test_the_table_names_what_the_looks_do_not_reveal(looks: Path, tmp_path: Path) -> None:
+    done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out")
+    assert "not revealed by the looks" in done.stdout
+    assert "A1 offset" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "code"),
+    [("", "CAL-005"), ('{"schema": 1}', "CAL-005"), ('{"schema": 2}', "CAL-005")],
+)
+def test_a_damaged_file_of_looks_is_refused(tmp_path: Path, content: str, code: str) -> None:
+    (tmp_path / LOOKS_FILE).write_text(content)
+    done = in_this_process(app, "calibrate", "--from", tmp_path, "--out", tmp_path / "out")
+    assert code in " ".join(one_error(done.stderr))
+
+
+def test_too_few_looks_are_refused_with_the_number_that_is_needed(looks: Path, tmp_path: Path) -> None:
+    stored = json.loads((looks / LOOKS_FILE).read_text())
+    stored["looks"] = stored["looks"][:30]
+    (looks / LOOKS_FILE).write_text(json.dumps(stored))
+    done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out")
+    assert "at least 60" in " ".join(one_error(done.stderr))
+
+
+@pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
+def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...]) -> None:
+    assert in_this_process(app, "calibrate", *arguments).returncode == 2
+
+
+def test_calibrated_needs_a_record_in_the_theatre_file(tmp_path: Path) -> None:
+    from procedures.cli.procedure import app as procedure
+
+    path = tmp_path / "theatre.toml"
+    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), path)
+    done = in_this_process(procedure, "run", "--config", path, "--case", tmp_path, "--calibrated")
+    assert "CAL-014" in " ".join(one_error(done.stderr))
+    assert done.returncode == 3
+
+
+@pytest.mark.slow
+def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
+    sim = ("--sim", "--scene", "mini", "--seed", "3", "--out", tmp_path, "--json")
+    done = in_this_process(app, "calibrate", "--looks", "60", "--validation", "12", *sim)
+    assert done.returncode == 0, done.stderr
+    payload = json.loads(done.stdout)
+    assert payload["error_mm"] < 0.06 < payload["before_mm"]
+    assert (Path(payload["folder"]) / "report.html").is_file()
+    checked = in_this_process(app, "check", "--looks", "12", *sim)
+    assert checked.returncode == 0, checked.stderr
+    assert json.loads(checked.stdout)["passed"]
