@@ -57,7 +57,7 @@ class HeadInSight:
         return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
 
     def excuse(self) -> None:
-        """The operator goes on without sight: the time begins again."""
+        """The operator goes on without sight."""
         room = self.workspace.find(RoomWatch)
-        if room is not None and room.approach is not None:
-            room.approach.excused_s = self.clock.now_s()
+        if room is not None:
+            room.excuse()

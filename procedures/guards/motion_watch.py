@@ -72,6 +72,7 @@ class MotionWatch:
             lambda why, stop: self._alarm(what, why, stop),
             self.tell,
         )
+        room.begin_motion(self.clock.now_s())
         looking.begin()
         try:
             yield
@@ -180,10 +181,10 @@ class _Looking:
     def _read(self) -> None:
         tracker, began_s = self.workcell.tracker, self.clock.now_s()
         while not self._ending.is_set():
-            self._meet_unseen()
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
             except (LinkTimeout, ProtocolError) as problem:  # costs one frame
+                self._meet_unseen()
                 if tracker.state is not Lifecycle.ACTIVE:
                     raise
                 if isinstance(problem, LinkTimeout):
@@ -198,6 +199,7 @@ class _Looking:
             if self.head.seen:
                 self.has_seen, began_s, self.room.seen_s = True, now_s, now_s
             self.unseen_s = now_s - began_s
+            self._meet_unseen()
             if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 self.moved_mm = self.head.moved_mm
                 self._begin_alarm(MOVED, stop=True)

@@ -51,7 +51,7 @@ class RoomReading:
 
 @dataclass
 class Approach:
-    """A guide on its way to the head, or in it. `excused_s`: when the operator last went on without sight.
+    """A guide on its way to the head, or in it. `excused_s`: when it last went on without sight.
 
     Only while it is under way the time without sight is bounded: nothing holds up the way out.
     """
@@ -86,6 +86,16 @@ class RoomWatch:
         """Theatre time since the head was seen, or since the operator went on without."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
         return now_s - max(self.seen_s, excused_s)
+
+    def excuse(self) -> None:
+        """The operator goes on without sight: the time begins again with the next motion or wait."""
+        if self.approach is not None:
+            self.approach.excused_s = math.inf
+
+    def begin_motion(self, now_s: float) -> None:
+        """A motion or a wait begins."""
+        if self.approach is not None:
+            self.approach.excused_s = min(self.approach.excused_s, now_s)
 
     def overdue(self, now_s: float) -> bool:
         """Whether a guide approaches a head that was not seen for too long."""

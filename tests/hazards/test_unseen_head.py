@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -89,6 +90,27 @@ def test_the_operator_may_go_on_without_sight_and_the_motion_is_asked_about_anew
     asked = topics(cell)
     assert Topic.PAUSE not in asked
     assert asked[asked.index(Topic.HEAD_UNSEEN) + 1] is Topic.FIRST_MOTION
+
+
+def test_a_question_that_stands_for_long_does_not_stop_the_motion_that_follows(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = guarded(cell)
+
+    def show() -> None:
+        cell.tracker.spheres_mm = SPHERES_MM
+
+    answering(cell, "wait", show)
+    ask = cell.operator.ask
+
+    def take_time(question: Question) -> str:
+        if question.topic is Topic.FIRST_MOTION:
+            time.sleep(2.0 * UNSEEN_S)  # nothing else passes meanwhile
+        return ask(question)
+
+    cell.operator.ask = take_time  # type: ignore[method-assign]
+    on_the_way(cell, covered(cell))
+    positioned(engine)
+    assert cell.arm.stops == 1  # for the covered head
 
 
 def test_a_head_that_moved_while_it_was_covered_is_noticed_when_it_is_seen_again(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,11 +23,12 @@ from procedures.engine.errors import StepRefused
 from procedures.engine.events import Finding
 from procedures.engine.operator import Question, Topic
 from procedures.guards import motion_watch, patient_watch
-from procedures.guards.errors import PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.steps.clinical import global_localization
 from procedures.workcell import MountedTool
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import DeviceError
 
 pytestmark = pytest.mark.hazard(12)
@@ -67,6 +69,23 @@ def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_registere
     assert engine.machine.state == "held"
     engine.retreat_home()  # not stopped by the same shift
     assert cell.workcell.at_home
+
+
+def test_a_tracker_that_is_moved_on_the_way_in_is_told_from_the_head(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = watched(cell)
+    move, way_mm = cell.arm.move_linear, (0.0, 2.0, 0.0)
+
+    def pushed_meanwhile(*words: Any, **more: Any) -> ArmReading:
+        cell.tracker.spheres_mm, cell.tracker.frame_shift_mm = np.add(SPHERES_MM, way_mm), way_mm
+        eventually(lambda: cell.arm.stops > 0)
+        cell.arm.interruptions = 1
+        return move(*words, **more)
+
+    cell.arm.move_linear = pushed_meanwhile  # type: ignore[method-assign]
+    with pytest.raises(BaseShifted, match=r"PRO-019: the tracker was moved by 2\.0 mm.*during the motion"):
+        positioned(engine)
+    assert cell.entries("voided") == [("voided", "global_localization")]
 
 
 def test_a_head_that_moves_while_the_surgeon_works_is_told_at_once(tmp_path: Path) -> None:
