@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from procedures.planning.errors import NoTemplate
 from procedures.planning.head_shape import HeadEllipsoid
@@ -26,7 +26,6 @@ CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: what neither pillow
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
 STANDOFF_MM = 16.0  # skin to a sphere's centre: base and half a sphere
 APART_MM = 38.0  # two markers, so that the stereo head sees one at a time
-ENTRY_CLEARANCE_MM = 28.0  # from an entry, so that guide and cameras fit
 SITES, DRAWS = 600, 60_000
 SKIN_STEP_MM = 0.5
 SKIN_MM = (25.0, -40.0)  # where the skin is looked for: outside the ellipsoid, inside it
@@ -39,21 +38,17 @@ def propose_template(
     margin_mm: float,
     *,
     volume: Volume | None = None,
-    entries_mm: ArrayLike = (),
     seed: int = 0,
 ) -> MarkerTemplate:
     """Places for `markers` spheres (3 or 4) whose distances differ by `margin_mm` at least.
 
-    On the skin that the CT shows, or on the ellipsoid without one; clear of `entries_mm` (n, 3), LPS mm.
-    Raises PLAN-015 with the largest margin that was found.
+    On the skin that the CT shows, or on the ellipsoid without one. Raises PLAN-015 with the largest margin
+    that was found.
     """
     random = np.random.default_rng(seed)
     centres, posts = _sites(head, volume, random)
-    entries = np.asarray(entries_mm, dtype=float).reshape(-1, 3)
-    free = np.linalg.norm(centres[:, None] - entries[None], axis=2).min(axis=1, initial=np.inf)
-    centres, posts = centres[free > ENTRY_CLEARANCE_MM], posts[free > ENTRY_CLEARANCE_MM]
     if len(centres) < markers:
-        raise NoTemplate("no free skin between forehead and vertex", got=f"{len(centres)} places")
+        raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} places")
     sets = random.integers(len(centres), size=(DRAWS, markers))
     points = centres[sets]
     first, second = np.array(list(combinations(range(markers), 2))).T

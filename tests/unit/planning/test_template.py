@@ -13,7 +13,6 @@ from procedures.planning.errors import HeadUnreadable, NoTemplate
 from procedures.planning.head_shape import HeadEllipsoid, head_shape
 from procedures.planning.template import (
     APART_MM,
-    ENTRY_CLEARANCE_MM,
     STANDOFF_MM,
     propose_template,
 )
@@ -43,13 +42,6 @@ def test_a_smaller_margin_never_costs_accuracy() -> None:
         return float(_expected_error(points, np.array(HEAD.centre_mm))[0])
 
     assert error(2.0) <= error(8.0) <= error(14.0)
-
-
-def test_entries_are_kept_clear() -> None:
-    taken = propose_template(HEAD, 3, 10.0).centres_mm
-    found = propose_template(HEAD, 3, 10.0, entries_mm=taken)
-    gaps = np.linalg.norm(np.array(found.centres_mm)[:, None] - np.array(taken)[None], axis=2)
-    assert gaps.min() > ENTRY_CLEARANCE_MM
 
 
 def test_a_margin_that_no_head_has_room_for_is_refused_with_the_largest_there_is() -> None:
