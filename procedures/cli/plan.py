@@ -71,6 +71,13 @@ def check(
             help="Theatre file: check every motion of its arm.",
         ),
     ] = None,
+    strategy: Annotated[
+        str,
+        typer.Option(
+            metavar="ocs|thesis-ocs|nos|jdms",
+            help="How the stereo head is held at the markers; with --config and --markers.",
+        ),
+    ] = "ocs",
     robot_from_ct: Annotated[
         SixNumbers | None,
         typer.Option(
@@ -99,7 +106,7 @@ def check(
     """
     console.set_up_logging(verbose)
     began_s = time.perf_counter()
-    theatre = _theatre(config, robot_from_ct, home)
+    theatre = _theatre(config, robot_from_ct, home, strategy)
     from procedures.planning.check import check_plan
     from procedures.planning.plan_file import read_plan
 
@@ -195,9 +202,12 @@ def template(
 
 
 def _theatre(
-    config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None
+    config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> Theatre | None:
     """The theatre of a file with the head at the given pose; None when no option asks for it."""
+    from procedures.strategies.catalogue import strategy_named
+
+    chosen = strategy_named(strategy)
     if config is None and robot_from_ct is None and home_deg is None:
         return None
     if config is None or robot_from_ct is None:
@@ -209,7 +219,6 @@ def _theatre(
             )
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
-    from procedures.strategies.catalogue import strategy_named
     from procedures.workcell.workcell import MASTER
     from ronna_hw.arm.angles import radians6
     from ronna_hw.arm.motion.planning import require_in_range
@@ -233,7 +242,7 @@ def _theatre(
             Frame.ROBOT, Frame.CT, translation_mm=pose.position_mm, quaternion_wxyz=pose.quaternion()
         ),
         flange_from_tool=theatre.calibration.tool_tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
-        strategy=strategy_named("ocs"),
+        strategy=chosen,
         flange_from_stereo=theatre.calibration.stereo_head.flange_from_tool.transform(
             Frame.FLANGE, Frame.TOOL
         ),

@@ -44,17 +44,6 @@ class FiducialChoice(StrEnum):
     XFRAME = "xframe"
 
 
-class StrategyChoice(StrEnum):
-    """How the tool is oriented while the spheres are localized."""
-
-    OCS = "ocs"
-    NOS = "nos"
-    JDMS = "jdms"
-    IMPROVED = "improved"
-    THESIS_OCS = "thesis-ocs"
-    BEST = "best"
-
-
 class SpeedChoice(StrEnum):
     """Pace of the simulated theatre."""
 
@@ -67,6 +56,12 @@ SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file."
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")]
+StrategyOption = Annotated[
+    str,
+    typer.Option(
+        metavar="ocs|thesis-ocs|nos|jdms", help="How the tool is held while the spheres are localized."
+    ),
+]
 SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")]
 FaultsOption = Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")]
 CalibratedOption = Annotated[
@@ -93,7 +88,7 @@ def run_command(
     markers: MarkersOption = None,
     targets: TargetsOption = None,
     fiducials: Annotated[FiducialChoice, typer.Option(help="Kind of markers.")] = FiducialChoice.FREE,
-    strategy: Annotated[StrategyChoice, typer.Option(help="Localization strategy.")] = StrategyChoice.OCS,
+    strategy: StrategyOption = "ocs",
     calibrated: CalibratedOption = False,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
@@ -132,6 +127,7 @@ def step_command(
     seed: SeedOption = 0,
     markers: MarkersOption = None,
     targets: TargetsOption = None,
+    strategy: StrategyOption = "ocs",
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
     answers: AnswersOption = None,
@@ -146,6 +142,7 @@ def step_command(
     step_through(
         _request(
             sim=sim,
+            strategy=strategy,
             config=config,
             case=case,
             scene=SceneChoice(scene, seed, markers, targets),
@@ -232,7 +229,7 @@ def doctor_command(
 def _request(
     *,
     sim: bool,
-    strategy: StrategyChoice = StrategyChoice.OCS,
+    strategy: str,
     config: Path | None,
     case: Path | None,
     scene: SceneChoice,
@@ -265,7 +262,7 @@ def _request(
         answers=_answers(answers),
         out=out,
         choice=scene,
-        strategy=strategy.value,
+        strategy=strategy,
         speed=speed.value,
         faults=faults,
         config=config,

@@ -23,7 +23,7 @@ from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
 from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import CalibrationError, CameraTruth, Scene
-from sim.theatre.scene.stereo_head import WORKING_DISTANCE_MM
+from sim.theatre.scene.stereo_head import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
@@ -81,6 +81,7 @@ def theatre_content(
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
             "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
+            "tool_error_mm": arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM,
         },
     }
 
