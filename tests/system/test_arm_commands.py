@@ -80,6 +80,7 @@ def test_calibrated_needs_a_record_in_the_theatre_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(600)
 def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     sim = ("--sim", "--scene", "mini", "--seed", "3", "--out", tmp_path, "--json")
     done = in_this_process(app, "calibrate", "--looks", "60", "--validation", "12", *sim)

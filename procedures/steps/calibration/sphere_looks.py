@@ -36,6 +36,7 @@ from ronna_hw.frames import Frame
 
 MOST_SPHERES = 6  # more add travel and hardly knowledge
 CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken
+SPARE = 1.15  # planned looks for each wanted one: some show a sphere half hidden
 GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns, whatever is counted
 NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look, its covariance
 
@@ -106,13 +107,13 @@ class SphereLooks:
             for order, look in enumerate(centred_looks(place.reference, place.ball_mm, CANDIDATES))
             if (joints := _joints(workcell, look)) is not None
         ]
-        if len(reached) < self.count + self.validation:
+        if len(reached) < SPARE * self.count + self.validation:
             raise PosesOutOfReach(
                 "too few poses about the spheres can be reached",
-                expected=f"{self.count + self.validation} poses",
+                expected=f"{round(SPARE * self.count) + self.validation} poses",
                 got=f"{len(reached)} of {CANDIDATES * len(places)}",
             )
-        telling = most_telling(model, arrays_of([one.look for one in reached]), self.count)
+        telling = most_telling(model, arrays_of([one.look for one in reached]), round(SPARE * self.count))
         rest = sorted(set(range(len(reached))) - set(telling.tolist()))
         judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, self.validation)]
         judged = [
