@@ -43,25 +43,31 @@ class ArmPoses:
 
 
 def arm_sources(
-    chain: Chain, spheres: ArmPoses, target: ArmPoses, *, tool_mm: float = TOOL_MM
+    chain: Chain, spheres: ArmPoses, target: ArmPoses, *, share: float = 1.0
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Tool frame, geometry, joints, backlash and what does not repeat, for one target and its `n` spheres."""
+    """Geometry, joints, backlash and what does not repeat, for one target and its `n` spheres.
+
+    `share` of the sizes of set S is left in this arm; what does not repeat is the same in all.
+    """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     columns = error_columns(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]))
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD  # (p, 3, axes) mm per rad
-    geometry = np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(joints), 3, -1)
-    harmonics = by_joint[..., HARMONIC_COLUMNS].reshape(len(joints), 3, -1)
+    geometry = share * np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(joints), 3, -1)
+    harmonics = share * by_joint[..., HARMONIC_COLUMNS].reshape(len(joints), 3, -1)
     levers = _levers(chain, joints)
-    sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
-    tool = tool_mm * np.concatenate([spheres.rotations, target.rotations])
+    sag = share * SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
     return (
-        _shared("tool frame", tool),
         _shared("links and joint offsets", geometry),
         _shared("harmonics and sag", np.concatenate([harmonics, sag], axis=2)),
-        _backlash(swings, spheres.sides, target.sides),
+        _backlash(share * swings, spheres.sides, target.sides),
         _at_rest(len(spheres.joints_rad)),
     )
+
+
+def tool_frame(spheres: ArmPoses, target: ArmPoses, tool_mm: float = TOOL_MM) -> SharedErrors:
+    """The tool frame's error on the flange, `tool_mm` per axis: it turns with the tool."""
+    return _shared("tool frame", tool_mm * np.concatenate([spheres.rotations, target.rotations]))
 
 
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors, tool_frame
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.studies.accuracy.phantom import Phantom
 from procedures.studies.accuracy.postures import ARM, Postures
@@ -35,6 +35,10 @@ def predictions(
             planned.target_arrival[[number]],
         )
         ct = np.tile(np.eye(AXES) * CT_FLE_MM**2 / AXES, (count, 1, 1))
-        sources = [*arm_sources(ARM.chain, at_spheres, at_target), ct_errors(ct)]
+        sources = [
+            tool_frame(at_spheres, at_target),
+            *arm_sources(ARM.chain, at_spheres, at_target),
+            ct_errors(ct),
+        ]
         found.append(predict_target_error(spheres[:count], target, sources))
     return found
