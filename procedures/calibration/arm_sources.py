@@ -31,14 +31,13 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 @dataclass(frozen=True)
 class ArmPoses:
-    """Poses of the arm: joints (p, axes), tool origins (p, 3) mm and rotations robot <- flange (p, 3, 3).
+    """Poses of the arm: joints (p, axes), tool origins (p, 3) mm in the robot frame.
 
     `sides` (p, axes), -1 or 1, say where in its backlash each joint rests; None where that is not known.
     """
 
     joints_rad: Array
     points_mm: Array
-    rotations: Array
     sides: Array | None
 
 
@@ -65,9 +64,12 @@ def arm_sources(
     )
 
 
-def tool_frame(spheres: ArmPoses, target: ArmPoses, tool_mm: float = TOOL_MM) -> SharedErrors:
-    """The tool frame's error on the flange, `tool_mm` per axis: it turns with the tool."""
-    return _shared("tool frame", tool_mm * np.concatenate([spheres.rotations, target.rotations]))
+def tool_frame(at_spheres: Array, at_target: Array, tool_mm: float = TOOL_MM) -> SharedErrors:
+    """The tool frame's error on the flange, `tool_mm` per axis: it turns with the tool.
+
+    Rotations robot <- flange at the spheres (n, 3, 3) and at the target (3, 3).
+    """
+    return SharedErrors("tool frame", tool_mm * at_spheres, tool_mm * at_target)
 
 
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:

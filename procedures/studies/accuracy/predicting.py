@@ -25,18 +25,16 @@ def predictions(
         at_spheres = ArmPoses(
             planned.localizations.joints_rad[looks],
             spheres[:count],
-            planned.localizations.rotations[looks],
             planned.arrival[looks],
         )
         at_target = ArmPoses(
             planned.targets.joints_rad[[number]],
             target[None],
-            planned.targets.rotations[[number]],
             planned.target_arrival[[number]],
         )
         ct = np.tile(np.eye(AXES) * CT_FLE_MM**2 / AXES, (count, 1, 1))
         sources = [
-            tool_frame(at_spheres, at_target),
+            tool_frame(planned.localizations.rotations[looks], planned.targets.rotations[number]),
             *arm_sources(ARM.chain, at_spheres, at_target),
             ct_errors(ct),
         ]
