@@ -9,24 +9,20 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial.transform import Rotation
 
+from procedures.calibration.arm.parameters import BACKLASH_RAD, SAG_RAD, TOOL_MM
 from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, error_columns
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
+from ronna_hw.arm.deviations import FLANK_SHARE, gravity_levers
 from ronna_hw.arm.links import Chain
 
 Array = NDArray[np.float64]
 
-TOOL_MM = 2.0  # per axis, of a mount as drawn
-BACKLASH_RAD = float(np.radians(0.02))  # the whole dead way
-SAG_RAD = float(np.radians(0.03))  # of the stretched arm, at the second and third joint
 REPEATABILITY_MM = 0.015  # per axis, at rest
 SERVO_MM = 0.03  # 3-D rms of what the servo leaves
-FLANK_SHARE = 0.5
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
 HARMONIC_COLUMNS = slice(1, 5)
 SAGGING = (1, 2)  # joints, counted from 0
-DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -54,7 +50,7 @@ def arm_sources(
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD  # (p, 3, axes) mm per rad
     geometry = share * np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(joints), 3, -1)
     harmonics = share * by_joint[..., HARMONIC_COLUMNS].reshape(len(joints), 3, -1)
-    levers = _levers(chain, joints)
+    levers = gravity_levers(chain, joints)
     sag = share * SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
     return (
         _shared("links and joint offsets", geometry),
@@ -79,29 +75,6 @@ def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
 
 def _shared(source: str, columns_mm: Array) -> SharedErrors:
     return SharedErrors(source, columns_mm[:-1], columns_mm[-1])
-
-
-def _levers(chain: Chain, joints_rad: Array) -> Array:
-    """Horizontal lever (p, axes) of the wrist about each joint, as a share of the stretched arm.
-
-    Positive where weight turns the joint in its positive direction.
-    """
-    place = np.tile(chain.base_mm, (len(joints_rad), 1))
-    turned = np.tile(np.eye(3), (len(joints_rad), 1, 1))
-    places, axes = [], []
-    for number, joint in enumerate(chain.joints):
-        places.append(place)
-        axes.append(turned @ np.array(joint.axis))
-        angles = joints_rad[:, number, None] * np.array(joint.axis)
-        turned = turned @ Rotation.from_rotvec(angles).as_matrix()
-        place = place + turned @ np.array(joint.to_next_mm)
-    wrist = len(chain.joints) - 2
-    lengths_mm = [float(np.linalg.norm(joint.to_next_mm)) for joint in chain.joints]
-    levers = np.zeros_like(joints_rad)
-    for number in range(wrist):
-        moments = np.cross(places[wrist] - places[number], DOWN)
-        levers[:, number] = np.sum(moments * axes[number], axis=1) / sum(lengths_mm[number:wrist])
-    return levers
 
 
 def _backlash(swings: Array, at_spheres: Array | None, at_target: Array | None) -> SharedErrors | OwnErrors:
