@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import Progress, read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
@@ -28,9 +29,10 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     slices, geometry = stack_slices(headers)
     voxels = np.empty(geometry.shape, dtype=np.int16)
     report = _part(progress, HEADER_SHARE, 1.0)
-    for number, header in enumerate(slices):
-        read_pixels_into(voxels[number], header)
-        report((number + 1) / len(slices))
+    with FrameDecoder() as decoder:
+        for number, header in enumerate(slices):
+            read_pixels_into(voxels[number], header, decoder)
+            report((number + 1) / len(slices))
     voxels.flags.writeable = False
     return Volume(
         voxels=voxels,

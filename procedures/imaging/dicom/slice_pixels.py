@@ -9,12 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.dicom.attributes import optional_number, read_dicom, text, value
-from procedures.imaging.dicom.compressed_frame import check_frame
+from procedures.imaging.dicom.compressed_frame import JPEG, JPEG_2000, check_frame
+from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import SliceHeader
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
 from ronna_hw.bounded_input import InputRefused
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from pydicom.dataset import FileDataset
     from pydicom.uid import UID
 
@@ -25,7 +28,7 @@ _LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
 )
 
 
-def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
+def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
     """Fill `target` (rows, columns) with the HU of one slice.
 
     Raises CT-005 (truncated), CT-013 (compressed beyond our means), CT-014 (not a CT slice).
@@ -44,7 +47,7 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader) -> None:
     if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _whole(header, data, "BitsAllocated", 0) == 16:
         stored = _stored_16_bit(data, header, target.shape)
     else:
-        stored = _stored_by_library(data, name, syntax, target.shape)
+        stored = _stored_by_library(data, header.path, syntax, target.shape, decoder)
     _rescale_into(target, stored, header)
 
 
@@ -79,13 +82,13 @@ def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
 
 
 def _stored_by_library(
-    data: FileDataset, name: str, stated: str, shape: tuple[int, ...]
+    data: FileDataset, path: Path, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
 ) -> NDArray[np.integer]:
     from pydicom import config
     from pydicom.encaps import get_frame
     from pydicom.uid import UID
 
-    syntax = UID(stated, validation_mode=config.IGNORE)
+    name, syntax = path.name, UID(stated, validation_mode=config.IGNORE)
     try:
         if syntax.is_encapsulated:
             check_frame(
@@ -93,7 +96,8 @@ def _stored_by_library(
             )
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            stored = np.asarray(data.pixel_array)
+            apart = stated in (*JPEG, *JPEG_2000)
+            stored = decoder.decode(path) if apart else np.asarray(data.pixel_array)
     except InputRefused as problem:
         raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
     except Exception as problem:

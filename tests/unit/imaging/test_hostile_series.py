@@ -138,3 +138,26 @@ def test_a_compressed_frame_is_measured_before_it_is_decoded(
     folder = dicom_series(edit=every(compress))
     with bounded_cost(), pytest.raises(errors.FileDamaged, match=rf"CT-005: {FIRST}"):
         read_series(folder)
+
+
+DEADLY_JPEG_2000 = bytes.fromhex(
+    "ff4fff510029000000000007000000060000000000000000018f0101ff52000c00000001000104040001ff5c00074080888890"
+    "ff64002a000143726561746564206279204744434d2f4f70656e4a5045472076657273690b6e20322e332e30ff90000a000000"
+    "0000240001ff93c007d4140ad3183d569a8b3e1567a0003e10c00cbd7fffd9"
+)
+
+
+def test_a_frame_that_ends_its_decoder_ends_no_program_and_the_next_series_is_read(
+    dicom_series: Write,
+) -> None:
+    pytest.importorskip("gdcm", reason="proof not made: install the extra `compressed`")
+
+    def compress(data: Dataset) -> None:
+        data.PixelData = encapsulate([DEADLY_JPEG_2000])
+        data["PixelData"].VR = "OB"
+        stored_as(data, JPEG2000Lossless)
+
+    folder = dicom_series(edit=every(compress))
+    for _ in range(2):
+        with pytest.raises(errors.FileDamaged, match=rf"{FIRST}: .*its decoder gave up"):
+            read_series(folder)

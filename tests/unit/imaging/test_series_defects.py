@@ -23,6 +23,7 @@ from pydicom.uid import (
 from spoiled_slices import every, only, setting
 
 from procedures.imaging import Volume, VoxelGeometry, errors, read_series
+from procedures.imaging.dicom.frame_decoder import FrameDecoder, NotDecoded
 from ronna_hw.errors import DataError
 
 Write = Callable[..., Path]
@@ -310,10 +311,10 @@ def test_slices_that_another_toolkit_compressed_are_read_or_refused_with_the_ext
         np.testing.assert_array_equal(read_series(folder).voxels, HU)
         return
     monkeypatch.setattr("procedures.imaging.dicom.slice_pixels._can_decode", lambda syntax: False)
-    monkeypatch.setattr(pydicom.FileDataset, "pixel_array", property(_no_decoder))
+    monkeypatch.setattr(FrameDecoder, "decode", _no_decoder)
     with pytest.raises(errors.CompressionUnknown, match=r"ronna-hw\[compressed\]"):
         read_series(folder)
 
 
-def _no_decoder(data: Dataset) -> None:
-    raise RuntimeError("no decoder")
+def _no_decoder(_decoder: FrameDecoder, _path: Path) -> None:
+    raise NotDecoded("no decoder")

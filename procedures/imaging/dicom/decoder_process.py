@@ -1,0 +1,49 @@
+"""Decodes compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, started by us only.
+
+The decoders are C++: damaged frames make some of them end the whole program. One line on standard input is
+one file; the answer on FD is a line of JSON, and the pixels. It ends with its input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import warnings
+from pathlib import Path
+from typing import BinaryIO
+
+MEMORY_BYTES = 300 << 20  # above what the libraries take; the largest slice takes eight
+
+
+def main(arguments: list[str]) -> int:
+    """Serve until the input ends."""
+    import numpy as np
+    import pydicom.pixels  # noqa: F401 - imported before memory is bounded
+
+    from procedures.imaging.dicom.attributes import read_dicom
+
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    bound = pages * resource.getpagesize() + MEMORY_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    warnings.simplefilter("ignore")
+    with os.fdopen(int(arguments[0]), "wb") as answers:
+        for line in sys.stdin:
+            try:
+                stored = np.ascontiguousarray(read_dicom(Path(json.loads(line))).pixel_array)
+            except Exception as problem:  # its words are the answer
+                _answer(answers, {"problem": str(problem)[:500]})
+            else:
+                _answer(answers, {"type": stored.dtype.str, "shape": stored.shape}, stored.tobytes())
+    return 0
+
+
+def _answer(answers: BinaryIO, told: dict[str, object], pixels: bytes = b"") -> None:
+    answers.write(json.dumps(told).encode() + b"\n" + pixels)
+    answers.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,106 @@
+"""Compressed slices by way of a process of their own: a decoder that ends its program ends no case."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import math
+import os
+import select
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+PROCESS = "procedures.imaging.dicom.decoder_process"
+LIMIT_S = 30.0  # host time for one slice; a large one takes a tenth of a second, the first the imports
+PIPE_BYTES = 1 << 16
+
+
+class NotDecoded(Exception):
+    """With the decoder's words, or how its process ended."""
+
+
+class FrameDecoder:
+    """For one series; its process is started with the first slice that needs it."""
+
+    def __init__(self) -> None:
+        self._process: subprocess.Popen[bytes] | None = None
+        self._answers = -1
+        self._buffer = bytearray()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end()
+
+    def decode(self, path: Path) -> NDArray[Any]:
+        """The stored values of a slice. Raises NotDecoded."""
+        process = self._started()
+        assert process.stdin is not None, "it was started with one"
+        deadline_s = time.monotonic() + LIMIT_S
+        try:
+            process.stdin.write(json.dumps(str(path)).encode() + b"\n")
+            process.stdin.flush()
+            told = json.loads(self._line(deadline_s))
+            if "problem" in told:
+                raise NotDecoded(told["problem"])
+            kind, shape = np.dtype(told["type"]), tuple(told["shape"])
+            pixels = self._bytes(kind.itemsize * math.prod(shape), deadline_s)
+        except (OSError, EOFError, ValueError) as problem:
+            self._end()
+            raise NotDecoded("its decoder gave up") from problem
+        return np.frombuffer(pixels, kind).reshape(shape)
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        if self._process is None:
+            self._answers, theirs = os.pipe()
+            self._buffer.clear()
+            try:
+                self._process = subprocess.Popen(
+                    [sys.executable, "-P", "-m", PROCESS, str(theirs)],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,  # decoders complain there about damaged frames
+                    pass_fds=(theirs,),
+                    start_new_session=True,
+                )
+            finally:
+                os.close(theirs)
+        return self._process
+
+    def _line(self, deadline_s: float) -> bytes:
+        while b"\n" not in self._buffer:
+            self._read(deadline_s)
+        line, _, self._buffer = self._buffer.partition(b"\n")
+        return bytes(line)
+
+    def _bytes(self, count: int, deadline_s: float) -> bytes:
+        while len(self._buffer) < count:
+            self._read(deadline_s)
+        taken, self._buffer = bytes(self._buffer[:count]), self._buffer[count:]
+        return taken
+
+    def _read(self, deadline_s: float) -> None:
+        if not select.select([self._answers], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
+            raise TimeoutError
+        part = os.read(self._answers, PIPE_BYTES)
+        if not part:
+            raise EOFError
+        self._buffer += part
+
+    def _end(self) -> None:
+        if self._process is None:
+            return
+        with contextlib.suppress(OSError):
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        self._process.kill()
+        self._process.wait()
+        os.close(self._answers)
+        self._process = None
