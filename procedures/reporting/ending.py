@@ -32,7 +32,9 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
         return _with_error("not begun", "The run ended before its theatre was open.", error)
     if closed is None:
         running = next((line for line in reversed(journal) if line["entry"] == Entry.INTENT), None)
-        where = f" during {running['step']}" if running is not None and running is not last else ""
+        where = (
+            f" during {running.get('step', 'a step')}" if running is not None and running is not last else ""
+        )
         return Ending("killed", f"The program ended{where} without closing the run, or it still runs.")
     inside = closed.get("instrument_in")
     instrument_in = inside if isinstance(inside, str) else None

@@ -31,12 +31,13 @@ def truth_so_far(folder: Path) -> dict[str, JournalValue]:
 
 def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     """Files of a run which are not as its lines say, and how."""
-    told: dict[str, tuple[int, JournalValue, int]] = {}
+    told: dict[str, tuple[int, str, int]] = {}
     for number, line in enumerate(lines):
         field = line.get(FIELD)
         for name, value in field.items() if isinstance(field, Mapping) else ():
-            if name in TRUTH_FILES and isinstance(value, Sequence) and len(value) == 2:
-                told[name] = (int(str(value[0])), value[1], number)
+            match value:
+                case [int(size), str(sha256)] if name in TRUTH_FILES and size >= 0:
+                    told[name] = (size, sha256, number)
     for name, (size, sha256, number) in told.items():
         try:
             with open_regular(folder / name) as file:

@@ -47,6 +47,20 @@ PARSER_NAMES = (
     "DICOM",
     "DICOM deflated",
     "DICOM RLE",
+    "run",
+    "log",
+    "tape",
+    "truth",
+    "left world",
+    "kept truth",
+    "calibration figures",
+    "room",
+    "raw image",
+    "Polaris host line",
+    "conformance BX",
+    "DICOM JPEG",
+    "DICOM JPEG-LS",
+    "DICOM JPEG 2000",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">
@@ -139,3 +153,24 @@ def zipped(content: bytes, method: int = zipfile.ZIP_DEFLATED) -> bytes:
     with zipfile.ZipFile(file, "w", method) as archive:
         archive.writestr("cam.xml", content)
     return file.getvalue()
+
+
+JOURNAL_OF_A_RUN = b"".join(
+    json.dumps({"host_time": "2026-11-20T12:00:00.000+00:00", "theatre_time_s": 1.5, **line}).encode() + b"\n"
+    for line in (
+        {"entry": "opened", "run": "run", "seed": 3, "strategy": "ocs", "request_sha256": "0" * 64}
+        | {"truth": {"theatre/scene.json": [3, "0" * 64]}},
+        {"entry": "intent", "step": "image", "moves": False},
+        {"entry": "confirmation", "topic": "plan", "subject": "s", "value": "v", "answer": "yes"},
+        {"entry": "motion", "number": 1, "what": "go", "to": [0.1, 0.2], "trajectory": "T1"},
+        {"entry": "moved", "number": 1, "reached": [0.1, 0.2]},
+        {"entry": "result", "step": "image", "record": "01-image", "sha256": "1" * 64}
+        | {"supersedes": ["00-image"], "pictures": {"ct-1.png": "2" * 64}},
+        {"entry": "refused", "step": "fit:T1", "unmet": ["image comes first"]},
+        {"entry": "rested", "state": "paused", "reason": "r"},
+        {"entry": "resumed", "state": "paused"},
+        {"entry": "failed", "step": "fit:T1", "code": "PRO-007", "what": "too far", "files": ["a.txt"]},
+        {"entry": "closed", "outcome": "failed", "files": {"request.json": "3" * 64}, "instrument_in": "T1"}
+        | {"inputs": {"/nowhere/plan.toml": "4" * 64}},
+    )
+)

@@ -37,6 +37,7 @@ from good_inputs import (
     zipped,
 )
 from hostile_mutants import mutants
+from more_hostile_inputs import further_parsers
 from painted_ct import write_series
 from pydicom.dataset import Dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
@@ -314,6 +315,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "DICOM deflated": Parser(((deflated / "0000.dcm").read_bytes(),), slices(deflated)),
         "DICOM RLE": Parser(((packed / "0000.dcm").read_bytes(),), slices(packed)),
     }
+    found |= {name: Parser(*one) for name, one in further_parsers(folder / "further").items()}
     assert tuple(found) == PARSER_NAMES
     return found
 

@@ -107,12 +107,15 @@ def read_answers(run: Path) -> RecordedAnswers:
         except ValueError:
             torn = torn or number
             continue
-        if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
-            opening, torn = line["opening"], 0
-        elif torn:
-            raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
-        elif "section" in line:
-            sections[line["section"]][line["device"], line["call"]].append(line)
+        try:
+            if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
+                opening, torn = line["opening"], 0
+            elif torn:
+                raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
+            elif "section" in line:
+                sections[line["section"]][line["device"], line["call"]].append(line)
+        except (KeyError, TypeError) as error:
+            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {error}") from error
     if opening is None:
         raise NotRecorded(f"{READINGS_FILE} has no first line")
     return RecordedAnswers(opening, folder / PIXELS_FILE, sections)

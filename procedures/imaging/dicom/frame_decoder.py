@@ -37,7 +37,7 @@ class FrameDecoder:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._end()
+        self.close()
 
     def decode(self, path: Path) -> NDArray[Any]:
         """The stored values of a slice. Raises NotDecoded."""
@@ -53,7 +53,7 @@ class FrameDecoder:
             kind, shape = np.dtype(told["type"]), tuple(told["shape"])
             pixels = self._bytes(kind.itemsize * math.prod(shape), deadline_s)
         except (OSError, EOFError, ValueError) as problem:
-            self._end()
+            self.close()
             raise NotDecoded("its decoder gave up") from problem
         return np.frombuffer(pixels, kind).reshape(shape)
 
@@ -94,7 +94,8 @@ class FrameDecoder:
             raise EOFError
         self._buffer += part
 
-    def _end(self) -> None:
+    def close(self) -> None:
+        """End its process; the next slice starts another."""
         if self._process is None:
             return
         with contextlib.suppress(OSError):

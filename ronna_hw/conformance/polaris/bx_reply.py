@@ -6,7 +6,7 @@ import math
 import struct
 from dataclasses import dataclass
 
-from ronna_hw.conformance.case import check
+from ronna_hw.conformance.case import Nonconformity, check
 from ronna_hw.wire.polaris import HandleStatus, PortStatus
 
 Vector3 = tuple[float, float, float]
@@ -57,6 +57,13 @@ class Seen:
 
 def read_body(body: bytes, options: int) -> Seen:
     """Decode a body with option 0001; raises Nonconformity when its length is wrong."""
+    try:
+        return _read_body(body, options)
+    except (struct.error, IndexError) as error:
+        raise Nonconformity(f"expected a whole body, got {len(body)} bytes: {error}") from error
+
+
+def _read_body(body: bytes, options: int) -> Seen:
     at, handles = 1, []
     for _ in range(body[0]):
         handle, status = f"{body[at]:02X}", body[at + 1]

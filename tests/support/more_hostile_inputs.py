@@ -1,0 +1,196 @@
+"""Further parsers of what comes from outside: files of a run and of a theatre, and compressed slices."""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import hashlib
+import json
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import gdcm
+import numpy as np
+from good_inputs import JOURNAL_OF_A_RUN
+from painted_ct import write_series
+
+from drivers.basler_stereo.images import pixels_of
+from procedures.engine.replay.recorded_answers import read_answers
+from procedures.imaging.dicom.frame_decoder import FrameDecoder
+from procedures.imaging.dicom.slice_headers import read_headers
+from procedures.imaging.dicom.slice_pixels import read_pixels_into
+from procedures.reporting.calibration import read_figures
+from procedures.reporting.ending import ending_of
+from procedures.reporting.files import kept_truth
+from procedures.reporting.happenings import happenings, questions
+from procedures.reporting.run_reading import read_for_report
+from procedures.reporting.sessions import sessions
+from procedures.reporting.timeline import timeline
+from ronna_hw.bounded_input import parse_json
+from ronna_hw.conformance.case import Nonconformity
+from ronna_hw.conformance.polaris.bx_reply import read_body
+from ronna_hw.devices.readings import AreaOfInterest
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import FIRST
+from ronna_hw.wire.gige_vision import PixelFormat
+from sim.polaris.line.framing import LineBuffer, parse_request
+from sim.polaris.unit.refusal import Refusal
+from sim.theatre.control import Room
+from sim.theatre.left_world import read_left_world
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.truth import read_samples
+from sim.theatre.world import World
+
+Take = Callable[[bytes], object]
+LIBRARY_SYNTAXES = {
+    "DICOM JPEG": gdcm.TransferSyntax.JPEGLosslessProcess14_1,
+    "DICOM JPEG-LS": gdcm.TransferSyntax.JPEGLSLossless,
+    "DICOM JPEG 2000": gdcm.TransferSyntax.JPEG2000Lossless,
+}
+LONGEST_HOST_LINE = 1024
+FIGURES = {
+    "looks": 8,
+    "calibration": "c",
+    "position_mm": [0.1, 0.2, 0.3],
+    "covariance_mm2": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
+    "ray_gap_mm": 0.001,
+    "radius_mm": 5.75,
+}
+SAMPLE = {
+    "target": "T1",
+    "theatre_time_s": 1.5,
+    "mounted_tool": 2,
+    "arm_at_rest": True,
+    "tip_mm": [1, 2, 3],
+    "axis": [0, 0, 1],
+}
+LEFT = {
+    "theatre_time_ns": 5,
+    "mounted_tool": 2,
+    "arm": {"joints_rad": [0.0] * 6, "flanks": [0.0] * 6, "motion_number": 3, "moved_s": 1.5},
+}
+TAPE = (
+    b'{"opening":{"clock":1}}\n'
+    b'{"section":1,"device":"tracker","call":"read_frame","state":"active","answer":{"a":[1.5]},"told":{}}\n'
+)
+
+
+def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
+    """What each takes when all is well, and what takes it; `folder` is theirs."""
+    run = folder / "run"
+    for name in ("records", "report", "theatre", "readings"):
+        (run / name).mkdir(parents=True)
+
+    def of(name: str, read: Callable[[Path], object], where: Path = run) -> Take:
+        def take(data: bytes) -> object:
+            (where if where == folder else run).joinpath(name).write_bytes(data)
+            return read(where)
+
+        return take
+
+    room = Room(World.create(named_scene("mini"), paced=False), None)
+    mono = bytes(range(240)) * 5
+    body = struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)
+    return {
+        "run": ((JOURNAL_OF_A_RUN,), of("journal.jsonl", _read_run)),
+        "log": (
+            (b'{"event":"opened","part":"log","a":{"b":1}}\n',),
+            of("log.jsonl", lambda _run: sessions(read_for_report(folder).log), folder),
+        ),
+        "tape": ((TAPE,), of("readings/readings.jsonl", read_answers)),
+        "truth": (
+            (json.dumps(SAMPLE).encode() + b"\n",),
+            of("theatre/truth.jsonl", read_samples, run / "theatre"),
+        ),
+        "left world": (
+            (json.dumps(LEFT).encode(),),
+            of("theatre/world.json", read_left_world, run / "theatre"),
+        ),
+        "kept truth": ((b'{"ct": null, "targets": []}',), of("report/truth.json", kept_truth)),
+        "calibration figures": ((json.dumps(FIGURES).encode(),), of("result.json", read_figures)),
+        "room": ((b'{"do":"mount","number":1}', b'{"do":"fault","line":"now: tracker bump"}'), _asked(room)),
+        "raw image": ((mono,), _raw_image),
+        "Polaris host line": ((b"TSTART:5423\rAPIREV \rTX 0001\r",), _host_line),
+        "conformance BX": ((body[:46],), _conformance),
+        **{name: _compressed(folder / name, syntax) for name, syntax in LIBRARY_SYNTAXES.items()},
+    }
+
+
+def _read_run(run: Path) -> None:
+    """As who may write everything: the chain is made anew over what was changed."""
+    journal, previous, lines = run / "journal.jsonl", FIRST, []
+    for number, line in enumerate(journal.read_bytes().splitlines() if journal.exists() else ()):
+        with contextlib.suppress(ValueError):
+            content = parse_json(line)
+            if isinstance(content, dict):
+                text = json.dumps({**content, "sequence": number, "previous": previous}).encode() + b"\n"
+                previous = hashlib.sha256(text).hexdigest()
+                lines.append(text)
+    journal.write_bytes(b"".join(lines))
+    _ = inspected(run).problems
+    reading = read_for_report(run)
+    ending_of(reading.run.journal)
+    happenings(reading.run.journal)
+    questions(reading.run.journal)
+    timeline(reading.run.journal)
+    sessions(reading.log)
+
+
+def _asked(room: Room) -> Take:
+    def take(data: bytes) -> object:
+        with contextlib.suppress(ValueError):
+            request = parse_json(data)
+            if isinstance(request, dict):
+                return room.answer(request)
+        return None
+
+    return take
+
+
+def _raw_image(data: bytes) -> None:
+    """As a frame gives it: so many bytes as were announced, whatever is in them."""
+    for kind in PixelFormat:
+        with contextlib.suppress(ValueError):
+            pixels_of(memoryview(data), AreaOfInterest(0, 0, 40, 30), kind)
+
+
+def _host_line(data: bytes) -> None:
+    lines = LineBuffer(LONGEST_HOST_LINE)
+    for begin in range(0, len(data), 50):
+        for line in lines.feed(data[begin : begin + 50], 0.0):
+            with contextlib.suppress(Refusal):
+                parse_request(line)
+
+
+def _conformance(data: bytes) -> None:
+    with contextlib.suppress(Nonconformity):
+        read_body(data, 0x0001)
+
+
+def _compressed(folder: Path, syntax: int) -> tuple[tuple[bytes, ...], Take]:
+    """A slice that a decoder in C++ takes, in its own process."""
+    where = write_series(folder, np.arange(3 * 6 * 7, dtype=np.int16).reshape(3, 6, 7) - 1000)
+    path = where / "0000.dcm"
+    header = next(one for one in read_headers(where, lambda _share: None) if one.path == path)
+    reader, change, writer = gdcm.ImageReader(), gdcm.ImageChangeTransferSyntax(), gdcm.ImageWriter()
+    reader.SetFileName(str(path))
+    assert reader.Read()
+    change.SetTransferSyntax(gdcm.TransferSyntax(syntax))
+    change.SetInput(reader.GetImage())
+    assert change.Change()
+    for setting, value in (
+        (writer.SetFileName, str(path)),
+        (writer.SetFile, reader.GetFile()),
+        (writer.SetImage, change.GetOutput()),
+    ):
+        setting(value)
+    assert writer.Write()
+    target, decoder = np.empty((6, 7), np.int16), FrameDecoder()
+    atexit.register(decoder.close)
+
+    def take(data: bytes) -> object:
+        path.write_bytes(data)
+        return read_pixels_into(target, header, decoder)
+
+    return (path.read_bytes(),), take
