@@ -12,6 +12,7 @@ from procedures.guards.room_watch import MOST_UNSEEN_S
 
 HEAD_MM, CART_MM = 0.5, 1.7
 READING_S = 0.2
+LATE_SHARE = 0.005  # of the carts that move while the arm does: noticed one motion later, in the same pose
 SIZES = [(2, 6), pytest.param(50, 20, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])]  # scenes, trials
 
 
@@ -50,3 +51,13 @@ def test_nothing_goes_to_a_covered_head_that_was_not_seen_for_longer_than_allowe
     for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=True):
         assert one.how is not How.PASSED
         assert one.unseen_s <= MOST_UNSEEN_S
+
+
+@pytest.mark.hazard(13)
+@pytest.mark.parametrize(("scenes", "trials"), SIZES)
+def test_a_shift_of_the_cart_is_noticed_at_the_latest_when_the_guide_is_out(scenes: int, trials: int) -> None:
+    late = 0
+    for one in ended(scenes, trials, Moved.CART, CART_MM, covers=False):
+        assert one.how is How.NOTICED
+        late += one.begun > 0
+    assert late <= LATE_SHARE * scenes * trials
