@@ -217,8 +217,8 @@ class _Looking:
 
     def _begin_alarm(self, why: str, *, stop: bool) -> None:
         # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
-        if self._stopping is not None:
-            self._stopping.join()
+        if self._stopping is not None and self._stopping.is_alive():
+            return  # it is stopped already, and what was seen is told when it rests
         self._stopping = threading.Thread(
             target=self.alarm, args=(why, stop), name="stop by the patient watch", daemon=True
         )

@@ -163,6 +163,8 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     parts = {"CT": pairs.ct_mm2, "stereo measurement": pairs.stereo_mm2}
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
+    if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm
+        context.workcell.identify_mounted()
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(
