@@ -141,6 +141,16 @@ def test_every_result_computed_again_from_the_readings_is_the_same(finished: Min
 
 
 @pytest.mark.slow
+def test_on_another_kind_of_processor_every_result_is_confirmed(
+    finished: MiniRun, shared_commands: Commands, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(shared_commands.environment, "OPENBLAS_CORETYPE", "Prescott")  # of 2004
+    done = shared_commands.run("ronna-procedure", "replay", str(finished.folder), "--json")
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["different"] == json.loads(done.stdout)["not_recorded"] == 0
+
+
+@pytest.mark.slow
 def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
     finished: MiniRun, tmp_path: Path
 ) -> None:

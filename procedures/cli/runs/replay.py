@@ -20,9 +20,13 @@ from ronna_hw.command_line.console import print_json, print_table, progress_bar
 from ronna_hw.config import read_theatre_file
 from ronna_hw.evidence.inspection import inspected
 
+CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
+
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
-    """Replay a run and print a verdict for each record. Raises PRO-024, and PRO-025 unless all are equal."""
+    """Replay a run and print a verdict for each record. Raises PRO-024, and PRO-025 unless all are equal or
+    rounded.
+    """
     # Of readings that were edited a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
@@ -35,9 +39,9 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
         print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
     else:
         print_table("Results computed again", ("record", "verdict", "why"), [_row(one) for one in results])
-    if unlike := len(results) - counts[Verdict.EQUAL]:
-        names = ", ".join(one.record for one in results if one.verdict is not Verdict.EQUAL)
-        raise ReplayDiffers(f"{unlike} of {len(results)} records are not confirmed: {names}")
+    unlike = [one.record for one in results if one.verdict not in CONFIRMED]
+    if unlike:
+        raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
 
 
 def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:

@@ -1,0 +1,42 @@
+"""A result computed on another kind of processor is told from one that was made otherwise."""
+
+from typing import Any
+
+import pytest
+
+from procedures.engine.replay.comparison import Verdict, compared
+from ronna_hw.records import Record
+
+RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5, 0.0]], "joints_rad": [0.009]}
+
+
+def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
+    was, again = (Record("09-fit", "fit", {}, payload) for payload in (RECORDED, {**RECORDED, **now}))
+    found = compared("fit", was, again)
+    return found.verdict, found.why
+
+
+def test_last_digits_are_rounded_and_named() -> None:
+    told = verdict(centre_mm=[812.186505, 0.25], covariance_mm2=[[1.0005e-5, 0.0]], joints_rad=[0.00900001])
+    assert told[0] is Verdict.ROUNDED
+    assert told[1][0] == "centre_mm[0]: 812.1865 recorded, 812.186505 computed"
+    assert verdict() == (Verdict.EQUAL, ())
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"count": 4},
+        {"centre_mm": [812.18652, 0.25]},
+        {"centre_mm": [812.1865]},
+        {"covariance_mm2": [[1.01e-5, 0.0]]},
+        {"joints_rad": [0.0090002]},
+        {"joints_rad": [float("nan")]},
+    ],
+)
+def test_what_rounding_does_not_explain_is_different(other: dict[str, Any]) -> None:
+    assert verdict(**other)[0] is Verdict.DIFFERENT
+
+
+def test_what_is_truly_different_is_named_alone() -> None:
+    assert verdict(count=4, joints_rad=[0.00900001])[1] == ("count: 3 recorded, 4 computed",)
