@@ -29,6 +29,7 @@ STEP_RAD = 0.1  # of any joint: within it a path between two samples is straight
 FINEST_MM = 0.5
 ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
 LEAVING_MM = 0.05  # a body that starts too close may stay or leave; this much does not count as approach
+ALIKE_MM = 1e-6  # two distances closer to each other than this are the same but for rounding
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,7 @@ class SweptPath:
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
-        return self._at(*np.unravel_index(int(np.argmin(gaps)), gaps.shape))
+        return self._at(_first_smallest(gaps))
 
     @property
     def refused(self) -> Closest | None:
@@ -67,7 +68,7 @@ class SweptPath:
         lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
         if not lacking.size or lacking.min() >= 0.0:
             return None
-        return self._at(*np.unravel_index(int(np.argmin(lacking)), lacking.shape))
+        return self._at(_first_smallest(lacking))
 
     def require(self, what: str = "the path") -> None:
         """Raises ARM-007 with the pair, the distance and the place when the path is not clear."""
@@ -81,10 +82,19 @@ class SweptPath:
             got=f"{bad.distance_mm:.1f} mm",
         )
 
-    def _at(self, row: np.intp, column: np.intp) -> Closest:
+    def _at(self, place: int) -> Closest:
+        row, column = np.unravel_index(place, self.swept.gaps_mm.shape)
         first, second = self.bodies.names(self.bodies.pairs[column])
         gap = float(self.swept.gaps_mm[row, column])
         return Closest(first, second, gap, float(self.parameters[row]))
+
+
+def _first_smallest(distances_mm: Array) -> int:
+    """The flat index of the first distance that is the smallest but for rounding.
+
+    Bodies that turn together keep their distance: the last digits must not choose a place on the path.
+    """
+    return int(np.argmax(distances_mm <= distances_mm.min() + ALIKE_MM))
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:

@@ -80,6 +80,14 @@ def test_a_post_beyond_the_margin_is_passed() -> None:
     assert path.closest.distance_mm == pytest.approx(11.0, abs=1.0)
 
 
+def test_bodies_that_keep_their_distance_are_nearest_where_the_path_begins() -> None:
+    path = sweep_path(MODEL, _move(), Surroundings())  # A1 alone turns: what it carries turns together
+    gaps_mm = path.swept.gaps_mm.min(axis=1)
+    assert gaps_mm.max() - gaps_mm.min() < 1e-9
+    assert path.closest is not None
+    assert path.closest.parameter == 0.0
+
+
 def test_who_stands_too_near_may_leave_but_not_come_nearer() -> None:
     beside = _around(_post(0.0, 4.0))
     sweep_path(MODEL, _along_the_needle(-40.0), beside).require()
