@@ -17,6 +17,8 @@ STEPS = {
 }
 STOPPED = frozenset({"EKI-007", "EKI-008", "EKI-010"})  # by the controller: before, or while the stream runs
 REFUSED_PAIR = frozenset({"STE-011", "STE-012", "PRO-008"})
+# A reply that is spoilt: no Polaris while connecting; then a wrong CRC or form, or no end in time.
+SPOILT_REPLY = frozenset({"NDI-003", "NDI-005", "NDI-006", "NDI-007"})
 TRACKER = {
     "occlude marker 1": {"PRO-007", "PRO-017", "REG-008", "REG-009"},
     "occlude tool robot_frame": {"PRO-007", "PRO-017"},
@@ -47,10 +49,10 @@ TRACKER = {
     "repeat frames": {"PRO-007", "PRO-017"},
     "skip 2 frames": set(),
     "garble commands 5 %": {"NDI-003", "NDI-006"},
-    "garble replies 5 %": {"NDI-003"},
-    "drop bytes 5 %": {"NDI-003"},
-    "double bytes 5 %": {"NDI-003"},
-    "cut replies 5 %": {"NDI-002", "NDI-003"},
+    "garble replies 5 %": SPOILT_REPLY,
+    "drop bytes 5 %": SPOILT_REPLY,
+    "double bytes 5 %": SPOILT_REPLY,
+    "cut replies 5 %": {"NDI-002", *SPOILT_REPLY},
     "lose replies 5 %": {"NDI-002", "NDI-007"},
     "delay replies 0.5 s": {"NDI-002", "NDI-007", "PRO-007", "PRO-017"},
     "slow TSTART 1 s": set(),
