@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from procedures.studies.accuracy.phantom import Markers, counts_of
 from procedures.studies.accuracy.random_arms import Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
+from procedures.studies.accuracy.scene import DIGITS
 from procedures.studies.plots import boxes
 from procedures.studies.strategies import (
     BIN_MM,
@@ -259,7 +260,7 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
         bins = sorted(int(key) for key in one if key != "sum")
         numbers = np.array([one[str(number)] for number in bins])
         upto = np.cumsum(numbers) / numbers.sum()
-        p99_mm = BIN_MM * (bins[int(np.searchsorted(upto, HIGHEST))] + 1)
+        p99_mm = round(BIN_MM * (bins[int(np.searchsorted(upto, HIGHEST))] + 1), DIGITS)
         rows.append([scenario, strategy, spheres, one["sum"] / float(numbers.sum()), p99_mm])
     return Table(
         "Calibrated arms and a fine CT",
