@@ -9,6 +9,7 @@ from painted_ct import write_series
 
 from procedures.imaging.errors import SeriesNotFound
 from procedures.steps.clinical.ct_import import STEP
+from ronna_hw.evidence.seal import ROOM_FILE
 
 PLAIN = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000
 
@@ -36,7 +37,7 @@ def test_who_the_patient_is_does_not_enter_the_run_folder(cell: ClinicalCell) ->
     write_series(cell.series, PLAIN)
     cell.run(STEP)
     written = [path for path in cell.folder.rglob("*") if path.is_file() and path.suffix != ".dcm"]
-    assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json"}
+    assert {path.name for path in written} == {"journal.jsonl", "01-ct_import.json", ROOM_FILE}
     assert not any(b"SECRET" in path.read_bytes().upper() for path in written)
 
 
