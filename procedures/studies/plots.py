@@ -75,6 +75,8 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
         meanprops={"marker": "x"},
     )
     axes.tick_params(axis="x", labelsize=7, rotation=60)
+    for label in axes.get_xticklabels():
+        label.set_horizontalalignment("right")
     axes.set_title(title, fontsize=9)
     axes.set_ylabel(y_label)
     axes.grid(alpha=0.3)
