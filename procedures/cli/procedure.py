@@ -89,6 +89,12 @@ def run_command(
     targets: TargetsOption = None,
     fiducials: Annotated[FiducialChoice, typer.Option(help="Kind of markers.")] = FiducialChoice.FREE,
     strategy: StrategyOption = "ocs",
+    measure_targets: Annotated[
+        bool,
+        typer.Option(
+            "--measure-targets", help="On a phantom: measure a ball at each target, before the guide."
+        ),
+    ] = False,
     calibrated: CalibratedOption = False,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
@@ -107,6 +113,7 @@ def run_command(
     request = _request(
         sim=sim,
         strategy=strategy,
+        measure_targets=measure_targets,
         config=config,
         case=case,
         scene=SceneChoice(scene, seed, markers, targets, calibrated),
@@ -230,6 +237,7 @@ def _request(
     *,
     sim: bool,
     strategy: str,
+    measure_targets: bool = False,
     config: Path | None,
     case: Path | None,
     scene: SceneChoice,
@@ -263,6 +271,7 @@ def _request(
         out=out,
         choice=scene,
         strategy=strategy,
+        measure_targets=measure_targets,
         speed=speed.value,
         faults=faults,
         config=config,

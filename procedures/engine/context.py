@@ -41,6 +41,7 @@ class ClinicalInput:
     series: Path  # folder of the CT series
     plan: Path
     strategy: Strategy
+    measure_targets: bool = False  # on a phantom
 
 
 @dataclass(frozen=True)

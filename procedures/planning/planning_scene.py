@@ -22,27 +22,29 @@ class PlanningScene:
     head: HeadEllipsoid
     fiducials_ct_mm: Points = ()
 
-    def with_stereo_head(self, robot_from_ct: Transform, flange_from_tool: Transform) -> Surroundings:
-        """The surroundings while spheres are localized."""
-        return self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, None)
+    def with_stereo_head(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
+    ) -> Surroundings:
+        """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
+        return self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, trajectory)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
         """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
-        corridor = None
-        if trajectory is not None:
-            entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
-            corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
-        return self._around(self.cell.guide, robot_from_ct, flange_from_tool, corridor)
+        return self._around(self.cell.guide, robot_from_ct, flange_from_tool, trajectory)
 
     def _around(
         self,
         tool: tuple[ToolBody, ...],
         robot_from_ct: Transform,
         flange_from_tool: Transform,
-        corridor: Corridor | None,
+        trajectory: Trajectory | None,
     ) -> Surroundings:
+        corridor = None
+        if trajectory is not None:
+            entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
+            corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
         in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
         return self.cell.surroundings(
             tool,

@@ -52,6 +52,9 @@ class TargetOutcome(Values):
     depth_mm: float
     predicted_tre_mm: float = Field(description="Root mean square.")
     application_error_mm: float | None
+    measured_error_mm: float | None = Field(
+        default=None, description="By the stereo head in place of the guide, on a phantom."
+    )
 
 
 class RunOutcome(Values):

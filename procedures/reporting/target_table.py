@@ -9,6 +9,7 @@ from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,7 @@ class TargetRow:
     error_mm: float | None
     lateral_mm: float | None
     axial_mm: float | None
+    measured_mm: float | None = None  # by the stereo head in place of the guide, on a phantom
 
     @property
     def cells(self) -> tuple[str, ...]:
@@ -39,6 +41,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     true = {one.id: one for one in truth.targets}
+    measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
     rows = []
     for stored in reading.standing(RegisteredRobot):
         for predicted in stored.result.predictions:
@@ -51,6 +54,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
                     None if at is None else at.application_error_mm,
                     None if at is None else at.lateral_mm,
                     None if at is None else at.axial_mm,
+                    measured_mm.get(predicted.target),
                 )
             )
     return tuple(rows)

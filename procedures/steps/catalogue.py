@@ -16,6 +16,7 @@ from procedures.steps.clinical import (
     relocalization,
     retreat,
     set_up,
+    target_measurement,
     tool_change,
 )
 
@@ -34,3 +35,11 @@ CLINICAL_STEPS: Steps = (
     at_target.STEP,
     retreat.STEP,
 )
+
+
+def clinical_steps(*, measure_targets: bool = False) -> Steps:
+    """The steps of a case; on a phantom, those that measure the targets come before the exchange of tools."""
+    if not measure_targets:
+        return CLINICAL_STEPS
+    place = CLINICAL_STEPS.index(tool_change.STEP)
+    return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])

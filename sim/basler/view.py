@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.theatre.room_shift import STILL, Vector
-from sim.theatre.scene.model import CameraTruth
+from sim.theatre.scene.model import CameraTruth, Fiducial, Head
 from sim.theatre.world import World
 
 FURTHEST_MM = 1000.0  # beyond, a sphere is a faint spot far out of focus
@@ -27,9 +27,9 @@ class View:
         self._world = world
         self._camera_from_tool = matrix_of(camera.camera_from_tool)
         head = world.scene.head
-        self._fiducials = head.fiducials
+        self._balls = (*head.fiducials, *_target_balls(head))
         self._robot_from_ct = matrix_of(head.robot_from_ct)
-        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in head.fiducials])
+        self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._balls])
 
     def pose(self) -> Pose | None:
         """True pose (4, 4) of the head in the robot's frame; None while no arm has said where it is."""
@@ -58,7 +58,7 @@ class View:
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         return tuple(
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
-            for each, centre in zip(self._fiducials, centres, strict=True)
+            for each, centre in zip(self._balls, centres, strict=True)
             if 0.0 < centre[2] < FURTHEST_MM
         )
 
@@ -68,9 +68,20 @@ class View:
         return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
 
     def _bench(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
-        first = self._fiducials[0]
+        first = self._balls[0]
         rotation = camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
         return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
+
+
+def _target_balls(head: Head) -> tuple[Fiducial, ...]:
+    """The balls at the targets, on posts along the trajectories."""
+    if not head.target_balls:
+        return ()
+    first = 1 + max(each.number for each in head.fiducials)
+    return tuple(
+        Fiducial(number=number, centre_ct_mm=each.target_ct_mm, post_ct=each.outwards_ct)
+        for number, each in enumerate(head.targets, first)
+    )
 
 
 def _upright(post: tuple[float, float, float]) -> Pose:

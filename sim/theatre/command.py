@@ -43,6 +43,9 @@ def theatre(
     calibrated: Annotated[
         bool, typer.Option("--calibrated", help="With a calibration record of the arm, and the head's by it.")
     ] = False,
+    target_balls: Annotated[
+        bool, typer.Option("--target-balls", help="With a ball at each target, as on a phantom.")
+    ] = False,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
@@ -77,7 +80,9 @@ def theatre(
 
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
-    truth = load_scene(where, seed=seed, markers=markers, targets=targets, calibrated=calibrated)
+    truth = load_scene(
+        where, seed=seed, markers=markers, targets=targets, calibrated=calibrated, target_balls=target_balls
+    )
     script = read_faults(faults, truth) if faults else ""
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()

@@ -104,12 +104,19 @@ def load_scene(
     markers: int | None = None,
     targets: int | None = None,
     calibrated: bool = False,
+    target_balls: bool = False,
 ) -> Scene:
-    """A named scene, or a scene file, its arm on request with a calibration record; raises SIM-001."""
+    """A named scene, or a scene file; raises SIM-001.
+
+    On request its arm has a calibration record, and there is a ball at each target.
+    """
     if scene in SCENES:
         drawn = named_scene(scene, seed=seed, markers=markers, targets=targets)
     else:
         drawn = read_scene(Path(scene))
+    if target_balls:
+        head = drawn.head.model_copy(update={"target_balls": True})
+        drawn = drawn.model_copy(update={"head": head})
     if not calibrated or drawn.calibration_error.arm is not None:
         return drawn
     error = drawn.calibration_error.model_copy(update={"arm": ArmResidual()})

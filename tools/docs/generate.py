@@ -33,7 +33,7 @@ from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.baseline_visit import VisitedBaseline
-from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.catalogue import clinical_steps
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.errors import RonnaError, concrete_errors
@@ -43,7 +43,8 @@ from sim.theatre.faults import FAULT_KINDS
 from sim.theatre.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures)
-RESULTS = (*(step.result for step in CLINICAL_STEPS), BallPlace, ObservedBall, VisitedBaseline, LookedAtBall)
+CASE_STEPS = clinical_steps(measure_targets=True)
+RESULTS = (*(step.result for step in CASE_STEPS), BallPlace, ObservedBall, VisitedBaseline, LookedAtBall)
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 
@@ -68,7 +69,7 @@ def tables() -> dict[str, str]:
         "robot-options.md": model_tables({"Options": KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
-        "state-chart.md": f"```mermaid\n{mermaid(CLINICAL_STEPS)}```\n\n{_branches()}",
+        "state-chart.md": f"```mermaid\n{mermaid(CASE_STEPS)}```\n\n{_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),

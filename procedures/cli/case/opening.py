@@ -209,19 +209,21 @@ def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
     from procedures.strategies.catalogue import strategy_named
 
     case = case_folder(request, folder)
-    return ClinicalInput(case / "ct", case / "plan.toml", strategy_named(request.strategy))
+    return ClinicalInput(
+        case / "ct", case / "plan.toml", strategy_named(request.strategy), request.measure_targets
+    )
 
 
 def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:
     """The steps of a run, by its plan and its strategy. Raises what reading the plan raises."""
     from procedures.engine.order import order_of
     from procedures.planning.plan_file import read_plan
-    from procedures.steps.catalogue import CLINICAL_STEPS
+    from procedures.steps.catalogue import clinical_steps
     from procedures.strategies.catalogue import strategy_named
 
     plan = read_plan(case_folder(request, folder) / "plan.toml")
     return order_of(
-        CLINICAL_STEPS,
+        clinical_steps(measure_targets=request.measure_targets),
         [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=strategy_named(request.strategy).localizes_per_trajectory,
     )

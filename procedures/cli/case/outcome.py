@@ -129,6 +129,7 @@ def _outcome(
         *(link for name in names if (link := case.get(Retreated, name).result.link) is not None),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
+    measured_mm = {name: _measured_error_mm(case, name) for name in names}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
     return FinishedRun(
         run=case.folder.name,
@@ -145,6 +146,7 @@ def _outcome(
                 depth_mm=depth_mm[name],
                 predicted_tre_mm=registered[name].prediction(name).rms_mm,
                 application_error_mm=errors_mm.get(name),
+                measured_error_mm=measured_mm.get(name),
             )
             for name in names
         ),
@@ -155,3 +157,10 @@ def _outcome(
         sim_s=round(theatre_time_s, 3),
         wall_s=round(wall_s, 3),
     )
+
+
+def _measured_error_mm(case: Case, trajectory: str) -> float | None:
+    from procedures.steps.clinical.target_measurement import MeasuredTarget
+
+    measured = case.find(MeasuredTarget, trajectory)
+    return None if measured is None else measured.result.error_mm

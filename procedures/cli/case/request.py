@@ -26,6 +26,7 @@ class TheatreRequest:
     choice: SceneChoice = field(default_factory=SceneChoice)
     speed: str = "max"
     faults: Path | None = None
+    measure_targets: bool = False  # on a phantom with a ball at each; a simulated one brings them
 
     @property
     def seed(self) -> int | None:
@@ -67,9 +68,11 @@ def check_request(request: CaseRequest) -> None:
             request.answers.check_trajectories([one.id for one in plan.trajectories])
     if request.faults is not None:
         from procedures.cli.case.fault_script import check_fault_script
-        from procedures.steps.catalogue import CLINICAL_STEPS
+        from procedures.steps.catalogue import clinical_steps
 
-        check_fault_script(request.faults, [step.name for step in CLINICAL_STEPS])
+        check_fault_script(
+            request.faults, [step.name for step in clinical_steps(measure_targets=request.measure_targets)]
+        )
 
 
 def new_run_folder(request: CaseRequest) -> Path:

@@ -35,6 +35,7 @@ class RequestFile(BaseModel):
     targets: int | None = None
     calibrated: bool = False
     strategy: str
+    measure_targets: bool = False
     speed: str
     faults: Path | None = None
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
@@ -52,6 +53,7 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         targets=choice.targets,
         calibrated=choice.calibrated,
         strategy=request.strategy,
+        measure_targets=request.measure_targets,
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
         config=request.config and request.config.resolve(),
@@ -85,6 +87,7 @@ def read_request(folder: Path) -> CaseRequest:
         out=folder.parent,
         choice=SceneChoice(content.scene, content.seed, content.markers, content.targets, content.calibrated),
         strategy=content.strategy,
+        measure_targets=content.measure_targets,
         speed=content.speed,
         faults=content.faults,
         config=content.config,

@@ -27,6 +27,8 @@ class SimulatedCase:
         more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
         if request.choice.calibrated:
             more.append("--calibrated")
+        if request.measure_targets:
+            more.append("--target-balls")
         if goes_on:
             more.append("--continue")
         self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *more)

@@ -14,7 +14,7 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answ
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import run_of
 from procedures.planning.plan_file import read_plan
-from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.catalogue import clinical_steps
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.console import print_json, print_table, progress_bar
 from ronna_hw.config import read_theatre_file
@@ -54,12 +54,13 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
 
     plan = placed("plan")
     strategy = strategy_named(str(opening["strategy"]))
+    measure_targets = bool(opening.get("measure_targets"))
     order = order_of(
-        CLINICAL_STEPS,
+        clinical_steps(measure_targets=measure_targets),
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
-    clinical = ClinicalInput(placed("series"), plan, strategy)
+    clinical = ClinicalInput(placed("series"), plan, strategy, measure_targets)
     return ReplayInput(order, clinical, read_theatre_file(placed("theatre_file")))
 
 

@@ -45,4 +45,5 @@ def opening_line(
         "series": None if clinical is None else placed(clinical.series),
         "plan": None if clinical is None else placed(clinical.plan),
         "strategy": None if clinical is None else clinical.strategy.name,
+        "measure_targets": clinical is not None and clinical.measure_targets,
     }

@@ -7,6 +7,7 @@ from procedures.planning.planning_scene import PlanningScene
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.frames import Transform
@@ -23,12 +24,15 @@ def planning_scene_of(context: StepContext) -> PlanningScene:
     )
 
 
-def surround_stereo_head(context: StepContext) -> None:
-    """Tell the arm what is around while the stereo head hangs on it, by the coarse registration."""
+def surround_stereo_head(context: StepContext, trajectory: Trajectory | None = None) -> None:
+    """Tell the arm what is around while the stereo head hangs on it, by the coarse registration.
+
+    With a trajectory its corridor into the head is open.
+    """
     workcell = context.workcell
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool))
+    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory))
 
 
 def surround_guide(context: StepContext, robot_from_ct: Transform) -> Surroundings:

@@ -55,7 +55,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     insertion = insertion_for(context, robot_from_ct)
     expected = expected_sight(context, surround_guide(context, robot_from_ct))
     planned = paths.targets[trajectory]
-    with _named(trajectory):
+    with refused_by_name(trajectory):
         standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad)
     hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
@@ -76,7 +76,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     require_head_seen(context, f"before {trajectory}")
     with head_must_show(context):
         context.progress(0.0, f"moving over {trajectory}")
-        with _named(trajectory):
+        with refused_by_name(trajectory):
             workcell.go(standoff_rad)
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
@@ -100,7 +100,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 
 
 @contextmanager
-def _named(trajectory: str) -> Iterator[None]:
+def refused_by_name(trajectory: str) -> Iterator[None]:
     """What is refused before anything moves is raised as PLAN-007, with the name of the trajectory."""
     try:
         yield

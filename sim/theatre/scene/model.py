@@ -6,6 +6,7 @@ Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Leng
 
 from __future__ import annotations
 
+from math import dist
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -44,6 +45,13 @@ class Target(Strict):
     free_angle_deg: float = Field(default=0.0, description="Of the guide about the trajectory.")
     margin_mm: NotNegative = Field(default=2.0, description="As the plan states it.")
 
+    @property
+    def outwards_ct(self) -> Numbers3:
+        """Unit vector from the target towards the entry."""
+        length_mm = dist(self.entry_ct_mm, self.target_ct_mm)
+        x, y, z = ((e - t) / length_mm for e, t in zip(self.entry_ct_mm, self.target_ct_mm, strict=True))
+        return (x, y, z)
+
 
 class Head(Strict):
     """The patient: where the CT frame really lies in the room, and the head's ellipsoid in it."""
@@ -59,6 +67,11 @@ class Head(Strict):
     )
     targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
         description="Trajectories of the plan."
+    )
+    target_balls: bool = Field(
+        default=False,
+        description="Whether a ball stands at each target, as on a phantom; put there after the CT, and not "
+        "bright enough for the tracker.",
     )
 
     @model_validator(mode="after")

@@ -36,17 +36,18 @@ from procedures.steps.calibration.procedures import (
     head_look,
     look_where_it_stands,
 )
-from procedures.steps.catalogue import CLINICAL_STEPS
+from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.clinical.target_measurement import MeasuredTarget
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import read_record
 
 BASELINE = Baseline.model_construct(looks=())
 PROCEDURES: dict[str, Steps] = {
-    "case": CLINICAL_STEPS,
+    "case": clinical_steps(measure_targets=True),
     "calibration": head_calibration(60, 3, None),
     "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
     "check": head_check(BASELINE, 3),
@@ -133,6 +134,13 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     return [
         *up_to_correspondence(cell),
         *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide()),
+        MeasuredTarget(
+            tool_pose=pose,
+            error_mm=0.1,
+            ball_tool_mm=(0.1, 0.0, 0.0),
+            covariance_mm2=None,
+            joints_rad=HOME_RAD,
+        ),
         PositionedGuide(tool_pose=FramedPose.of(pose.transform), joints_rad=HOME_RAD),
         ReachedTarget(tool_pose=pose, nominal_error_mm=0.1 + 0.2),
         Retreated(parked=True, joints_rad=HOME_RAD, link=LINK),

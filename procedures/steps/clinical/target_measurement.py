@@ -1,0 +1,127 @@
+"""On a phantom with a ball at each target: the stereo head stands in for the guide and measures the error.
+
+The arm goes to the target as it will with the guide, by the same registration and along the same axis, with
+the centre of the stereo head where the tip will be. How far the ball is from there is the application error,
+as the thesis measured it. It needs no truth from outside, so it is the only way on hardware.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
+from procedures.engine.result import FramedPose, Matrix3, Numbers6, StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.relocalization.errors import Saturated
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.positioning import refused_by_name
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.strategies.orientation import back_along_axis
+from procedures.strategies.target import refined_target_pose
+from procedures.workcell import MountedTool
+from procedures.workcell.stereo_look import Look
+from procedures.workcell.stereo_picture import pair_picture
+from ronna_hw.calibration import Numbers3
+
+Array = NDArray[np.float64]
+
+
+class MeasuredTarget(StepResult, kind="target_measurement"):
+    """How far a ball at the target is from where the arm brought the centre of the stereo head."""
+
+    tool_pose: FramedPose = Field(
+        description="Pose robot <- tool with its centre on the target, as commanded."
+    )
+    error_mm: float | None = Field(description="Distance of the ball; nothing when it was not measured.")
+    ball_tool_mm: Numbers3 | None = Field(description="The ball in the tool frame; z is along the axis.")
+    covariance_mm2: Matrix3 | None = Field(description="Of this measurement alone, tool frame.")
+    not_measured: str = Field(default="", description="Why there is no measurement.")
+    joints_rad: Numbers6 = Field(description="Measured joints at the look.")
+
+
+def run(context: StepContext) -> Outcome[MeasuredTarget]:
+    """Bring the stereo head to the target, look, and back out. Without a ball in view, say so and go on."""
+    workcell, name = context.workcell, context.trajectory
+    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    paths = context.result(CheckedPaths)
+    planned = context.result(CheckedPlan).trajectory(name).trajectory
+    robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
+    target = refined_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
+    travel_mm = planned.depth_mm + context.setting.settings.standoff_mm
+    standoff = back_along_axis(target, travel_mm)
+    surround_stereo_head(context, planned)
+    with refused_by_name(name):
+        standoff_rad = workcell.joints_at(standoff, paths.targets[name].standoff_rad)
+    workcell.confirm_motion(
+        Topic.APPROACH,
+        f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm along "
+        "the axis until the ball is in its centre",
+        [workcell.facts(standoff_rad)],
+        name,
+    )
+    check_room(context, f"before the ball at {name} is measured")
+    workcell.start(cameras=True)
+    context.progress(0.0, f"moving over {name}")
+    with refused_by_name(name):
+        workcell.go(standoff_rad)
+        workcell.line_to(target)
+    context.progress(0.5, f"looking at the ball at {name}")
+    seen, why = _look(context)
+    joints_rad = workcell.joints_rad()
+    workcell.line_to(standoff)
+    check_room(context, f"after the ball at {name} was measured")
+    point = None if seen is None else seen.point
+    if seen is not None:
+        context.keep_picture(f"stereo-{name}-target.png", pair_picture(seen))
+    ball_mm = None if point is None else np.asarray(point.position_mm, dtype=float)
+    error_mm = None if ball_mm is None else float(np.linalg.norm(ball_mm))
+    return Outcome(
+        MeasuredTarget(
+            tool_pose=FramedPose.of(target),
+            error_mm=error_mm,
+            ball_tool_mm=None if ball_mm is None else tuple(ball_mm.tolist()),
+            covariance_mm2=None if point is None else point.covariance_mm2.tolist(),
+            not_measured=why,
+            joints_rad=joints_rad,
+        ),
+        summary=f"not measured: {why}" if error_mm is None else f"the ball is missed by {error_mm:.3f} mm",
+    )
+
+
+def _look(context: StepContext) -> tuple[Look | None, str]:
+    """A look with the ball in it, around the centre, then on the whole sensors; or why there is none."""
+    workcell = context.workcell
+    why = ""
+    for whole in (False, True):
+        if whole:
+            workcell.read_whole_sensors()
+        else:
+            workcell.read_around_tool(context.setting.settings.servo_area_px)
+        try:
+            seen = workcell.look()
+        except Saturated as problem:
+            why = problem.summary
+            continue
+        if seen.point is not None:
+            return seen, ""
+        why = seen.reason
+    return None, why
+
+
+STEP = StepSpec(
+    MeasuredTarget,
+    "Measure a ball at the target with the stereo head",
+    Phase.OPERATION,
+    run,
+    scope=Scope.TRAJECTORY,
+    reads=(RegisteredRobot, CheckedPaths, *ROOM_READS, *READS),
+    moves=True,
+    preconditions=carries(MountedTool.STEREO_HEAD),
+)

@@ -1,0 +1,99 @@
+"""On a phantom the stereo head stands in for the guide and measures a ball at each target."""
+
+import numpy as np
+import pytest
+from clinical_case import (
+    FIRST,
+    ROBOT_FROM_CT,
+    SPHERES_MM,
+    TRAJECTORIES,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    correspondence,
+    global_localization,
+    localized_fiducials,
+    plan,
+    registered_robot,
+)
+from numpy.typing import NDArray
+from recording_cell import RecordingOperator
+
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import Topic
+from procedures.engine.order import order_of
+from procedures.planning.errors import NotReachable
+from procedures.steps.catalogue import clinical_steps
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.target_measurement import STEP, MeasuredTarget
+from procedures.strategies.catalogue import STRATEGIES
+from procedures.strategies.strategy import Strategy
+from procedures.workcell import MountedTool
+
+Array = NDArray[np.float64]
+
+BESIDE_MM = np.array([0.3, -0.2, 0.1])
+
+
+def measured(cell: ClinicalCell, beside_mm: Array = BESIDE_MM) -> MeasuredTarget:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    targets = ROBOT_FROM_CT.apply([one.target_mm for one in plan().trajectories]) + beside_mm
+    cell.workcell.spheres_mm = np.vstack([SPHERES_MM, targets])
+    return cell.run(
+        *(registered_robot(), checked_paths(cell), checked_plan(), localized_fiducials()),
+        *(global_localization(), correspondence()),
+        STEP,
+    ).result
+
+
+def test_what_is_missed_at_the_target_is_measured_in_the_tool_and_the_head_is_out_again(
+    cell: ClinicalCell,
+) -> None:
+    result = measured(cell)
+    assert result.error_mm == pytest.approx(np.linalg.norm(BESIDE_MM), abs=1e-6)
+    assert result.ball_tool_mm is not None
+    turned = result.tool_pose.transform.rotation_matrix @ result.ball_tool_mm
+    assert turned == pytest.approx(BESIDE_MM, abs=1e-6)
+    (_, over), *_, (_, out) = cell.arm.motions
+    assert out == pytest.approx(over, abs=1e-9)
+
+
+def test_a_ball_that_is_not_there_is_told_and_the_case_goes_on(cell: ClinicalCell) -> None:
+    result = measured(cell, np.array([0.0, 0.0, 400.0]))
+    assert result.error_mm is None
+    assert result.not_measured == "no sphere in view"
+
+
+def test_without_a_yes_nothing_moves(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.APPROACH)
+    with pytest.raises(NotConfirmed, match=f"on a phantom with a ball at {FIRST}"):
+        measured(cell)
+    assert cell.arm.motions == []
+
+
+def test_a_target_that_is_not_clear_is_refused_by_its_name(cell: ClinicalCell) -> None:
+    cell.arm.blocked = lambda _start, _target: True
+    with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached"):
+        measured(cell)
+
+
+@pytest.mark.parametrize("strategy", STRATEGIES, ids=lambda one: one.name)
+def test_all_localizations_and_measurements_come_before_the_tool_change_and_by_the_own_registration(
+    strategy: Strategy,
+) -> None:
+    order = order_of(
+        clinical_steps(measure_targets=True),
+        TRAJECTORIES,
+        localizes_per_trajectory=strategy.localizes_per_trajectory,
+    )
+    names = [str(key) for key in order.sequence]
+    exchanged = names.index("tool_change")
+    localized = [f":{one}" for one in TRAJECTORIES] if strategy.localizes_per_trajectory else [""]
+    assert names[names.index("path_check") + 1 : exchanged] == [
+        *(f"{step}{one}" for one in localized for step in ("relocalization", "registration")),
+        *(f"target_measurement:{one}" for one in TRAJECTORIES),
+    ]
+    for one in TRAJECTORIES:
+        before = order.before(order.find(f"positioning:{one}"))
+        registrations = [key.trajectory for key in before if key.name == RegisteredRobot.kind]
+        assert registrations == [one if strategy.localizes_per_trajectory else None]
