@@ -7,7 +7,7 @@ never in a callback. Whether a step may begin is the engine's to decide, before 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Protocol, cast
 
 from transitions.extensions import HierarchicalMachine
@@ -150,8 +150,8 @@ def mermaid(steps: Steps) -> str:
 def _blocks(steps: Steps) -> list[tuple[str, str]]:
     """First and last step of what is done for each trajectory."""
     blocks = []
-    for scope in (Scope.LOCALIZATION, Scope.TRAJECTORY):
-        names = [step.name for step in steps if step.scope is scope]
-        if names:
+    for scope, block in groupby(steps, key=lambda step: step.scope):
+        if scope is not Scope.CASE:
+            names = [step.name for step in block]
             blocks.append((names[0], names[-1]))
     return blocks

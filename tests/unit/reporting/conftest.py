@@ -3,6 +3,7 @@ from pathlib import Path
 import pytest
 from clinical_case import (
     ClinicalCell,
+    checked_paths,
     mounted_guide,
     relocalization,
     up_to_correspondence,
@@ -11,6 +12,7 @@ from clinical_case import (
 from procedures.engine.engine import Engine
 from procedures.engine.journal import Entry
 from procedures.steps.clinical import registration
+from procedures.workcell import MountedTool
 
 
 @pytest.fixture
@@ -25,8 +27,9 @@ def cell(tmp_path: Path) -> ClinicalCell:
 @pytest.fixture
 def engine(cell: ClinicalCell) -> Engine:
     """Of a case that goes as far as the tool change, before its first step."""
+    cell.carrying(MountedTool.STEREO_HEAD)
     return cell.begin(
-        *(*up_to_correspondence(cell), relocalization()),
+        *(*up_to_correspondence(cell), checked_paths(cell), relocalization()),
         registration.STEP,
         mounted_guide(),
     )
