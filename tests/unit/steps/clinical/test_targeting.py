@@ -30,6 +30,7 @@ from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
 from procedures.engine.operator import Question, Topic
 from procedures.engine.step import Scope
 from procedures.guards.errors import PatientMoved
+from procedures.planning import tracker_sight
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
@@ -288,6 +289,20 @@ def test_nobody_who_says_done_leaves_the_instrument_on_its_target(cell: Clinical
         run(engine, f"at_target:{FIRST}")
     assert engine.instrument_in == FIRST
     assert cell.case.find(ReachedTarget, FIRST) is None
+
+
+@pytest.mark.hazard(12)
+@pytest.mark.parametrize("in_the_way", [True, False])
+def test_the_question_says_when_the_arm_is_expected_to_hide_the_head(
+    in_the_way: bool, cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = begin(cell)
+    if in_the_way:  # a tracker behind the hand, whose frame is the robot's here
+        hand = cell.arm.kinematics.flange_pose(checked_paths(cell).targets[FIRST].joints_rad)
+        monkeypatch.setattr(tracker_sight, "SENSORS_MM", (hand.translation_mm,) * 2)
+    run(engine, f"positioning:{FIRST}")
+    (question,) = cell.operator.asked
+    assert ("hide the head from the tracker" in question.subject) is in_the_way
 
 
 @pytest.mark.hazard(36)
