@@ -56,7 +56,7 @@ def made_from(model: type[StepResult], result: StepResult) -> StepSpec[StepResul
 
 
 def write_plan(path: Path, content: Plan) -> None:
-    path.write_text(tomli_w.dumps(content.model_dump(mode="json", by_alias=True)))
+    path.write_text(tomli_w.dumps(content.model_dump(mode="json", by_alias=True, exclude_none=True)))
 
 
 @pytest.fixture
