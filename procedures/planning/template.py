@@ -29,6 +29,8 @@ APART_MM = 38.0  # two markers, so that the stereo head sees one at a time
 SITES, DRAWS = 600, 60_000
 SKIN_STEP_MM = 0.5
 SKIN_MM = (25.0, -40.0)  # where the skin is looked for: outside the ellipsoid, inside it
+AROUND, RING_MM = 8, 14.0  # places about a site: a sphere, post or bolt stands on few of them
+FREE_SKIN_MM = 4.0  # a site lies no higher and no lower than these
 SKIN_THICK_MM = 4.0  # what is thinner is a sheet or a cable
 
 
@@ -112,7 +114,18 @@ def _cap(random: np.random.Generator) -> Array:
 
 
 def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
-    """How far outwards from a point the skin is; not a number where the CT shows none."""
+    """How far outwards from a point the skin is; not a number where the CT shows none, or something on it."""
+    side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
+    side /= np.linalg.norm(side)
+    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), np.cross(outward, side))
+    here = _first_solid_mm(volume, at_mm, outward)
+    around = np.median([_first_solid_mm(volume, at_mm + RING_MM * one, outward) for one in ring])
+    return here if abs(here - around) < FREE_SKIN_MM else float("nan")
+
+
+def _first_solid_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
+    """How far outwards from a point the first thing is that is no sheet; not a number without one."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
     hu = sampled_hu(volume, at_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):

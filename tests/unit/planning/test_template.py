@@ -17,7 +17,7 @@ from procedures.planning.template import (
     propose_template,
 )
 from procedures.planning.template_file import head_of_scene, write_template
-from ronna_hw.marker_template import BadTemplate, read_marker_template
+from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
 
@@ -64,6 +64,24 @@ def test_the_skin_is_that_of_the_ct_and_not_of_the_ellipsoid() -> None:
     for foot in feet:
         assert min(abs(np.linalg.norm(foot) - radius_mm), abs(foot[0] - flat_at_mm)) < voxel_mm
     assert max(foot[0] for foot in feet) < flat_at_mm + voxel_mm
+
+
+def test_what_stands_on_the_skin_is_not_taken_for_it() -> None:
+    radius_mm, voxel_mm = 88.0, 3.0
+    axis = np.arange(-129.0, 130.0, voxel_mm)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    points = np.stack([x, y, z], axis=-1)
+    geometry = VoxelGeometry(x.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm))
+
+    def on(solid: np.ndarray) -> MarkerTemplate:
+        volume = Volume(np.where(solid, 40, -1000).astype(np.int16), geometry, "1.2.3", "1.2.4")
+        return propose_template(head_shape(volume), 3, 10.0, volume=volume)
+
+    head = np.linalg.norm(points, axis=-1) < radius_mm
+    standing = [np.linalg.norm(points - np.array(one.centre_mm), axis=-1) < 8.0 for one in on(head).markers]
+    for marker in on(np.any([head, *standing], axis=0)).markers:
+        foot = np.array(marker.centre_mm) - STANDOFF_MM * np.array(marker.post)
+        assert abs(np.linalg.norm(foot) - radius_mm) < voxel_mm
 
 
 def test_a_template_comes_back_from_its_file(tmp_path: Path) -> None:
