@@ -48,6 +48,7 @@ from drivers.basler_stereo.features.description import parse_description, parse_
 from drivers.basler_stereo.features.feature_map import FeatureMap
 from drivers.basler_stereo.features.formula import evaluate
 from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
+from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
 from drivers.kuka_rsi.eki.controller_state import read_state
 from drivers.kuka_rsi.eki.framing import TelegramScanner, parse_telegram
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
@@ -144,8 +145,10 @@ def _gvsp(data: bytes) -> None:
 
 
 def _eki(data: bytes) -> None:
-    for telegram in TelegramScanner().feed(data):
-        read_state(parse_telegram(telegram), 0.0)
+    scanner = TelegramScanner()
+    for begin in range(0, len(data), RECEIVE_BYTES):
+        for telegram in scanner.feed(data[begin : begin + RECEIVE_BYTES]):
+            read_state(parse_telegram(telegram), 0.0)
 
 
 def _with_right_crc(data: bytes) -> None:

@@ -1,0 +1,71 @@
+"""No input of ten megabytes, however it was made, costs a parser more than 300 MB or five seconds."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+import pytest
+from bounded_cost import bounded_cost
+from good_inputs import PARSER_NAMES
+from hostile_inputs import Parser, parsers
+
+from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
+from ronna_hw.errors import RonnaError
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(600)]
+
+SIZE_BYTES = 10_000_000
+DATAGRAM_BYTES = 65_507  # the largest of UDP
+AT_MOST = {  # what the link itself hands over at a time
+    **dict.fromkeys(("GVCP", "GVSP", "RSI", "RSI reply"), DATAGRAM_BYTES),
+    **dict.fromkeys(("Polaris text", "Polaris BX", "conformance BX"), LONGEST_REPLY_BYTES),
+}
+
+
+def filled(part: bytes) -> bytes:
+    """That many bytes of it."""
+    return (part * (SIZE_BYTES // len(part) + 1))[:SIZE_BYTES]
+
+
+def with_long_middle(good: bytes, part: bytes) -> bytes:
+    """What is good, with a part of it as long as the rest allows."""
+    half = len(good) // 2
+    return good[:half] + filled(part)[len(good) :] + good[half:]
+
+
+WORST: dict[str, Callable[[bytes], bytes]] = {
+    "zeros": lambda _good: filled(b"\0"),
+    "ones": lambda _good: filled(b"\xff"),
+    "brackets": lambda _good: filled(b"["),
+    "braces": lambda _good: filled(b'{"a":'),
+    "elements": lambda _good: filled(b"<a>"),
+    "digits": lambda _good: filled(b"1"),
+    "minus signs": lambda _good: filled(b"-"),
+    "empty lines": lambda _good: filled(b"\n"),
+    "parts of a key": lambda _good: filled(b"a."),
+    "quotes": lambda _good: filled(b'"'),
+    "what is good, again and again": filled,
+    "lines of what is good": lambda good: filled(good + b"\n"),
+    "long in the middle": lambda good: with_long_middle(good, b"a"),
+    "digits in the middle": lambda good: with_long_middle(good, b"9"),
+    "its own middle": lambda good: with_long_middle(good, good[len(good) // 3 : 2 * len(good) // 3] or b"a"),
+    "a hole in the middle": lambda good: with_long_middle(good, b" "),
+}
+
+
+@pytest.fixture(scope="module")
+def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Parser]:
+    return parsers(tmp_path_factory.mktemp("large"))
+
+
+@pytest.mark.parametrize("name", PARSER_NAMES)
+def test_ten_megabytes_cost_a_bounded_amount(all_parsers: dict[str, Parser], name: str) -> None:
+    parser = all_parsers[name]
+    for worst, made in WORST.items():
+        data = made(parser.good[0])[: AT_MOST.get(name)]
+        try:
+            with bounded_cost(), contextlib.suppress(RonnaError):
+                parser.take(data)
+        except (AssertionError, MemoryError) as error:
+            raise AssertionError(f"{name}, {worst}: {error!r}") from error
