@@ -36,8 +36,8 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
         field = line.get(FIELD)
         for name, value in field.items() if isinstance(field, Mapping) else ():
             match value:
-                case [int(size), str(sha256)] if name in TRUTH_FILES and size >= 0:
-                    told[name] = (size, sha256, number)
+                case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
+                    told[name] = (int(length), sha256, number)
     for name, (size, sha256, number) in told.items():
         try:
             with open_regular(folder / name) as file:

@@ -17,6 +17,8 @@ from sim.theatre.world import World
 
 TRUTH_FILE = "truth.jsonl"
 SCENE_FILE = "scene.json"
+LARGEST_TRUTH_BYTES = 1_000_000  # of four thousand samples
+MOST_MISTAKES = 5  # that an error lists
 
 
 class TipSample(Strict):
@@ -59,7 +61,7 @@ def read_samples(folder: Path) -> list[TipSample]:
     if not path.exists():
         return []
     try:
-        lines = read_json_lines(path).decode().splitlines()
+        lines = read_json_lines(path, LARGEST_TRUTH_BYTES).decode().splitlines()
     except UnicodeDecodeError as error:
         raise BadTruth(f"{path.name} is not text in UTF-8: {error.reason}") from error
     except OSError as error:
@@ -71,8 +73,10 @@ def read_samples(folder: Path) -> list[TipSample]:
             samples.append(TipSample.model_validate_json(line))
         except ValidationError as error:
             mistakes.append(f"line {number}: {', '.join(describe_mistakes(error))}")
+            if len(mistakes) >= MOST_MISTAKES:
+                break
     if mistakes:
-        raise BadTruth(f"{path.name} has {len(mistakes)} bad line(s): {'; '.join(mistakes)}")
+        raise BadTruth(f"{path.name} has bad lines: {'; '.join(mistakes)}")
     return samples
 
 

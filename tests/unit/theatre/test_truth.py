@@ -18,7 +18,7 @@ def test_every_bad_line_of_the_truth_is_named(tmp_path: Path) -> None:
     append_sample(sample_tip(World.create(named_scene("mini"), paced=False), "T1"), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')
-    with pytest.raises(BadTruth, match=r"SIM-007: .* 2 bad line\(s\): line 2: .*line 3: "):
+    with pytest.raises(BadTruth, match=r"SIM-007: .* bad lines: line 2: .*line 3: "):
         read_samples(tmp_path)
 
 
