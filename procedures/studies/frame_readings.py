@@ -123,6 +123,7 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
         control = stack.enter_context(ControlPortClient(unit.ready["control"]))
         config = DeviceConfig(driver="ndi_polaris", endpoint=unit.ready["endpoint"], options={})
         tracker = cast("OpticalTracker", make_device("tracker", config, HostClock()))
+        stack.callback(tracker.close)
         stack.enter_context(tracker.active(LIMIT_S))
 
         def read_at(place_mm: Array) -> Array:

@@ -23,7 +23,9 @@ HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90
 
 
 @pytest.mark.parametrize(("markers", "margin_mm"), [(3, 30.0), (4, 10.0)])
-def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(markers, margin_mm) -> None:
+def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(
+    markers: int, margin_mm: float
+) -> None:
     found = propose_template(HEAD, markers, margin_mm)
     assert len(found.markers) == markers
     assert found.least_difference_mm >= margin_mm
