@@ -39,6 +39,7 @@ class Connection:
 
     def __init__(self, peer: socket.socket) -> None:
         self._peer = peer
+        self._gone = False
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         peer.settimeout(SEND_PATIENCE_S)
 
@@ -46,6 +47,8 @@ class Connection:
         return (self._peer.fileno(),)
 
     def receive(self, ready: Ready) -> bytes | None:
+        if self._gone:  # what it had still sent is not carried out
+            return None
         try:
             return self._peer.recv(RECEIVE_BYTES) or None
         except OSError:
@@ -58,6 +61,7 @@ class Connection:
         try:
             self._peer.sendall(data)
         except OSError:  # half a reply is useless: make the next receive report the host as gone
+            self._gone = True
             with contextlib.suppress(OSError):
                 self._peer.shutdown(socket.SHUT_RDWR)
 
