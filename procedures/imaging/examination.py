@@ -17,14 +17,21 @@ from procedures.imaging.markers import (
     NEAR_ANOTHER,
     NEAR_METAL,
     RADIUS_UNUSUAL,
+    STREAKED,
     SURFACE_HIDDEN,
     Candidate,
     Marker,
 )
-from procedures.imaging.region import cut_region
-from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_blurred_ball
-from procedures.imaging.sphere_centre.combination import CombinedCentre, combine
-from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, ray_directions
+from procedures.imaging.measurement import (
+    SURFACE_FLAG,
+    UNSCANNED_FLAG,
+    Measured,
+    measure,
+    measure_under_streaks,
+)
+from procedures.imaging.region import Region, cut_region
+from procedures.imaging.sphere_centre.combination import AGREEMENT_MM, CombinedCentre
+from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge
 from procedures.imaging.volume import Volume
 from procedures.imaging.whole_sphere import shape_doubts
 
@@ -38,11 +45,8 @@ COVERED_SURFACE_SHARE = 0.35  # enough, if what covers the rest shows a border t
 COVERED_COHERENCE = 0.85
 COVERED_STEP_HU = 30.0  # a moist bandage is 50 to 100 HU below the polymer
 RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
-AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
 
-UNSCANNED_FLAG = 0.02  # share of rays that leave the field
 CUT_FLAG = 0.005  # share of rays that leave it before the sphere's edge: two of 400
-SURFACE_FLAG = 0.70  # share of the surface seen
 METAL_FLAG = 0.17  # share of the surface near metal; a post takes 0.10 to 0.13
 RADIUS_FLAG = 0.045  # of the radius: 0.26 mm
 NEAR_ANOTHER_FLAG = 1.6  # centre distance in diameters
@@ -53,10 +57,13 @@ class Sphere:
     """A sphere that was fitted, in grid mm (slice, row, column), and what speaks against a marker."""
 
     candidate: Candidate
-    edge: RadialEdge
-    ball: BlurredBall
-    combined: CombinedCentre
+    measured: Measured
     doubts: tuple[Doubt, ...]
+
+    @property
+    def combined(self) -> CombinedCentre:
+        """Its centre."""
+        return self.measured.combined
 
     def doubted(self, doubts: Iterable[Doubt]) -> Sphere:
         """The same with further doubts, which may make the odds worse than even."""
@@ -96,35 +103,45 @@ def examine(
         return _rejected(volume, peak, edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
-    hidden = refined.surface_share < SURFACE_FLAG and refined.unscanned_share < UNSCANNED_FLAG
-    ball = fit_blurred_ball(
-        region,
-        refined.centre_mm,
-        refined.radius_mm,
-        refined.inside_hu,
-        refined.outside_hu,
-        hidden_ways=ray_directions()[~refined.seen] if hidden else None,
-    )
-    if ball is None:
+    measured = measure(region, refined, radius_mm)
+    if measured is None:
         return _rejected(volume, peak, refined, "fits no blurred sphere")
-    combined = combine(refined, ball, volume.geometry.spacing_mm)
+    return _sphere(volume, measured, peak.contrast_hu)
+
+
+def with_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
+    """The sphere with what its shape makes doubtful.
+
+    Streaks bend a shape: one that is doubtful is judged again without them, and believed if that clears it.
+    """
+    edge = sphere.measured.edge
+    region = cut_region(volume, sphere.combined.centre_mm, REGION_REACH * edge.radius_mm)
+    judged = sphere.doubted(_doubts(sphere.measured, region))
+    if judged.candidate.accepted or sphere.measured.cleaned is not None:
+        return judged
+    region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
+    measured = measure_under_streaks(region, edge, radius_mm)
+    if measured is None:
+        return judged
+    again = _sphere(volume, measured, sphere.candidate.contrast_hu).doubted(_doubts(measured, region))
+    return again if again.candidate.accepted else judged
+
+
+def _doubts(measured: Measured, region: Region) -> tuple[Doubt, ...]:
+    return shape_doubts(measured.cleaned or region, measured.combined.centre_mm, measured.edge)
+
+
+def _sphere(volume: Volume, measured: Measured, contrast_hu: float) -> Sphere:
     candidate = Candidate(
-        centre_mm=_patient(volume, combined.centre_mm),
+        centre_mm=_patient(volume, measured.combined.centre_mm),
         accepted=True,
         reason=IS_MARKER,
-        contrast_hu=peak.contrast_hu,
-        surface_share=refined.surface_share,
-        radius_mm=combined.radius_mm,
+        contrast_hu=contrast_hu,
+        surface_share=measured.edge.surface_share,
+        radius_mm=measured.combined.radius_mm,
         odds=1.0,
     )
-    return Sphere(candidate, refined, ball, combined, ())
-
-
-def with_shape(sphere: Sphere, volume: Volume) -> Sphere:
-    """The sphere with what its shape makes doubtful."""
-    reach_mm = REGION_REACH * sphere.edge.radius_mm
-    region = cut_region(volume, sphere.combined.centre_mm, reach_mm)
-    return sphere.doubted(shape_doubts(region, sphere.combined.centre_mm, sphere.edge))
+    return Sphere(candidate, measured, ())
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:
@@ -150,7 +167,7 @@ def as_marker(sphere: Sphere, others: list[Sphere], volume: Volume, radius_mm: f
         centre_mm=geometry.grid_mm_to_patient_mm(combined.centre_mm),
         covariance_mm2=geometry.covariance_to_patient(combined.covariance_mm2),
         radius_mm=sphere.combined.radius_mm,
-        quality=sphere.edge.surface_share / (1.0 + disagreement**2),
+        quality=sphere.measured.edge.surface_share / (1.0 + disagreement**2),
         agreement_mm=combined.agreement_mm,
         flags=_flags(sphere, others, radius_mm),
     )
@@ -163,10 +180,11 @@ def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float) -> tuple[str,
     ]
     raised = {
         ESTIMATORS_DISAGREE: sphere.combined.agreement_mm > AGREEMENT_MM,
-        CUT_BY_FIELD: sphere.edge.cut_share > CUT_FLAG,
-        NEAR_METAL: sphere.ball.metal_share > METAL_FLAG,
-        SURFACE_HIDDEN: sphere.edge.surface_share < SURFACE_FLAG,
+        CUT_BY_FIELD: sphere.measured.edge.cut_share > CUT_FLAG,
+        NEAR_METAL: sphere.measured.metal_share > METAL_FLAG,
+        SURFACE_HIDDEN: sphere.measured.edge.surface_share < SURFACE_FLAG,
         RADIUS_UNUSUAL: abs(sphere.combined.radius_mm - radius_mm) > RADIUS_FLAG * radius_mm,
+        STREAKED: sphere.measured.cleaned is not None,
         NEAR_ANOTHER: min(distances_mm, default=np.inf) < NEAR_ANOTHER_FLAG * 2.0 * radius_mm,
     }
     return tuple(word for word, is_raised in raised.items() if is_raised)

@@ -55,7 +55,7 @@ def localize(
     for number, peak in enumerate(peaks):
         outcome = examine(volume, peak, radius_mm, found)
         if isinstance(outcome, Sphere):
-            found.append(with_shape(outcome, volume))
+            found.append(with_shape(outcome, volume, radius_mm))
         elif not any(_same_object(outcome, other) for other in refused):
             refused.append(outcome)
         report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))

@@ -17,6 +17,9 @@ NEAR_METAL = "near_metal"  # metal hides more of the surface than a post does
 SURFACE_HIDDEN = "surface_hidden"  # skin, bandage or a neighbour hides much of the surface
 RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from the nominal one
 NEAR_ANOTHER = "near_another"  # the surface of another marker is close
+STREAKED = (
+    "streaked"  # streaks of metal bend the image so much that they were fitted together with the sphere
+)
 PICKED = "picked"  # a person said where to look
 
 

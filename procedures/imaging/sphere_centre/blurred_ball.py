@@ -56,20 +56,12 @@ def fit_blurred_ball(
     `hidden_ways` (n, 3): directions from the centre in which the surface borders on something else than the
     outside; voxels near and beyond the surface there are left out.
     """
-    z, y, x = region.axes_mm()
-    distance = np.sqrt((z - start_mm[0]) ** 2 + (y - start_mm[1]) ** 2 + (x - start_mm[2]) ** 2)
-    clean = _far_from_metal(region)
-    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
-    covered = hidden_ways is not None and len(hidden_ways) > 0
-    if hidden_ways is not None and covered:
-        usable &= ~_hidden(region, start_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
-    if usable.sum() < MIN_VOXELS:
+    taking = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
+    if taking.usable.sum() < MIN_VOXELS:
         return None
-    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
-    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
-    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
-    start = np.array([*start_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
-    voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
+    covered = hidden_ways is not None and len(hidden_ways) > 0
+    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
+    voxels = BallVoxels.of(region, taking.usable, radius_mm, covered=covered)
     settled = voxels.robust_fit(start)
     fitted = None if settled is None else fit_whitened(voxels.without_outliers(settled), settled)
     if fitted is None:
@@ -79,10 +71,41 @@ def fit_blurred_ball(
         covariance_mm2=fitted.covariance_mm2,
         radius_mm=float(fitted.unknowns[RADIUS]),
         noise_hu=fitted.noise_hu,
-        metal_share=metal_share,
+        metal_share=taking.metal_share,
         streak_hu=fitted.streak_hu,
         contrast_hu=float(fitted.unknowns[IN] - fitted.unknowns[OUT]),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class TakingPart:
+    """Which voxels of a region a fit may use, and how much of the surface is too near metal to be used."""
+
+    usable: NDArray[np.bool_]
+    metal_share: float
+
+
+def voxels_of_ball(
+    region: Region, centre_mm: Array, radius_mm: float, hidden_ways: Array | None
+) -> TakingPart:
+    """Those around a ball that are clear of metal and of hidden directions (n, 3)."""
+    z, y, x = region.axes_mm()
+    distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
+    clean = _far_from_metal(region)
+    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
+    if hidden_ways is not None and len(hidden_ways) > 0:
+        usable &= ~_hidden(region, centre_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
+    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
+    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
+    return TakingPart(usable, metal_share)
+
+
+def first_guess(
+    region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
+) -> Array:
+    """The eight unknowns of a ball of which only the surface is known."""
+    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
+    return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
 
 def _far_from_metal(region: Region) -> NDArray[np.bool_]:

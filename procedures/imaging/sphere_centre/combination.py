@@ -29,6 +29,8 @@ EDGE_STREAK_ERROR_MM = 2.0
 # By how much of it the ball's radius is above that of the edges, with film and blur, where nothing spoils the
 # fit: 0.03 to 0.13 mm on the tuning families. Bands make it -0.16 to 1.8 mm.
 RADIUS_ABOVE_EDGES = (-0.005, 0.026)
+AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
+STREAKED = 0.0075  # bent terms, of the contrast: up to 0.004 without streaks
 ENOUGH_SURFACE = 0.7  # for the edges to stand alone
 
 
@@ -66,6 +68,13 @@ def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedC
         agreement_mm=float(np.linalg.norm(difference)),
         radius_mm=ball.radius_mm,
     )
+
+
+def is_streaked(edge: RadialEdge, ball: BlurredBall) -> bool:
+    """Do streaks bend the background so much that neither fit can be trusted with its covariance?"""
+    apart_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
+    bent = ball.streak_hu > STREAKED * abs(ball.contrast_hu)
+    return bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)
 
 
 def _is_spoiled(edge: RadialEdge, ball: BlurredBall) -> bool:
