@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from sim.phantom.families.drawn_scan import family_scan
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
-from sim.phantom.scanner.slice_painter import SlicePainter
+from sim.phantom.scanner.planes import Planes
 
 Array = NDArray[np.float64]
 
@@ -81,13 +82,18 @@ class Count:
             self.kinds[_nearest_kind(centre_mm, painted)] += 1
 
 
-def paint(scan: Scan) -> Painted:
-    """Paint a scan of a family within the box around its markers and objects."""
+def paint(scan: Scan, *, whole_slices: bool = False) -> Painted:
+    """Paint a scan of a family within the box around its markers and objects, or their slices."""
     places = np.array(scan.anatomy.places)
-    grid = _cropped(scan.grid, places.min(axis=0) - MARGIN_MM, places.max(axis=0) + MARGIN_MM)
-    painter = SlicePainter(scan.scene, grid, scan.anatomy)
-    painter.patches = tuple(painter.paint_patch(number) for number in range(len(places)))
-    planes = [stored_values(painter.paint(number)).astype(np.int16) for number in range(grid.slices)]
+    margin_mm = np.array([1e3, 1e3, MARGIN_MM] if whole_slices else [MARGIN_MM] * 3)
+    grid = _cropped(scan.grid, places.min(axis=0) - margin_mm, places.max(axis=0) + margin_mm)
+    slices = Planes(replace(scan, grid=grid))
+    with ThreadPoolExecutor(1) as pool:
+        slices.paint_patches(pool)
+    planes = [
+        stored_values(slices.paint(number), slices.largest_stored).astype(np.int16)
+        for number in range(grid.slices)
+    ]
     x, y, z = grid.origin_mm
     geometry = VoxelGeometry(
         (grid.slices, grid.rows, grid.columns),

@@ -11,6 +11,7 @@ from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import Progress, read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
+from procedures.imaging.slice_motion import motion_warnings
 from procedures.imaging.volume import Volume
 
 HEADER_SHARE = 0.4  # of the reading time
@@ -40,7 +41,11 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
         series_instance_uid=slices[0].series_instance_uid,
         frame_of_reference_uid=slices[0].frame_of_reference_uid,
         patient_position=slices[0].patient_position,
-        warnings=(*accuracy_warnings(slices, geometry), *_intensity_warnings(voxels)),
+        warnings=(
+            *accuracy_warnings(slices, geometry),
+            *_intensity_warnings(voxels),
+            *motion_warnings(voxels, geometry),
+        ),
     )
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from ronna_hw.records import write_whole
 from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
-from sim.phantom.scanner.slice_painter import SlicePainter
+from sim.phantom.scanner.planes import Planes
 from sim.theatre.scene.model import Scene
 
 SERIES_FOLDER = "ct"
@@ -49,26 +49,22 @@ def write_case(
     Plan and truth are written last, so a folder with a plan holds a whole series.
     """
     scan = scan or plain_scan(scene)
-    grid, anatomy = scan.grid, scan.anatomy
-    series = DicomSeries(scene, grid, folder / SERIES_FOLDER)
+    grid = scan.grid
+    series = DicomSeries(scene, grid, folder / SERIES_FOLDER, scan.faults)
     series.prepare()
-    painter = SlicePainter(scene, grid, anatomy)
-    steps = len(anatomy.places) + grid.slices
+    planes = Planes(scan)
+    steps = planes.steps + grid.slices
     with ThreadPoolExecutor(WORKERS) as pool:
-        patches = []
-        for patch in pool.map(painter.paint_patch, range(len(anatomy.places))):
-            patches.append(patch)
-            progress(len(patches) / steps)
-        painter.patches = tuple(patches)
+        planes.paint_patches(pool, lambda done: progress(done / steps))
 
         def paint(number: int) -> NDArray[np.uint16]:
-            return stored_values(painter.paint(number))
+            return stored_values(planes.paint(number), planes.largest_stored)
 
         for number, stored in enumerate(pool.map(paint, range(grid.slices))):
             series.write(number, stored)
-            progress((len(patches) + number + 1) / steps)
+            progress((planes.steps + number + 1) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
-    write_whole(truth, json.dumps(_truth(scan, series), indent=1).encode())
+    write_whole(truth, json.dumps(_truth(scan, series, planes), indent=1).encode())
     write_whole(plan, _plan(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
 
@@ -99,33 +95,37 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
     return tomli_w.dumps(content)
 
 
-def _truth(scan: Scan, series: DicomSeries) -> dict[str, Any]:
+def _truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
-    return scan.truth | {
-        "scene": scene.name,
-        "seed": scene.seed,
-        "series_instance_uid": series.series_instance_uid,
-        "first_voxel_mm": list(grid.origin_mm),
-        "voxel_mm": [grid.pixel_mm, grid.pixel_mm, grid.slice_mm],
-        "noise_HU": scene.ct.noise_HU,
-        "fiducials": [
-            {
-                "number": marker.fiducial.number,
-                "centre_mm": list(marker.fiducial.centre_ct_mm),
-                "radius_mm": marker.fiducial.radius_mm,
-                "post": list(marker.fiducial.post_ct),
-                "post_material": marker.post,
-                "HU": marker.hu,
-                **scan.marks.get(marker.fiducial.number, {}),
-            }
-            for marker in scan.anatomy.markers
-        ],
-        "targets": [
-            {
-                "id": target.identifier,
-                "entry_mm": list(target.entry_ct_mm),
-                "target_mm": list(target.target_ct_mm),
-            }
-            for target in scene.head.targets
-        ],
-    }
+    return (
+        scan.truth
+        | planes.told()
+        | {
+            "scene": scene.name,
+            "seed": scene.seed,
+            "series_instance_uid": series.series_instance_uid,
+            "first_voxel_mm": list(grid.origin_mm),
+            "voxel_mm": [grid.pixel_mm, grid.pixel_mm, grid.slice_mm],
+            "noise_HU": scene.ct.noise_HU,
+            "fiducials": [
+                {
+                    "number": marker.fiducial.number,
+                    "centre_mm": list(marker.fiducial.centre_ct_mm),
+                    "radius_mm": marker.fiducial.radius_mm,
+                    "post": list(marker.fiducial.post_ct),
+                    "post_material": marker.post,
+                    "HU": marker.hu,
+                    **scan.marks.get(marker.fiducial.number, {}),
+                }
+                for marker in scan.anatomy.markers
+            ],
+            "targets": [
+                {
+                    "id": target.identifier,
+                    "entry_mm": list(target.entry_ct_mm),
+                    "target_mm": list(target.target_ct_mm),
+                }
+                for target in scene.head.targets
+            ],
+        }
+    )

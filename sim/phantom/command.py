@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -13,6 +14,7 @@ from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
 
+SCANNER = "What the scanner does"
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
@@ -43,25 +45,56 @@ def phantom(
             " studies, and --markers beyond four on screws."
         ),
     ] = Fiducials.FREE,
+    tilt_deg: Annotated[float, typer.Option(help="Tilt of the gantry.", rich_help_panel=SCANNER)] = 0.0,
+    table_scale: Annotated[
+        float,
+        typer.Option(min=-0.1, max=0.1, help="True table feed over stated, less 1.", rich_help_panel=SCANNER),
+    ] = 0.0,
+    thickness_mm: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            max=20.0,
+            help="Of a slice; more than the distance of slices makes them overlap. [that distance]",
+            rich_help_panel=SCANNER,
+        ),
+    ] = None,
+    beam_hardening: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="Strength; 1 is usual.", rich_help_panel=SCANNER)
+    ] = 0.0,
+    motion_mm: Annotated[
+        float,
+        typer.Option(min=0.0, max=20.0, help="How far the patient moves, once.", rich_help_panel=SCANNER),
+    ] = 0.0,
+    kernel: Annotated[
+        str, typer.Option(help="standard, smooth or sharp.", rich_help_panel=SCANNER)
+    ] = "standard",
+    extended_range: Annotated[
+        bool, typer.Option(help="Store metal beyond 3071 HU.", rich_help_panel=SCANNER)
+    ] = False,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Write the CT series of a head phantom, a plan on it, and its truth.
 
-    Families for tuning a localizer: plain, posts, dressing, rounded, joined, caps. For judging it: narrow,
-    broad, clamp, electrodes, bandage, crowded, edge, streaks, bare, and of objects that are no spheres: ends,
-    plates, hollow, fittings.
+    Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps. For judging it:
+    narrow, broad, clamp, electrodes, bandage, crowded, edge, streaks, rays, bare, and of objects that are no
+    spheres: ends, plates, hollow, fittings.
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case
     from sim.phantom.families.drawn_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
+    from sim.phantom.scanner.faults import ScannerFaults
     from sim.theatre.process import end_with_parent, load_scene
 
     if with_parent:
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
     if out.is_dir() and any(out.iterdir()):
         raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
+    faults = ScannerFaults(
+        tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range
+    )
     if family is not None or fiducials is not Fiducials.FREE:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene("a family draws its own head and trajectory; leave --scene and --targets out")
@@ -79,7 +112,7 @@ def phantom(
             truth = truth.model_copy(update={"ct": protocol_named(protocol)})
         scan = plain_scan(truth)
     with progress_bar("scanning the phantom") as progress:
-        case = write_case(truth, out, progress, scan=scan)
+        case = write_case(truth, out, progress, scan=replace(scan, faults=faults))
     if as_json:
         print_json(
             {

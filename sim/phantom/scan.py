@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from sim.phantom.head.anatomy import Anatomy, draw_anatomy
+from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.theatre.scene.model import Scene
 
@@ -22,6 +23,7 @@ class Scan:
     fiducials: str = FREE
     truth: dict[str, Any] = field(default_factory=dict)
     marks: dict[int, dict[str, Any]] = field(default_factory=dict)
+    faults: ScannerFaults = NO_FAULTS
 
 
 def plain_scan(scene: Scene) -> Scan:

@@ -60,11 +60,28 @@ class Family:
     bandage_mm: Range | None = None  # thickness
     bandage_hu: Range = (-100.0, 0.0)
     post_streaks: PostStreaks | None = None
+    bands: MarkerBands | None = None
     pairs: int = 0  # spheres that get a neighbour
     distractors: int = 0  # balls and cylinders of polymer, so many each
     look_alikes: tuple[Draw, ...] = ()  # objects that are no spheres, two of each kind
     bare: bool = False  # spheres without film and post
     edge: bool = False  # the field ends beside one sphere and cuts another
+
+
+@dataclass(frozen=True)
+class MarkerBands:
+    """Bright or dark straight streaks: how many near each marker, and how they lie.
+
+    `from_metal`: they begin at the post's foot and miss its axis by `beside_mm`; else they pass the sphere.
+    """
+
+    count: tuple[int, int]
+    hu: Range
+    width_mm: Range
+    height_mm: Range
+    beside_mm: Range
+    below_mm: Range  # the sphere's centre
+    from_metal: bool = False
 
 
 PAIR_DISTANCE_MM = 14.0
@@ -85,6 +102,12 @@ FAMILIES: dict[str, Family] = {
             Purpose.TUNING,
             "streaks of two lobes around every metal post",
             post_streaks=PostStreaks((250.0, 250.0), (2.0, 2.0), (2,)),
+        ),
+        Family(
+            "bands",
+            Purpose.TUNING,
+            "one or two straight bright or dark bands across every sphere",
+            bands=MarkerBands((1, 2), (150.0, 450.0), (1.2, 3.0), (1.0, 3.0), (-6.0, 6.0), (-5.0, 5.0)),
         ),
         Family(
             "dressing",
@@ -146,6 +169,15 @@ FAMILIES: dict[str, Family] = {
             Purpose.JUDGING,
             "streaks of three to five lobes around every metal post",
             post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
+            fillings=(6, 12),
+        ),
+        Family(
+            "rays",
+            Purpose.JUDGING,
+            "three to six bright and dark rays from the foot of every post, in the slices about it",
+            bands=MarkerBands(
+                (3, 6), (200.0, 500.0), (0.8, 2.5), (1.5, 4.0), (-2.0, 2.0), (3.0, 9.0), from_metal=True
+            ),
             fillings=(6, 12),
         ),
         Family(

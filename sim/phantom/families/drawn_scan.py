@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from sim.errors import BadScene
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest
+from sim.phantom.families.drawn_bands import draw_bands
 from sim.phantom.families.field_edge import grid_ending_at_spheres
 from sim.phantom.head import obstacles
 from sim.phantom.head.anatomy import (
@@ -295,6 +296,7 @@ def _anatomy(
         markers=markers,
         fillings=fillings,
         streaks=around.streaks + _post_streaks(family, markers, generator),
+        bands=draw_bands(family.bands, markers, generator),
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from sim.errors import BadScene
 from sim.phantom.head.layers import AIR_HU, SCALP_MM
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
-from sim.phantom.head.streaks import Streak
+from sim.phantom.head.streaks import Band, Streak
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import Fiducial, Head, Scene
 
@@ -76,6 +76,7 @@ class Anatomy:
     markers: tuple[Marker, ...]
     fillings: tuple[Ball, ...]
     streaks: tuple[Streak, ...] = ()  # of other metal than fillings
+    bands: tuple[Band, ...] = ()
     deceiving: tuple[Point, ...] = ()  # where bodies that are no markers are painted as exactly as markers
 
     @property

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import exp
+from math import cos, exp, sin
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from sim.phantom.head.shapes import Ball, Point, Values
 FILLING_HU = 250.0  # beside the metal
 FILLING_FALL_MM = 6.0  # beyond it streaks fade with the inverse of the distance
 FILLING_LOBES = 7
+BAND_FADES = 0.25  # of its half length
 FAINTEST = 1e-3  # of a streak's height profile; below it the slice is left alone
 
 
@@ -25,6 +26,34 @@ class Streak:
     lobes: int
     phase_rad: float
     height_mm: float
+
+
+@dataclass(frozen=True)
+class Band:
+    """A straight streak through a slice, such as lies between two pieces of metal; widths are deviations.
+
+    It passes `centre` along `angle_rad` from x, and keeps its strength up to `half_length_mm` from it.
+    """
+
+    centre: Point
+    hu: float
+    angle_rad: float
+    width_mm: float
+    height_mm: float
+    half_length_mm: float
+
+
+def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> None:
+    """Lay it over a slice; it fades along z."""
+    share = exp(-0.5 * ((z_mm - band.centre[2]) / band.height_mm) ** 2)
+    if share < FAINTEST:
+        return
+    dx, dy = x[None, :] - np.float32(band.centre[0]), y[:, None] - np.float32(band.centre[1])
+    across = np.float32(cos(band.angle_rad)) * dy - np.float32(sin(band.angle_rad)) * dx
+    along = np.float32(cos(band.angle_rad)) * dx + np.float32(sin(band.angle_rad)) * dy
+    beyond = np.maximum(np.abs(along) / np.float32(band.half_length_mm) - 1.0, np.float32(0.0))
+    square = (across / np.float32(band.width_mm)) ** 2 + (beyond / np.float32(BAND_FADES)) ** 2
+    image += np.float32(share * band.hu) * np.exp(np.float32(-0.5) * square)
 
 
 def add_filling_streaks(image: Values, x: Values, y: Values, z_mm: float, filling: Ball) -> None:

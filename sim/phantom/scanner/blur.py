@@ -35,9 +35,9 @@ def reach_mm(spacing_mm: float, sigma_mm: float) -> float:
     return REACH_SIGMAS * sigma_mm + 0.5 * spacing_mm
 
 
-def edge_sigma_mm(pixel_mm: float, slice_mm: float) -> float:
+def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:
     """Standard deviation of an edge of any direction, between that in the slice and that along z."""
-    plane = PLANE_SIGMA_MM**2 + BOX_VARIANCE * pixel_mm**2
+    plane = plane_sigma_mm**2 + BOX_VARIANCE * pixel_mm**2
     along = SLICE_SIGMA_MM**2 + BOX_VARIANCE * slice_mm**2
     return sqrt((2.0 * plane + along) / 3.0)
 

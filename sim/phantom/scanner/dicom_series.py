@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from functools import cached_property
+from math import cos, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.phantom.head.shapes import Values
+from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
 from sim.theatre.scene.model import Scene
 
@@ -30,11 +33,14 @@ FILE_PATTERN = "slice-*.dcm"
 class DicomSeries:
     """One series in a folder. UIDs are a hash of the whole scene."""
 
-    def __init__(self, scene: Scene, grid: CtGrid, folder: Path) -> None:
+    def __init__(self, scene: Scene, grid: CtGrid, folder: Path, faults: ScannerFaults = NO_FAULTS) -> None:
         self._scene = scene
         self._grid = grid
         self._folder = folder
-        self._content = hashlib.sha256(scene.model_dump_json(by_alias=True).encode()).digest()
+        self._tilt_rad = radians(faults.tilt_deg)
+        self._faults = faults
+        told = json.dumps(faults.told()) if faults.told() else ""
+        self._content = hashlib.sha256((scene.model_dump_json(by_alias=True) + told).encode()).digest()
         self.series_instance_uid = self._uid("series")
         self._study_uid = self._uid("study")
         self._frame_uid = self._uid("frame of reference")
@@ -54,12 +60,18 @@ class DicomSeries:
         instance = self._uid(f"slice {number}")
         data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = UID(instance)
         data.InstanceNumber = number + 1
-        x, y, z = self._grid.origin_mm
-        position = (x, y, z + number * self._grid.slice_mm)
+        position = self._first_pixel_mm(number)
         data.ImagePositionPatient = [_decimal(value) for value in position]
         data.SliceLocation = _decimal(position[2])
         data.PixelData = stored.tobytes()
         dcmwrite(self._folder / f"slice-{number + 1:04d}.dcm", data, enforce_file_format=True)
+
+    def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
+        """Of a slice that is turned about its middle row."""
+        grid, half_mm = self._grid, 0.5 * (self._grid.rows - 1) * self._grid.pixel_mm
+        x, y, z = grid.origin_mm
+        y += half_mm * (1.0 - cos(self._tilt_rad))
+        return x, y, z + number * grid.slice_mm - half_mm * sin(self._tilt_rad)
 
     @cached_property
     def _header(self) -> FileDataset:
@@ -84,18 +96,25 @@ class DicomSeries:
         data.PatientBirthDate = data.PatientSex = ""
         data.BodyPartExamined = "HEAD"
         data.KVP = "120"
-        data.SliceThickness = _decimal(grid.slice_mm)
-        data.GantryDetectorTilt = "0"
-        data.ConvolutionKernel = "STANDARD"
+        data.SliceThickness = _decimal(self._faults.thickness_mm or grid.slice_mm)
+        data.GantryDetectorTilt = _decimal(self._faults.tilt_deg)
+        data.ConvolutionKernel = KERNELS[self._faults.kernel].name
         data.PatientPosition = PATIENT_POSITION
         data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
         data.StudyID, data.SeriesNumber = "1", 1
-        data.ImageOrientationPatient = ["1", "0", "0", "0", "1", "0"]
+        data.ImageOrientationPatient = [
+            "1",
+            "0",
+            "0",
+            "0",
+            *map(_decimal, (cos(self._tilt_rad), sin(self._tilt_rad))),
+        ]
         data.FrameOfReferenceUID, data.PositionReferenceIndicator = self._frame_uid, ""
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
         data.Rows, data.Columns = protocol.rows, protocol.columns
         data.PixelSpacing = [_decimal(grid.pixel_mm)] * 2
-        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 12, 11, 0
+        bits = 16 if self._faults.extended_range else 12
+        data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
         data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
         return data
@@ -105,9 +124,9 @@ class DicomSeries:
         return UID_PREFIX + str(int.from_bytes(digest[: UID_BITS // 8], "big"))
 
 
-def stored_values(hu: Values) -> NDArray[np.uint16]:
-    """HU as 12 bits; what lies beyond saturates, as on a scanner."""
-    return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, LARGEST_STORED).astype("<u2")
+def stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
+    """HU as 12 bits or as many as `largest` has; what lies beyond saturates, as on a scanner."""
+    return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 
 def _decimal(value: float) -> str:

@@ -9,8 +9,9 @@ import numpy as np
 from sim.phantom.head.anatomy import Anatomy
 from sim.phantom.head.layers import AIR_HU, HeadLayers
 from sim.phantom.head.shapes import Shape, Values
-from sim.phantom.head.streaks import add_filling_streaks, add_streak
+from sim.phantom.head.streaks import add_band, add_filling_streaks, add_streak
 from sim.phantom.scanner import blur
+from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 from sim.phantom.scanner.sphere_patch import Patch, paint_patch
@@ -24,12 +25,16 @@ SKIN_MARGIN_MM = 3.0
 class SlicePainter:
     """Paints any slice of a scene; slices do not depend on each other, nor on the order of painting."""
 
-    def __init__(self, scene: Scene, grid: CtGrid, anatomy: Anatomy) -> None:
+    def __init__(
+        self, scene: Scene, grid: CtGrid, anatomy: Anatomy, faults: ScannerFaults = NO_FAULTS
+    ) -> None:
         head = scene.head
         self._scene = scene
         self._grid = grid
         self._anatomy = anatomy
-        edge_mm = blur.edge_sigma_mm(grid.pixel_mm, grid.slice_mm)
+        self._kernel = KERNELS[faults.kernel]
+        self._thickness_mm = faults.thickness_mm or grid.slice_mm
+        edge_mm = blur.edge_sigma_mm(grid.pixel_mm, self._thickness_mm, self._kernel.plane_sigma_mm)
         self._edge_mm = RAMP_WIDTH * edge_mm
         self._head = HeadLayers(head.centre_ct_mm, head.semi_axes_mm, edge_mm)
         self._sharp_head = HeadLayers(head.centre_ct_mm, head.semi_axes_mm, 0.0)
@@ -45,12 +50,19 @@ class SlicePainter:
 
     def paint_patch(self, number: int) -> Patch:
         """The surroundings of one of the places; `patches` must hold them all before slices are painted."""
-        return paint_patch(self._anatomy.places[number], self._anatomy.shapes, self._sharp_head, self._grid)
+        return paint_patch(
+            self._anatomy.places[number],
+            self._anatomy.shapes,
+            self._sharp_head,
+            self._grid,
+            self._kernel,
+            self._thickness_mm,
+        )
 
     def paint(self, number: int) -> Values:
         """HU (rows, columns) of one slice with its noise."""
         image = self.clean(number)
-        image += self._noise(number)
+        image += self.noise(number)
         return image
 
     def clean(self, number: int) -> Values:
@@ -69,6 +81,8 @@ class SlicePainter:
             add_filling_streaks(image, self._x, self._y, z_mm, filling)
         for streak in self._anatomy.streaks:
             add_streak(image, self._x, self._y, z_mm, streak)
+        for band in self._anatomy.bands:
+            add_band(image, self._x, self._y, z_mm, band)
         return image
 
     def _paint_background(self) -> Values:
@@ -92,12 +106,14 @@ class SlicePainter:
         # whatever lies beside the head is denser than the air in the corners of this rectangle
         np.maximum(region, self._head.at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
 
-    def _noise(self, number: int) -> Values:
-        """Noise of one slice, correlated in the slice as the scanner's resolution makes it."""
+    def noise(self, number: int) -> Values:
+        """Noise of one slice, correlated in the slice as the scanner's kernel makes it."""
         rows, columns = len(self._y), len(self._x)
         generator = noise(self._scene.seed, "ct", number)
         white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
-        side = np.float32(exp(-0.5 * (self._grid.pixel_mm / blur.PLANE_SIGMA_MM) ** 2))
+        kernel = self._kernel
+        blurred = exp(-0.5 * (self._grid.pixel_mm / kernel.plane_sigma_mm) ** 2)
+        side = np.float32(blurred if kernel.noise_side is None else kernel.noise_side)
         smooth = white[1:-1] + side * (white[:-2] + white[2:])
         smooth = smooth[:, 1:-1] + side * (smooth[:, :-2] + smooth[:, 2:])
         gain = 1.0 + 2.0 * float(side) ** 2  # of the variance, along each of both axes

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from sim.phantom.head.layers import HeadLayers
 from sim.phantom.head.shapes import Point, Shape, Values
 from sim.phantom.scanner import blur
+from sim.phantom.scanner.faults import Kernel
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 
 HALF_SIDE_MM = 10.0  # estimators look up to 9 mm from the centre
+WIDER = 2.0  # what a kernel subtracts to enhance edges, against what it adds
 FINE_MM = 0.2  # samples at most so far apart; edges are antialiased on top
 
 
@@ -27,7 +29,14 @@ class Patch:
     hu: Values
 
 
-def paint_patch(centre: Point, shapes: tuple[Shape, ...], sharp_head: HeadLayers, grid: CtGrid) -> Patch:
+def paint_patch(
+    centre: Point,
+    shapes: tuple[Shape, ...],
+    sharp_head: HeadLayers,
+    grid: CtGrid,
+    kernel: Kernel,
+    thickness_mm: float,
+) -> Patch:
     """Paint the surroundings of a marker's centre; `shapes` is everything that may reach into them."""
     where = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
@@ -36,15 +45,23 @@ def paint_patch(centre: Point, shapes: tuple[Shape, ...], sharp_head: HeadLayers
         positions[part] for positions, part in zip((grid.x_mm, grid.y_mm, grid.z_mm), where, strict=True)
     ]
     spacing = (grid.pixel_mm, grid.pixel_mm, grid.slice_mm)
-    sigma = (blur.PLANE_SIGMA_MM, blur.PLANE_SIGMA_MM, blur.SLICE_SIGMA_MM)
-    fine = [_samples(v, s, blur.reach_mm(s, g)) for v, s, g in zip(voxels, spacing, sigma, strict=True)]
+    sigma = (kernel.plane_sigma_mm, kernel.plane_sigma_mm, blur.SLICE_SIGMA_MM)
+    boxes = (grid.pixel_mm, grid.pixel_mm, thickness_mm)
+    wide = WIDER if kernel.enhanced else 1.0
+    reach = [blur.reach_mm(box, wide * g) for box, g in zip(boxes, sigma, strict=True)]
+    fine = [_samples(v, s, far) for v, s, far in zip(voxels, spacing, reach, strict=True)]
     x, y, z = (axis.astype(np.float32) for axis in fine)
     image = sharp_head.at(x[None, None, :], y[None, :, None], z[:, None, None])
     for shape in shapes:
         paint(image, (x, y, z), shape, FINE_MM)
     by_x, by_y, by_z = (
-        blur.weights(v, s, f, g) for v, s, f, g in zip(voxels, spacing, fine, sigma, strict=True)
+        blur.weights(v, box, f, g) for v, box, f, g in zip(voxels, boxes, fine, sigma, strict=True)
     )
+    if kernel.enhanced:
+        by_x, by_y = (
+            (1.0 + kernel.enhanced) * sharp - kernel.enhanced * blur.weights(v, box, f, WIDER * g)
+            for sharp, v, box, f, g in list(zip((by_x, by_y), voxels, boxes, fine, sigma, strict=False))
+        )
     # one axis after the other, as plain matrix products
     image = (image.reshape(-1, len(x)) @ by_x.T).reshape(len(z), len(y), -1)
     image = np.ascontiguousarray(image.transpose(0, 2, 1)).reshape(-1, len(y)) @ by_y.T

@@ -1,0 +1,65 @@
+"""What a real scanner does to a series beyond noise: geometry that is not as stated, blur, metal.
+
+Every fault has its size; none is the default. The truth stays that of the scene: markers where they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from sim.errors import BadScene
+from sim.phantom.scanner import blur
+
+MOST_TILT_DEG = 30.0  # of a gantry
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A reconstruction kernel: blur in the slice, how much it enhances edges, and the colour of its noise.
+
+    The point spread is (1 + enhanced) times a Gaussian less `enhanced` times one of twice the width;
+    `noise_side` is the tap beside the middle one by which noise is made, None for that of the blur.
+    """
+
+    plane_sigma_mm: float = blur.PLANE_SIGMA_MM
+    enhanced: float = 0.0
+    noise_side: float | None = None
+    name: str = "STANDARD"  # as told in the series
+
+
+KERNELS = {
+    "standard": Kernel(),
+    "smooth": Kernel(0.60, name="SOFT"),
+    "sharp": Kernel(0.36, 0.25, -0.25, "BONE"),
+}
+
+
+@dataclass(frozen=True)
+class ScannerFaults:
+    """Tilt of the gantry (degrees), true over stated table feed less 1, thickness of a slice (None: the
+    stated distance of slices), beam hardening (1: usual), how far the patient moves halfway up the markers,
+    the kernel, and whether metal is stored beyond 3071 HU.
+    """
+
+    tilt_deg: float = 0.0
+    table_scale: float = 0.0
+    thickness_mm: float | None = None
+    beam_hardening: float = 0.0
+    motion_mm: float = 0.0
+    kernel: str = "standard"
+    extended_range: bool = False
+
+    def __post_init__(self) -> None:
+        if self.kernel not in KERNELS:
+            raise BadScene(f"there is no kernel {self.kernel!r}", expected=", ".join(KERNELS))
+        if abs(self.tilt_deg) > MOST_TILT_DEG:
+            raise BadScene(f"a gantry does not tilt by {self.tilt_deg:g} degrees", limit=f"{MOST_TILT_DEG:g}")
+
+    def told(self) -> dict[str, Any]:
+        """Those that are not the default, for the truth file."""
+        usual = asdict(ScannerFaults())
+        return {name: value for name, value in asdict(self).items() if value != usual[name]}
+
+
+NO_FAULTS = ScannerFaults()
