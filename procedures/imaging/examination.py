@@ -128,7 +128,7 @@ def with_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
 
 
 def _doubts(measured: Measured, region: Region) -> tuple[Doubt, ...]:
-    return shape_doubts(measured.cleaned or region, measured.combined.centre_mm, measured.edge)
+    return shape_doubts(region, measured.combined.centre_mm, measured.edge, cleaned=measured.cleaned)
 
 
 def _sphere(volume: Volume, measured: Measured, contrast_hu: float) -> Sphere:

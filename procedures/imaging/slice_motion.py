@@ -15,12 +15,13 @@ Array = NDArray[np.float64]
 
 BODY_HU = (-700, 300)  # from air to dense matter: skin counts, metal and its streaks hardly more
 JUMP_MM = 0.4
+THICKEST_MM = 3.0  # between thicker slices a head changes too much
 LIKE_A_SHIFT = 0.55  # of the square of a change that a shift explains; up to 0.26 where nothing moves
 
 
 def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
     """A sentence when one slice lies sideways of what its neighbours let expect; else none."""
-    if len(voxels) < 4:
+    if len(voxels) < 4 or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
     jumps_mm = np.zeros(len(voxels) - 3)
     for profiles, step_mm in zip(_profiles(voxels), geometry.spacing_mm[1:].tolist(), strict=True):

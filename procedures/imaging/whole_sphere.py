@@ -49,16 +49,24 @@ NARROW_SHARE = 0.15  # of the surface: air around a narrow cover raises the fall
 NARROW_BORDER_HU = 50.0
 LEAST_BORDER_HU = 5.0  # stands for none
 EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, 0.35 mm
+NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something joined on, an end under a cover
 HOLLOW_SHARE = 0.20  # of the core
 METAL_CORE_SHARE = 0.015  # of the rays' way through the inner core
 EARLY_FALL_HU = 25.0  # under a cover, before the surface: domes on skin show 50 and more, film less than none
 
 
-def shape_doubts(region: Region, centre_mm: Array, edge: RadialEdge) -> tuple[Doubt, ...]:
+def shape_doubts(
+    region: Region, centre_mm: Array, edge: RadialEdge, *, cleaned: Region | None = None
+) -> tuple[Doubt, ...]:
     """Every way in which a body could fail to be a whole sphere, and how far it does.
 
-    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm.
+    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm. `cleaned` is the region without
+    its streaks: they bend a surface and darken a core, but neither join something to a sphere nor cut it off.
     """
+    if cleaned is not None:
+        without, with_them = (shape_doubts(one, centre_mm, edge) for one in (cleaned, region))
+        graver = [max(pair, key=lambda doubt: doubt.excess) for pair in zip(without, with_them, strict=True)]
+        return tuple(graver[k] if k in NOT_BY_STREAKS else without[k] for k in range(len(without)))
     shares = np.linspace(0.0, REACH, STEPS)
     ways = ray_directions()
     profiles = region.sample(

@@ -16,6 +16,7 @@ from hazard_matrix import hazard_table
 from model_tables import model_tables
 from open_questions import parameter_table, robot_parameters
 from page_tables import table
+from scanner_table import scanner_faults
 
 import drivers
 import procedures
@@ -69,6 +70,7 @@ def tables() -> dict[str, str]:
         "robot-options.md": model_tables({"Options": KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
+        "scanner-faults.md": scanner_faults(),
         "state-chart.md": f"```mermaid\n{mermaid(CASE_STEPS)}```\n\n{_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),

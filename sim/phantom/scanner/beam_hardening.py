@@ -13,8 +13,8 @@ import numpy as np
 
 from sim.phantom.head.shapes import Values
 
-COARSE_MM = 1.0
-ANGLES = 180
+COARSE_MM = 1.5
+ANGLES = 120
 DENSE_FROM_HU = 300.0  # above soft matter and water
 LOSS_PER_CM = (
     0.012  # of the whole way, per cm of water that is dense matter; a skull then cups by 30 to 60 HU
