@@ -5,7 +5,6 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -26,9 +25,10 @@ from procedures.registration import (
     register,
     verify_two_way,
 )
-from procedures.registration.error_theory import FreGate
-from procedures.registration.target_prediction import predict_target_error
+from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
+from procedures.registration.target_prediction import OwnErrors, predict_target_error
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
+from procedures.steps.clinical.arm_error import arm_errors
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
@@ -43,8 +43,6 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 
 Array = NDArray[np.float64]
-
-LIMIT_OVER_RMS = 1.61  # 95 % radius of an isotropic 3-D normal error over its rms: sqrt(chi2_95(3) / 3)
 
 
 class ErrorShare(Values):
@@ -161,15 +159,13 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
     fit.require_sound()
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
-    parts = {"CT": pairs.ct_mm2, "stereo measurement": pairs.stereo_mm2}
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
     if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm
         context.workcell.identify_mounted()
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(
-        predict_tip_error(context, fit, parts, pairs.tool_mm, one.id, one.target_mm, move)
-        for one in trajectories
+        predict_tip_error(context, fit, pairs, one.id, one.target_mm, move) for one in trajectories
     )
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
@@ -262,50 +258,43 @@ def _beyond_margin(
 def predict_tip_error(
     context: StepContext,
     fit: Registration,
-    parts: Mapping[str, Array],
-    tool_mm: Array,
+    pairs: _Pairs,
     target: str,
     target_mm: ArrayLike,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Error of the tip at a target (3,) mm in the CT: the fit's, the guide's, the stereo head's, the arm's.
+    """Error of the tip at a target (3,) mm in the CT, from all that is known of spheres, arm and guide.
 
-    The fit does not know of guide, head and arm at the target: their stated errors come on top, and what the
-    tool frame's error leaves between spheres and target. `parts` are the covariances (n, 3, 3) mm2 of the
-    fit's pairs beside the arm's, by what they come from; `tool_mm` see `displaced_spheres_mm`; a `move` that
-    is followed has an error of its own.
+    What spheres and target share is counted as what is left of it; a `move` that is followed has an error of
+    its own.
     """
-    point = np.reshape(np.asarray(target_mm, dtype=float), (1, 3))
-    predicted = fit.predict_tre(point)
+    tip_mm = np.asarray(fit.transform.apply(np.asarray(target_mm, dtype=float)), dtype=float)
     calibrations = context.workcell.calibrations
-    tip_mm = calibrations.tool_tip.stated_error_mm
-    head_mm = calibrations.stereo_head.stated_error_mm
-    arm = arm_covariance_mm2(context.setting.settings.arm_error_mm)
-    arm_mm2 = float(np.trace(arm))
-    shared = predict_target_error(
+    at_target_mm = {
+        "stereo head calibration": calibrations.stereo_head.stated_error_mm,
+        "guide tip calibration": calibrations.tool_tip.stated_error_mm,
+        **({} if move is None else move.shares_mm(tip_mm)),
+    }
+    nothing = np.zeros_like(pairs.ct_mm2)
+    predicted = predict_target_error(
         fit.physical_mm,
-        fit.transform.apply(point[0]),
-        [shared_with_target(context, tool_mm, target)],
+        tip_mm,
+        [
+            OwnErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+            OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
+            *arm_errors(context, pairs.fiducials, fit.physical_mm, target, tip_mm),
+            shared_with_target(context, pairs.tool_mm, target),
+            *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
+        ],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
     )
-    followed_mm = {} if move is None else move.shares_mm(fit.transform.apply(point)[0])
-    rest_mm = math.sqrt(tip_mm**2 + head_mm**2 + arm_mm2 + sum(share**2 for share in followed_mm.values()))
-    shares_mm = {
-        **{source: float(fit.predict_share_mm(point, part)[0]) for source, part in parts.items()},
-        "arm at the spheres": float(fit.predict_share_mm(point, arm)[0]),
-        "arm at the target": math.sqrt(arm_mm2),
-        "stereo head calibration": head_mm,
-        "guide tip calibration": tip_mm,
-        **shared.budget_mm,
-        **followed_mm,
-    }
     return Prediction(
         target=target,
-        rms_mm=math.hypot(predicted.rms_mm[0], rest_mm, shared.rms_mm),
-        limit_mm=math.hypot(predicted.limit_mm[0], LIMIT_OVER_RMS * rest_mm, shared.limit_mm()),
-        confidence=predicted.confidence,
-        formula=f"{predicted.formula}; guide, stereo head, arm and tool frame added in quadrature",
-        budget=tuple(ErrorShare(source=source, rms_mm=rms_mm) for source, rms_mm in shares_mm.items()),
+        rms_mm=predicted.rms_mm,
+        limit_mm=predicted.limit_mm(DEFAULT_CONFIDENCE),
+        confidence=DEFAULT_CONFIDENCE,
+        formula="covariance propagation, joint by joint",
+        budget=tuple(ErrorShare(source=name, rms_mm=rms) for name, rms in predicted.budget_mm.items()),
     )
 
 

@@ -1,0 +1,46 @@
+"""The arm's own errors between spheres and target, joint by joint, so that what they share cancels.
+
+`arm_error_mm` of the theatre file says how large they are: up to that of an uncalibrated arm, in proportion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm_geometry import UNCALIBRATED_MM
+from procedures.calibration.arm_sources import ArmPoses, arm_sources
+from procedures.engine.context import StepContext
+from procedures.registration.target_prediction import OwnErrors, SharedErrors
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.strategies.approach import arrival_signs
+from procedures.workcell import MountedTool
+
+Array = NDArray[np.float64]
+
+
+def arm_errors(
+    context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, tip_mm: Array
+) -> tuple[SharedErrors | OwnErrors, ...]:
+    """Of localizations of spheres (n, 3) mm and the tip (3,) mm at a target, robot frame, as planned."""
+    paths = context.result(CheckedPaths)
+    kinematics = context.workcell.arm.kinematics
+    planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
+    looks = [planned[index] for index in fiducials]
+    at_target = paths.targets[target]
+    signs = [at_target.approach_signs] * len(looks)
+    if not context.clinical.strategy.controls_approach:  # then the line to the sphere decides
+        head = context.workcell.flange_from(MountedTool.STEREO_HEAD)
+        signs = [arrival_signs(kinematics, one.tool_pose.transform, one.joints_rad, head) for one in looks]
+    return arm_sources(
+        kinematics.chain,
+        ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, np.array(signs, dtype=float)),
+        ArmPoses(
+            np.array([at_target.joints_rad]),
+            tip_mm[None],
+            np.array([at_target.approach_signs], dtype=float),
+        ),
+        share=min(1.0, context.setting.settings.arm_error_mm / UNCALIBRATED_MM),
+    )
