@@ -42,7 +42,8 @@ def arm_sources(
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Geometry, joints, backlash and what does not repeat, for one target and its `n` spheres.
 
-    `share` of the sizes of set S is left in this arm; what does not repeat is the same in all.
+    `share` of the sizes of set S is left in this arm; backlash, which no calibration compensates, and what
+    does not repeat are the same in all.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     columns = error_columns(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]))
@@ -55,7 +56,7 @@ def arm_sources(
     return (
         _shared("links and joint offsets", geometry),
         _shared("harmonics and sag", np.concatenate([harmonics, sag], axis=2)),
-        _backlash(share * swings, spheres.sides, target.sides),
+        _backlash(swings, spheres.sides, target.sides),
         _at_rest(len(spheres.joints_rad)),
     )
 

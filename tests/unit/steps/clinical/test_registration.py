@@ -174,7 +174,7 @@ def test_a_registration_serves_the_trajectory_that_was_localized_for(cell: Clini
 
 def test_localized_once_it_serves_all_and_each_is_accepted(cell: ClinicalCell) -> None:
     cell.strategy = NeutralOrientation()
-    stored = registered(cell)
+    stored = registered(cell, margin_mm=4.0)
     assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES
     assert [one.subject.rpartition(" ")[2] for one in cell.operator.asked] == list(TRAJECTORIES)
     assert stored.record.trajectory is None

@@ -25,7 +25,14 @@ from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.strategy import Strategy
 from ronna_hw.devices.lifecycle import Lifecycle
 
-GIVEN = (imported_ct(), localized_fiducials(), checked_plan(), global_localization())  # CT and tracker
+MARGIN_MM = 4.0  # NOS on an uncalibrated arm predicts 2.1 mm
+PLAN = plan(margin_mm=MARGIN_MM)
+GIVEN = (  # CT and tracker
+    imported_ct(),
+    localized_fiducials(),
+    checked_plan().model_copy(update={"plan": PLAN}),
+    global_localization(),
+)
 
 
 def steps(*instead: StepResult) -> tuple[StepSpec[StepResult] | StepResult, ...]:
@@ -76,10 +83,10 @@ def test_without_a_trajectory_that_cannot_be_reached_the_others_are_done_to_the_
     tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-    first, *others = plan().trajectories
+    first, *others = PLAN.trajectories
     left, posterior, superior = first.entry_mm
     from_below = first.model_copy(update={"entry_mm": (left, posterior + 900.0, superior)})
-    changed = plan().model_copy(update={"trajectories": (from_below, *others)})
+    changed = PLAN.model_copy(update={"trajectories": (from_below, *others)})
     cell = ClinicalCell(tmp_path, strategy=strategy)
     engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
     engine.run_to()
