@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from math import nan
 
 from data_files import REFERENCE
 from page_tables import table
@@ -26,7 +27,7 @@ def scanner_faults() -> str:
                 row["fault"],
                 f"`{row['options']}`" if row["options"] else "",
                 f"{row['error_um']:g} ({row['largest_um']:g})" if "error_um" in row else "",
-                f"{row['fitted_um']:g}" if "fitted_um" in row else "",
+                f"{row['fitted_um']:g}" if row.get("fitted_um", nan) > 0.0 else "",
                 f"{row['chi2']:g}" if "chi2" in row else "",
                 f"{row['missed']} / {row['false']} of {row['markers']}" if "missed" in row else "refused",
                 row["told"],
