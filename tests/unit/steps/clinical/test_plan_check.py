@@ -45,7 +45,9 @@ def checked(
 ) -> CheckedPlan:
     """The result of the step on the head of the scene."""
     write_series(cell.series, ONE_SLICE, edit=edit)
-    cell.plan.write_text(tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True)))
+    cell.plan.write_text(
+        tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True, exclude_none=True))
+    )
     engine = cell.begin(imported_ct(), localized_fiducials(spheres_mm), STEP)
     engine.setting.workspace.keep(head_volume(series))
     engine.run_to()
