@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
 from procedures.engine.result import Values
 
@@ -55,6 +55,14 @@ class TargetOutcome(Values):
     measured_error_mm: float | None = Field(
         default=None, description="By the stereo head in place of the guide, on a phantom."
     )
+
+    @model_serializer(mode="wrap")
+    def _only_what_was_measured(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Scripts find the same keys in every case, and one more where the targets were measured."""
+        values: dict[str, Any] = plain(self)
+        if self.measured_error_mm is None:
+            del values["measured_error_mm"]
+        return values
 
 
 class RunOutcome(Values):

@@ -344,7 +344,7 @@ def _make_engine(
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
-    void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
-    engine.checkpoint.guards.append(sight_guard(engine, void))
-    engine.checkpoint.watching = patient_watch(engine, void).watching
+        void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
+        engine.checkpoint.guards.append(sight_guard(engine, void))
+        engine.checkpoint.watching = patient_watch(engine, void).watching
     return engine

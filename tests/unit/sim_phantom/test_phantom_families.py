@@ -45,8 +45,8 @@ def test_a_family_can_be_drawn_and_nothing_runs_into_its_spheres(name: str, seed
 
 def test_there_are_families_for_both_purposes_and_none_serves_both() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
-    assert purposes.count(Purpose.TUNING) == 6
-    assert purposes.count(Purpose.JUDGING) == 13
+    assert purposes.count(Purpose.TUNING) == 7
+    assert purposes.count(Purpose.JUDGING) == 14
 
 
 def test_bare_spheres_are_nothing_but_polymer() -> None:

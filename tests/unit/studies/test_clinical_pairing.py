@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.studies import clinical_pairing, frame_readings
 from procedures.studies.clinical_pairing import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
-from procedures.studies.errors import LedgerUnreadable, OtherStudy
+from procedures.studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
 from procedures.studies.localization import AUTOMATIC
 from procedures.studies.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 from procedures.studies.unit import Unit
@@ -60,6 +60,13 @@ def test_a_reading_with_two_spheres_exchanged_is_not_paired_wrongly_by_chance(fo
     exchanged = readings(5)[:, [1, 0, 2, 3]]
     sums = ClinicalStudy(exchanged).run(Unit(f"{PHANTOM}|1", 0, 5))
     assert sums["clique + planned count||false"] == 5  # told so, because the record's order says otherwise
+
+
+def test_a_unit_that_never_shows_the_whole_frame_is_named() -> None:
+    with pytest.raises(TrackerNotSimulated, match="STU-008"):
+        frame_readings._whole_reading(
+            lambda _: np.zeros((0, 3)), frame_readings.FRAME_MM, np.random.default_rng(1)
+        )
 
 
 def test_readings_are_kept_in_the_folder_and_others_are_refused(

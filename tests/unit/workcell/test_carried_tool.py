@@ -1,0 +1,46 @@
+"""The tool on a calibrated arm: another arm's record is refused before anything can move by it."""
+
+import numpy as np
+import pytest
+from arm_looks import ENDPOINTS
+
+from procedures.workcell.carried_tool import CarriedTool, calibrated_arm
+from procedures.workcell.errors import AnotherArm
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.config import parse_theatre
+from ronna_hw.frames import Frame
+from sim.theatre.process import load_scene
+from sim.theatre.theatre_file import theatre_content
+
+
+def _records():  # of a calibrated theatre
+    scene = load_scene("mini", seed=3, calibrated=True)
+    calibrations = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)).calibration
+    assert calibrations is not None
+    return calibrations
+
+
+def test_the_record_of_another_arm_is_refused() -> None:
+    with pytest.raises(AnotherArm, match="CAL-013"):
+        calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arm)
+
+
+def test_the_controller_is_told_a_pose_beside_the_wanted_one_and_joints_that_reach_that() -> None:
+    kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
+    flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    carried = CarriedTool(calibrated_arm(kinematics, records.arm), flange_from_tool)
+    wanted = carried.pose(kinematics.home_rad)
+    joints = carried.joints_at(wanted, kinematics.home_rad)
+    told = carried.told(wanted, lambda: kinematics.home_rad)
+    np.testing.assert_allclose(joints, kinematics.home_rad, atol=1e-7)
+    by_controller = kinematics.flange_pose(joints) @ flange_from_tool
+    np.testing.assert_allclose(told.translation_mm, by_controller.translation_mm, atol=1e-4)
+    assert np.linalg.norm(told.translation_mm - wanted.translation_mm) > 0.3
+
+
+def test_without_a_record_the_controller_is_told_the_wanted_pose_itself() -> None:
+    kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
+    flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    carried = CarriedTool(calibrated_arm(kinematics, None), flange_from_tool)
+    wanted = carried.pose(kinematics.home_rad)
+    assert carried.told(wanted, lambda: kinematics.home_rad) is wanted
