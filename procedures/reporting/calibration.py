@@ -171,8 +171,11 @@ class ArmFigures(_Figures):
         yield Figure("looks", f"{self.looks - self.outliers} used, {self.outliers} left out")
         yield Figure("looks kept to judge by", str(self.validation_looks))
         yield Figure("miss at these, nominal arm, mm rms", millimetres(self.before_mm))
-        yield Figure("calibrated arm, mm rms", millimetres(self.error_mm), millimetres(self.predicted_mm))
-        yield Figure("of which by the calibration itself, mm", "", millimetres(self.model_mm))
+        yield Figure(
+            "calibrated arm, mm rms",
+            f"{millimetres(self.error_mm)}, expected {millimetres(self.predicted_mm)}",
+        )
+        yield Figure("expected of the calibration alone, mm", millimetres(self.model_mm))
         yield Figure("random error of the arm per axis, mm", millimetres(self.scatter_mm))
         yield Figure("shift of the head's tool centre, mm", millimetres(self.tool_shift_mm))
         unknown = [name for name, one in self.parameters.items() if one.standard_error > NOTHING_LEARNT]
@@ -197,8 +200,8 @@ class ArmCheckFigures(_Figures):
         yield Figure("looks", str(self.looks))
         yield Figure(
             "miss, mm rms",
-            millimetres(self.error_mm),
-            millimetres(self.expected_mm),
+            f"{millimetres(self.error_mm)}, expected {millimetres(self.expected_mm)}",
+            "",
             f"{'unchanged' if self.passed else 'CHANGED'}: chi-square {self.statistic:.0f}, "
             f"limit {self.limit:.0f}",
         )

@@ -16,8 +16,8 @@ def print_calibration(result: ArmResult, folder: Path) -> None:
     figures = ArmFigures.model_validate(payload_of(result)).figures()
     console.print_table(
         f"calibration {result.arm.identifier}",
-        ["", "value", "expected"],
-        [[one.name, one.value, one.spread] for one in figures],
+        ["", "value"],
+        [[one.name, one.value] for one in figures],
     )
     console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
 
@@ -27,6 +27,6 @@ def print_check(result: ArmCheck) -> None:
     figures = ArmCheckFigures.model_validate(check_payload(result)).figures()
     console.print_table(
         f"check of calibration {result.calibration}",
-        ["", "value", "expected", ""],
-        [[one.name, one.value, one.spread, one.verdict] for one in figures],
+        ["", "value", ""],
+        [[one.name, one.value, one.verdict] for one in figures],
     )
