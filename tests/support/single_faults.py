@@ -43,7 +43,7 @@ TRACKER = {
     "cold": {"NDI-022"},
     "hot": {"NDI-022"},
     "alert 3": {"NDI-020", "NDI-037"},
-    "power off": {"NDI-001", "NDI-002", "NDI-007"},
+    "power off": {"NDI-001", "NDI-002", "NDI-007", "NDI-008"},
     "restart": {"NDI-007", "NDI-008", "NDI-009"},
     "watchdog": {"NDI-007", "NDI-009"},
     "repeat frames": {"PRO-007", "PRO-017"},
