@@ -17,8 +17,8 @@ from numpy.typing import ArrayLike
 
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.free_turns import OUTWARDS_RAD
-from procedures.strategies.orientation import UP, require_frames, tool_pose
-from procedures.strategies.target import orientation_along
+from procedures.strategies.orientation import UP, require_frames
+from procedures.strategies.target import poses_along
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Frame, Transform
 
@@ -53,9 +53,7 @@ class NeutralOrientation:
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
         """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the neutral orientation."""
-        orientation = orientation_along(along, robot_from_ct)
-        points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
-        return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
+        return poses_along(along, fiducials_mm, robot_from_ct)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.orientation import require_frames, tool_orientation, tool_pose, turned_onto
@@ -26,6 +26,15 @@ def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_c
     require_frames(planned, Frame.ROBOT, Frame.TOOL)
     orientation = turned_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
     return tool_pose(orientation, robot_from_ct.apply(trajectory.target_mm))
+
+
+def poses_along(
+    trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
+) -> tuple[Transform, ...]:
+    """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of a trajectory."""
+    orientation = orientation_along(trajectory, robot_from_ct)
+    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
 
 
 def orientation_along(trajectory: Trajectory, robot_from_ct: Transform) -> Rotation:

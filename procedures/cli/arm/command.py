@@ -9,9 +9,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.stereo.command import ConfigOption, OutOption, SceneOption, SeedOption, SimOption
+from procedures.cli.calibrating.options import (
+    ConfigOption,
+    DaysOption,
+    OutOption,
+    RecordedOption,
+    SceneOption,
+    SeedOption,
+    SimOption,
+    WriteOption,
+    require_one_source,
+    theatre_request,
+)
 from ronna_hw.command_line import console
-from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.calibration.arm.check import ArmCheck
@@ -42,19 +52,13 @@ def calibrate(
     scene: SceneOption = "default",
     seed: SeedOption = 0,
     config: ConfigOption = None,
-    recorded: Annotated[
-        Path | None,
-        typer.Option("--from", metavar="FOLDER", help="Compute again from the looks in this folder."),
-    ] = None,
+    recorded: RecordedOption = None,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Looks to identify the arm with.")] = 90,
     validation: Annotated[
         int, typer.Option(min=12, max=100, help="More looks, kept apart to judge the result by.")
     ] = 24,
-    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30,
-    write: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
-    ] = None,
+    days: DaysOption = 30,
+    write: WriteOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
@@ -67,36 +71,27 @@ def calibrate(
     confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
-    one_theatre = sim != (config is not None)
-    if (recorded is None and not one_theatre) or (recorded is not None and sim):
-        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
-    if write is not None and config is None:
-        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
     from procedures.calibration.arm.record import calibrate_arm
     from procedures.cli.arm import files
-    from procedures.cli.case.leaving_report import leaving_report
-    from procedures.cli.stereo.command import theatre_request
-    from procedures.cli.stereo.files import write_theatre
-    from procedures.cli.stereo.opening import new_folder
+    from procedures.cli.calibrating.files import write_theatre
+    from procedures.cli.calibrating.running import concluded, new_folder
 
-    results: list[ArmResult] = []
+    observed = None if recorded is None else files.read_looks(recorded)
+    request = None if recorded is not None else theatre_request(sim, scene, seed, config)
+    folder = new_folder(out, "arm")
 
-    def conclude(observed: ArmLooks) -> None:
+    def conclude(observed: ArmLooks) -> ArmResult:
         files.write_looks(observed, folder)
         result = calibrate_arm(observed, life=timedelta(days=days))
         files.write_result(result, folder)
-        results.append(result)
+        return result
 
-    if recorded is not None:
-        observed = files.read_looks(recorded)
-        folder = new_folder(out, "arm")
-        conclude(observed)
-    else:
-        request = theatre_request(sim, scene, seed, config)
-        folder = new_folder(out, "arm")
-        with leaving_report(folder, with_truth=False):
-            _look(request, folder, (looks, validation), conclude)
-    (result,) = results
+    def look(then: Callable[[ArmLooks], None]) -> None:
+        assert request is not None, "without recorded looks there is a theatre"
+        _look(request, folder, (looks, validation), then)
+
+    result = concluded(folder, observed, look, conclude)
     if write is not None and config is not None:
         write_theatre(config, write, files.records_of(result))
     if as_json:
@@ -128,10 +123,9 @@ def check(
     from procedures.calibration.arm.check import check_arm
     from procedures.cli.arm import files
     from procedures.cli.arm.display import print_check
+    from procedures.cli.calibrating.files import write_payload
+    from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.cli.stereo.command import theatre_request
-    from procedures.cli.stereo.files import write_payload
-    from procedures.cli.stereo.opening import new_folder
 
     results: list[ArmCheck] = []
 
@@ -157,7 +151,7 @@ def _look(
     request: TheatreRequest, folder: Path, numbers: tuple[int, int], conclude: Callable[[ArmLooks], None]
 ) -> None:
     """Look at the spheres; what `conclude` raises is how the run has ended."""
-    from procedures.cli.stereo.opening import run_steps
+    from procedures.cli.calibrating.running import run_steps
     from procedures.steps.calibration.procedures import arm_looks
     from procedures.steps.calibration.sphere_looks import ObservedSpheres
 

@@ -1,8 +1,6 @@
-"""What a calibration of the arm leaves behind.
+"""What a calibration of the arm leaves behind, beside records and figures: the looks.
 
 OUT/<id>/looks.json          what was seen from where; calibrate again with --from
-OUT/<id>/calibration.toml    the new records, to put into the theatre file
-OUT/<id>/result.json         what `--json` prints
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from procedures.calibration.arm.check import ArmCheck
 from procedures.calibration.arm.looks import LOOKS_FILE, ArmLooks
 from procedures.calibration.arm.record import ArmResult
 from procedures.calibration.observations import read_strict
-from procedures.cli.stereo.files import CALIBRATION_FILE, write_payload
+from procedures.cli.calibrating.files import write_payload, write_records
 from ronna_hw.records import write_whole
 
 
@@ -30,9 +28,7 @@ def write_looks(observed: ArmLooks, folder: Path) -> None:
 
 def write_result(result: ArmResult, folder: Path) -> None:
     """Write records and figures."""
-    import tomli_w
-
-    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records_of(result)}).encode())
+    write_records(records_of(result), folder)
     write_payload(payload_of(result), folder)
 
 

@@ -10,7 +10,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.calibrating.options import (
+    ConfigOption,
+    DaysOption,
+    OutOption,
+    RecordedOption,
+    SceneOption,
+    SeedOption,
+    SimOption,
+    WriteOption,
+    require_one_source,
+    theatre_request,
+)
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -31,13 +42,6 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
-SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
-ConfigOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
-]
-OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
 BallOption = Annotated[
     Triple | None,
     typer.Option(
@@ -57,20 +61,14 @@ def calibrate(
     scene: SceneOption = "default",
     seed: SeedOption = 0,
     config: ConfigOption = None,
-    recorded: Annotated[
-        Path | None,
-        typer.Option("--from", metavar="FOLDER", help="Compute again from the observations in this folder."),
-    ] = None,
+    recorded: RecordedOption = None,
     ball: BallOption = None,
     poses: Annotated[
         int, typer.Option(min=60, max=400, help="Poses to look from, besides the check's.")
     ] = 60,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation of the check.")] = 3,
-    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30,
-    write: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
-    ] = None,
+    days: DaysOption = 30,
+    write: WriteOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
@@ -83,37 +81,30 @@ def calibrate(
     """
     console.set_up_logging(verbose)
     _finite(ball)
-    one_theatre = sim != (config is not None)
-    if (recorded is None and not one_theatre) or (recorded is not None and sim):
-        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
-    if write is not None and config is None:
-        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
     from procedures.calibration import calibrate_head
     from procedures.calibration.observations import read_observations
-    from procedures.cli.case.leaving_report import leaving_report
+    from procedures.cli.calibrating.files import write_theatre
+    from procedures.cli.calibrating.running import concluded, new_folder
     from procedures.cli.stereo import files
-    from procedures.cli.stereo.opening import new_folder
 
-    results: list[HeadResult] = []
+    observed = None if recorded is None else read_observations(recorded)
+    request = None if recorded is not None else theatre_request(sim, scene, seed, config)
+    folder = new_folder(out, "stereo")
 
-    def conclude(observed: ObservationSet) -> None:
+    def conclude(observed: ObservationSet) -> HeadResult:
         files.write_observations(observed, folder)
         result = calibrate_head(observed, life=timedelta(days=days))
         files.write_result(observed, result, folder)
-        results.append(result)
+        return result
 
-    if recorded is not None:
-        observed = read_observations(recorded)
-        folder = new_folder(out, "stereo")
-        conclude(observed)
-    else:
-        request = theatre_request(sim, scene, seed, config)
-        folder = new_folder(out, "stereo")
-        with leaving_report(folder, with_truth=False):
-            _observe(request, folder, (poses, visits), ball, conclude)
-    (result,) = results
+    def look(then: Callable[[ObservationSet], None]) -> None:
+        assert request is not None, "without recorded looks there is a theatre"
+        _observe(request, folder, (poses, visits), ball, then)
+
+    result = concluded(folder, observed, look, conclude)
     if write is not None and config is not None:
-        files.write_theatre(config, write, files.records_of(result))
+        write_theatre(config, write, files.records_of(result))
     if as_json:
         console.print_json({**files.payload_of(result), "folder": str(folder)})
         return
@@ -151,7 +142,8 @@ def check(
     from procedures.cli.stereo import files
 
     then = read_strict(Baseline, baseline / BASELINE_FILE if baseline.is_dir() else baseline)
-    from procedures.cli.stereo.opening import new_folder, run_steps
+    from procedures.cli.calibrating.files import write_payload
+    from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
     from procedures.steps.calibration.procedures import head_check
 
@@ -160,7 +152,7 @@ def check(
 
     def judge(engine: Engine) -> None:
         result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
-        files.write_payload(files.check_payload(result, then), folder)
+        write_payload(files.check_payload(result, then), folder)
         found.append(result)
         result.require()
 
@@ -204,8 +196,8 @@ def measure(
     """
     console.set_up_logging(verbose)
     request = theatre_request(sim, scene, seed, config)
+    from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.cli.stereo.opening import new_folder, run_steps
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
@@ -220,8 +212,8 @@ def measure(
             from ronna_hw.records import write_whole
 
             write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
+        from procedures.cli.calibrating.files import write_payload
         from procedures.cli.stereo.display import show_look
-        from procedures.cli.stereo.files import write_payload
 
         write_payload(show_look(seen, as_json=as_json), folder)
 
@@ -232,20 +224,6 @@ def _finite(ball: Triple | None) -> Triple | None:
     return ball
 
 
-def theatre_request(
-    sim: bool, scene: str, seed: int, config: Path | None, *, calibrated: bool = False
-) -> TheatreRequest:
-    """The theatre that the options name; raises CLI-001 unless it is one."""
-    if sim == (config is not None):
-        raise UsageMistake("choose one: --sim, or --config FILE")
-    from procedures.cli.case.request import TheatreRequest
-    from ronna_hw.config import read_theatre_file
-
-    if config is not None:
-        read_theatre_file(config)
-    return TheatreRequest(config=config, choice=SceneChoice(scene, seed, calibrated=calibrated))
-
-
 def _observe(
     request: TheatreRequest,
     folder: Path,
@@ -254,7 +232,7 @@ def _observe(
     conclude: Callable[[ObservationSet], None],
 ) -> None:
     """Observe the ball; what `conclude` raises is how the run has ended."""
-    from procedures.cli.stereo.opening import run_steps, valid_now
+    from procedures.cli.calibrating.running import run_steps, valid_now
     from procedures.steps.calibration.ball_observation import ObservedBall
     from procedures.steps.calibration.procedures import head_calibration
 

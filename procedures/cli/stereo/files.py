@@ -1,30 +1,22 @@
-"""What a stereo calibration leaves behind: observations, baseline, records in the form of the theatre file.
+"""What a stereo calibration leaves behind, beside records and figures: observations and baseline.
 
 OUT/<id>/observations.json   what was seen from where; calibrate again with --from
 OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`
-OUT/<id>/calibration.toml    the new records, to put into the theatre file
-OUT/<id>/result.json         what `--json` prints
 """
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet
-from procedures.calibration.errors import BadObservations
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
-from procedures.reporting.calibration import RESULT_FILE
-from ronna_hw.bounded_input import read_toml
+from procedures.cli.calibrating.files import write_payload, write_records
 from ronna_hw.calibration import Strict
-from ronna_hw.config import BadTheatreFile
 from ronna_hw.records import write_whole
-
-CALIBRATION_FILE = "calibration.toml"
 
 
 def write_observations(observed: ObservationSet, folder: Path) -> None:
@@ -41,30 +33,9 @@ def write_result(observed: ObservationSet, result: HeadResult, folder: Path) -> 
         looks=tuple(look for look in observed.observations if look.orientation is not None),
     )
     _write(baseline, folder / BASELINE_FILE)
-    import tomli_w
-
-    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records_of(result)}).encode())
+    write_records(records_of(result), folder)
     write_payload(payload_of(result), folder)
     return baseline
-
-
-def write_payload(payload: dict[str, Any], folder: Path) -> None:
-    """What `--json` prints, for the report."""
-    write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
-
-
-def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
-    """The theatre file `source` with the new records, as `target`; comments are lost, nothing else."""
-    import tomli_w
-
-    if target.resolve().parent != source.resolve().parent:
-        raise BadObservations(
-            f"{target} is not in the folder of {source.name}, where its relative paths begin",
-            action="Name a file in the folder of the theatre file.",
-        )
-    content = read_toml(source, BadTheatreFile)
-    content["calibration"] = {**content["calibration"], **records}
-    write_whole(target, tomli_w.dumps(content).encode())
 
 
 def records_of(result: HeadResult) -> dict[str, Any]:

@@ -105,7 +105,8 @@ class RandomArms:
         angles = self._acting(joints_rad, flanks)
         shape = joints_rad.shape[:-1]
         tool = self.tool_error_mm + np.array(TOOL_IN_FLANGE_MM)
-        point: Components = tuple(np.broadcast_to(part[:, None], shape) for part in tool.T)  # type: ignore[assignment]
+        x, y, z = (np.broadcast_to(part[:, None], shape) for part in tool.T)
+        point: Components = (x, y, z)
         last = len(self.chain.joints) - 1
         point = mapped(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
         for number in reversed(range(last + 1)):

@@ -1,4 +1,4 @@
-"""Runs the steps of a stereo calibration, in a folder of their own."""
+"""Runs the steps of a calibration, in a folder of their own, and concludes from what they observed."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import secrets
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Watcher, opened_engine
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 
+Observed = TypeVar("Observed")  # what was observed
+Result = TypeVar("Result")  # what is concluded from it
 GRACE = timedelta(hours=1)  # how long a record that only serves as a start is taken for valid
 
 
@@ -65,6 +67,27 @@ def run_steps(
         forget_if_empty(folder)
         raise
     return engine
+
+
+def concluded(
+    folder: Path,
+    recorded: Observed | None,
+    look: Callable[[Callable[[Observed], None]], None],
+    conclude: Callable[[Observed], Result],
+) -> Result:
+    """What `conclude` makes of recorded observations, or else of those that `look` hands on.
+
+    `look` calls back within its run: what `conclude` raises is how that run has ended.
+    """
+    from procedures.cli.case.leaving_report import leaving_report
+
+    if recorded is not None:
+        return conclude(recorded)
+    results: list[Result] = []
+    with leaving_report(folder, with_truth=False):
+        look(lambda observed: results.append(conclude(observed)))
+    (result,) = results
+    return result
 
 
 def valid_now(calibrations: Calibrations) -> Calibrations:

@@ -1,0 +1,45 @@
+"""Files that every calibration leaves, and the theatre file with its records.
+
+OUT/<id>/calibration.toml    the new records, to put into the theatre file
+OUT/<id>/result.json         what `--json` prints
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from procedures.calibration.errors import BadObservations
+from procedures.reporting.calibration import RESULT_FILE
+from ronna_hw.bounded_input import read_toml
+from ronna_hw.config import BadTheatreFile
+from ronna_hw.records import write_whole
+
+CALIBRATION_FILE = "calibration.toml"
+
+
+def write_records(records: dict[str, Any], folder: Path) -> None:
+    """The new records by the names that the theatre file has for them."""
+    import tomli_w
+
+    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
+
+
+def write_payload(payload: dict[str, Any], folder: Path) -> None:
+    """What `--json` prints, for the report."""
+    write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
+
+
+def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
+    """The theatre file `source` with the new records, as `target`; comments are lost, nothing else."""
+    import tomli_w
+
+    if target.resolve().parent != source.resolve().parent:
+        raise BadObservations(
+            f"{target} is not in the folder of {source.name}, where its relative paths begin",
+            action="Name a file in the folder of the theatre file.",
+        )
+    content = read_toml(source, BadTheatreFile)
+    content["calibration"] = {**content["calibration"], **records}
+    write_whole(target, tomli_w.dumps(content).encode())

@@ -1,0 +1,54 @@
+"""Options of every calibration command, and the theatre that they name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.case.scene_choice import SceneChoice
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.cli.case.request import TheatreRequest
+
+SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]
+SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
+ConfigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
+]
+RecordedOption = Annotated[
+    Path | None,
+    typer.Option("--from", metavar="FOLDER", help="Compute again from the looks in this folder."),
+]
+DaysOption = Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")]
+WriteOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
+]
+OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
+
+
+def require_one_source(*, sim: bool, config: Path | None, recorded: Path | None, write: Path | None) -> None:
+    """Raise CLI-001 unless the looks come from one place, and the theatre file to write from another."""
+    one_theatre = sim != (config is not None)
+    if (recorded is None and not one_theatre) or (recorded is not None and sim):
+        raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
+    if write is not None and config is None:
+        raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+
+
+def theatre_request(
+    sim: bool, scene: str, seed: int, config: Path | None, *, calibrated: bool = False
+) -> TheatreRequest:
+    """The theatre that the options name; raises CLI-001 unless it is one."""
+    if sim == (config is not None):
+        raise UsageMistake("choose one: --sim, or --config FILE")
+    from procedures.cli.case.request import TheatreRequest
+    from ronna_hw.config import read_theatre_file
+
+    if config is not None:
+        read_theatre_file(config)
+    return TheatreRequest(config=config, choice=SceneChoice(scene, seed, calibrated=calibrated))
