@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from localized_spheres import as_volume, matched, rms
 from numpy.typing import NDArray
 
 from procedures.imaging import (
-    Localization,
     Volume,
-    VoxelGeometry,
     errors,
     localize,
     localize_picks,
@@ -26,19 +25,6 @@ Make = Callable[..., Any]  # builds a Scan
 GOOD = {"spacing_mm": (1.0, 0.5, 0.5), "noise_hu": 20.0, "shape": (40, 80, 160)}
 POOR = {"spacing_mm": (2.0, 0.7, 0.7), "noise_hu": 50.0, "shape": (20, 58, 114)}
 CONTRAST_HU, RADIUS_MM, BLUR_MM = 1150.0, 5.75, 0.42
-
-
-def as_volume(scan: Any) -> Volume:
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
-
-
-def matched(found: Localization, centres: Array) -> tuple[Array, Array]:
-    """Errors (n, 3) and covariances (n, 3, 3) of the markers nearest to the true centres."""
-    assert len(found.markers) == len(centres), [one.describe() for one in found.candidates]
-    nearest = [int(np.argmin(np.linalg.norm(found.centres_mm - centre, axis=1))) for centre in centres]
-    assert sorted(nearest) == list(range(len(centres)))
-    return found.centres_mm[nearest] - centres, found.covariances_mm2[nearest]
 
 
 def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans: int) -> tuple[Array, Array]:
@@ -61,10 +47,6 @@ def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans
         errors_mm.append(error)
         covariances.append(covariance)
     return np.concatenate(errors_mm), np.concatenate(covariances)
-
-
-def rms(errors_mm: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(errors_mm**2, axis=1))))
 
 
 @pytest.mark.parametrize(
@@ -280,154 +262,3 @@ def test_progress_runs_from_nothing_to_one(make_scan: Make) -> None:
     localize(as_volume(scan), progress=shares.append)
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
-
-
-@pytest.mark.parametrize("covering_hu", [40.0, -50.0])
-def test_a_ball_half_under_skin_or_bandage_is_found_and_flagged(make_scan: Make, covering_hu: float) -> None:
-    scan = make_scan(shape=(40, 80, 80))
-    centre = np.array([20.3, 19.6, 20.1])
-    scan.half_space(centre + np.array([0.0, 0.5, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
-    scan.ball(centre)
-    marker = localize(as_volume(scan), expected=1).markers[0]
-    assert np.linalg.norm(marker.centre_mm - centre) < 0.03
-    assert "surface_hidden" in marker.flags
-    assert marker.quality < 0.6
-
-
-def test_the_round_end_of_a_rod_is_no_half_covered_ball(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 100, 80))
-    centre = np.array([20.0, 18.0, 20.0])
-    scan.ball(centre)
-    scan.rod(centre, np.array([0.0, 1.0, 0.0]), 28.0, RADIUS_MM, 150.0)
-    with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
-        localize(as_volume(scan))
-
-
-def test_a_ball_that_touches_metal_is_flagged_and_still_in_its_place(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 80))
-    centre = np.array([20.2, 19.7, 20.3])
-    scan.rod(centre + np.array([0.0, RADIUS_MM, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 9.0, 3000.0)
-    scan.ball(centre)
-    marker = localize(as_volume(scan), expected=1).markers[0]
-    assert "near_metal" in marker.flags
-    assert np.linalg.norm(marker.centre_mm - centre) < 0.05
-
-
-def test_two_balls_that_touch_are_told_apart_and_flagged(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 100))
-    centres = np.array([[20.2, 19.7, 19.4], [20.2, 19.7, 31.0]])
-    for centre in centres:
-        scan.ball(centre)
-    result = localize(as_volume(scan), expected=2)
-    error, _ = matched(result, centres)
-    assert rms(error) < 0.03
-    assert all("near_another" in marker.flags for marker in result.markers)
-
-
-def test_balls_that_overlap_are_no_markers(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 100))
-    scan.ball(np.array([20.0, 19.7, 22.0]))
-    scan.ball(np.array([20.0, 19.7, 30.0]))
-    with pytest.raises(errors.MarkerCountWrong, match="overlaps a marker"):
-        localize(as_volume(scan))
-
-
-def with_band(scan: Any, centre: Array, hu: float) -> Volume:
-    """The scan with a band of a streak across a ball; what would be below the scanner's range stays there."""
-    clean = as_volume(scan)
-    z, y = (np.arange(count) * step for count, step in zip(scan.shape[:2], scan.spacing_mm[:2], strict=True))
-    along = np.exp(-0.5 * ((z - centre[0] - 1.0) / 2.0) ** 2)
-    across = np.exp(-0.5 * ((y - centre[1] - 1.0) / 2.2) ** 2)
-    band = hu * along[:, None, None] * across[None, :, None]
-    voxels = np.clip(clean.voxels + band, -1024, 3071).astype(np.int16)
-    return Volume(voxels, clean.geometry, "1.2.3", "1.2.4")
-
-
-@pytest.mark.parametrize("hu", [350.0, -350.0], ids=["bright", "dark, cut off in air"])
-def test_a_band_of_a_streak_across_a_ball_does_not_carry_it_away(make_scan: Make, hu: float) -> None:
-    scan = make_scan(shape=(40, 80, 80))
-    centre = np.array([20.3, 19.6, 20.2])
-    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
-    (marker,) = localize(with_band(scan, centre, hu)).markers
-    error = marker.centre_mm - centre
-    assert np.linalg.norm(error) < 0.03
-    assert error @ np.linalg.solve(marker.covariance_mm2, error) < 16.0  # 99.9 % of an honest covariance
-    assert "streaked" in marker.flags
-
-
-def test_a_band_does_not_make_a_marker_of_the_round_end_of_a_rod(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 80))
-    centre = np.array([20.3, 16.0, 20.2])
-    scan.ball(centre)
-    scan.rod(centre, np.array([0.0, 1.0, 0.0]), 14.0, RADIUS_MM, 150.0)
-    with pytest.raises(errors.MarkerCountWrong):
-        localize(with_band(scan, centre, 350.0))
-
-
-LookAlike = Callable[[Any, Array], None]  # draws itself around a place
-
-
-def knob(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.rod(at, np.array([0.2, 1.0, 0.4]), 20.0, 4.0, 150.0)
-
-
-def capsule(scan: Any, at: Array) -> None:
-    for step_mm in (-0.6, 0.0, 0.6):
-        scan.ball(at + np.array([0.0, 0.0, step_mm]))
-
-
-def cap(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.half_space(at + np.array([0.0, 3.2, 0.0]), np.array([0.0, -1.0, 0.0]), -1000.0)
-
-
-def hollow_ball(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.ball(at, 2.8, -1000.0)
-
-
-def ball_with_metal_core(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.ball(at, 1.5, 3000.0)
-
-
-def beads(scan: Any, at: Array) -> None:
-    for step_mm in (-11.5, 0.0, 11.5):
-        scan.ball(at + np.array([0.0, 0.0, step_mm]))
-
-
-@pytest.mark.parametrize(
-    ("look_alike", "reason"),
-    [
-        (knob, "goes on where a sphere ends"),
-        (capsule, "longer one way than another"),
-        (cap, "lies off a sphere"),
-        (hollow_ball, "of its core is something else"),
-        (ball_with_metal_core, "has metal in its core"),
-        (beads, "is one of a row"),
-    ],
-    ids=lambda value: value.__name__ if callable(value) else "",
-)
-def test_what_is_no_whole_sphere_is_told_apart_with_its_reason_and_odds(
-    make_scan: Make, look_alike: LookAlike, reason: str
-) -> None:
-    scan = make_scan(shape=(40, 100, 170))
-    look_alike(scan, np.array([20.0, 16.0, 22.0]))
-    centre = np.array([20.2, 22.1, 70.3])
-    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
-    found = localize(as_volume(scan), expected=1)
-    np.testing.assert_allclose(found.centres_mm, centre[None, :], atol=0.02)
-    assert found.doubtful
-    assert all(one.odds < 0.2 and reason in one.reason for one in found.doubtful)
-    assert next(one.odds for one in found.candidates if one.accepted) > 0.9
-
-
-def test_a_ball_unlike_the_others_of_the_scan_is_doubtful(make_scan: Make) -> None:
-    scan = make_scan(shape=(40, 80, 200))
-    for place in (15.0, 40.0, 65.0):
-        scan.ball(np.array([20.0, 20.0, place]))
-    scan.ball(np.array([20.0, 20.0, 88.0]), 6.05)
-    found = localize(as_volume(scan))
-    assert len(found.markers) == 3
-    assert "has radius 6.05 mm, the others 5.75" in found.doubtful[0].reason

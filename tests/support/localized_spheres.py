@@ -1,0 +1,29 @@
+"""A painted scan as the localizer takes it, and its markers held against the true centres."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging import Localization, Volume, VoxelGeometry
+
+Array = NDArray[np.float64]
+
+
+def as_volume(scan: Any) -> Volume:
+    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+
+
+def matched(found: Localization, centres: Array) -> tuple[Array, Array]:
+    """Errors (n, 3) and covariances (n, 3, 3) of the markers nearest to the true centres."""
+    assert len(found.markers) == len(centres), [one.describe() for one in found.candidates]
+    nearest = [int(np.argmin(np.linalg.norm(found.centres_mm - centre, axis=1))) for centre in centres]
+    assert sorted(nearest) == list(range(len(centres)))
+    return found.centres_mm[nearest] - centres, found.covariances_mm2[nearest]
+
+
+def rms(errors_mm: Array) -> float:
+    return float(np.sqrt(np.mean(np.sum(errors_mm**2, axis=1))))
