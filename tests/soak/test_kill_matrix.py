@@ -1,8 +1,9 @@
 """Kills at every line of the journal of a mini case, at ten of a full one, and power cuts at some of them."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from kills import LARGEST_CHANGE_MM, taken_up
@@ -17,7 +18,6 @@ from sim.cli import app as ronna_sim
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_ERRORS_MM = [0.18021067547021166]  # of an uninterrupted run
 MINI_LINES = 93
 FULL_LINES = (5, 41, 77, 95, 113, 149, 185, 203, 239, 257)  # of 275
 FULL = ("run", "--sim", "--seed", "7", "--json")
@@ -32,25 +32,46 @@ def commands() -> Iterator[Commands]:
     assert started.await_no_survivors() == []
 
 
-@pytest.fixture(scope="module")
-def mini(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    def take(folder: Path) -> str:
-        return str(take_snapshots(Commands(), MINI, folder))
+Case = tuple[Path, list[float]]  # snapshots of a case, and its target errors without a kill
 
-    folder, lines = made_once(tmp_path_factory, "mini", take)
-    assert int(lines) == MINI_LINES
-    return folder
+
+def snapshots_of(factory: pytest.TempPathFactory, name: str, take: Callable[[Path], int]) -> tuple[Case, int]:
+    folder, lines = made_once(factory, name, lambda folder: str(take(folder)))
+    finished = run_folder(folder / "runs")
+    assert finished is not None
+    verified = in_this_process(ronna_sim, "verify", finished, "--json")
+    errors_mm = [row["application_error_mm"] for row in json.loads(verified.stdout)["targets"]]
+    return (folder, errors_mm), int(lines)
+
+
+@pytest.fixture(scope="module")
+def mini(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    case, lines = snapshots_of(tmp_path_factory, "mini", lambda to: take_snapshots(Commands(), MINI, to))
+    assert lines == MINI_LINES
+    return case
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory: pytest.TempPathFactory) -> Case:
+    case, _ = snapshots_of(
+        tmp_path_factory, "full", lambda to: take_snapshots(Commands(), FULL, to, FULL_LINES.__contains__)
+    )
+    return case
+
+
+def assert_same_targets(outcome: dict[str, Any], uninterrupted_mm: list[float]) -> None:
+    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
+    assert errors_mm == pytest.approx(uninterrupted_mm, abs=LARGEST_CHANGE_MM)
 
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("line", range(MINI_LINES))
 def test_killed_at_any_line_the_case_reaches_its_target(
-    commands: Commands, mini: Path, tmp_path: Path, line: int
+    commands: Commands, mini: Case, tmp_path: Path, line: int
 ) -> None:
-    snapshot = snapshot_at(mini, line, tmp_path)
-    outcome = taken_up(commands, snapshot.killed())
-    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
-    assert errors_mm == pytest.approx(MINI_ERRORS_MM, abs=LARGEST_CHANGE_MM)
+    folder, uninterrupted_mm = mini
+    snapshot = snapshot_at(folder, line, tmp_path)
+    assert_same_targets(taken_up(commands, snapshot.killed()), uninterrupted_mm)
     replayed = in_this_process(ronna_procedure, "replay", snapshot.folder, "--json")
     assert replayed.returncode == 0, replayed.stdout
 
@@ -59,35 +80,18 @@ def test_killed_at_any_line_the_case_reaches_its_target(
 @pytest.mark.parametrize("zeroed", [False, True], ids=["torn", "zeroed"])
 @pytest.mark.parametrize("line", POWER_CUTS)
 def test_a_power_cut_tears_every_file_that_was_being_written(
-    commands: Commands, mini: Path, tmp_path: Path, line: int, zeroed: bool
+    commands: Commands, mini: Case, tmp_path: Path, line: int, zeroed: bool
 ) -> None:
-    snapshot = snapshot_at(mini, line, tmp_path)
+    folder, uninterrupted_mm = mini
+    snapshot = snapshot_at(folder, line, tmp_path)
     snapshot.cut_power(zeroed=zeroed)
-    outcome = taken_up(commands, snapshot.killed())
-    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
-    assert errors_mm == pytest.approx(MINI_ERRORS_MM, abs=LARGEST_CHANGE_MM)
-
-
-@pytest.fixture(scope="module")
-def full(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[float]]:
-    """Snapshots of a full case at ten of its lines, and its target errors without a kill."""
-
-    def take(folder: Path) -> str:
-        return json.dumps(take_snapshots(Commands(), FULL, folder, FULL_LINES.__contains__))
-
-    folder, _ = made_once(tmp_path_factory, "full", take)
-    finished = run_folder(folder / "runs")
-    assert finished is not None
-    verified = in_this_process(ronna_sim, "verify", finished, "--json")
-    return folder, [row["application_error_mm"] for row in json.loads(verified.stdout)["targets"]]
+    assert_same_targets(taken_up(commands, snapshot.killed()), uninterrupted_mm)
 
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("line", FULL_LINES)
 def test_killed_at_ten_lines_a_full_case_reaches_its_targets(
-    commands: Commands, full: tuple[Path, list[float]], tmp_path: Path, line: int
+    commands: Commands, full: Case, tmp_path: Path, line: int
 ) -> None:
     folder, uninterrupted_mm = full
-    outcome = taken_up(commands, snapshot_at(folder, line, tmp_path).killed())
-    errors_mm = [one["application_error_mm"] for one in outcome["targets"]]
-    assert errors_mm == pytest.approx(uninterrupted_mm, abs=LARGEST_CHANGE_MM)
+    assert_same_targets(taken_up(commands, snapshot_at(folder, line, tmp_path).killed()), uninterrupted_mm)
