@@ -38,7 +38,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle, LifecycleGuard, require_person
-from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.readings import TrackerFrame, Vector3
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
@@ -110,6 +110,10 @@ class PolarisTracker:
     @property
     def tools(self) -> tuple[str, ...]:
         return tuple(self._definitions)
+
+    @property
+    def markers_mm(self) -> dict[str, tuple[Vector3, ...]]:
+        return {name: tool.markers_mm for name, tool in self._definitions.items()}
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:

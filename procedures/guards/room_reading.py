@@ -30,8 +30,10 @@ def room_reading(
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * len(frames)))
     joints = workcell.joints_rad()
+    by_arm = robot_from_marker(workcell, joints)
     frame_mm = None
     if seen is not None:
-        by_arm = robot_from_marker(workcell, joints)
         frame_mm = (robot_from_tracker @ seen).translation_mm - by_arm.translation_mm
-    return RoomReading(workcell.flange_pose(joints), frame_mm, spheres)
+    frame = robot_from_tracker.inverse() @ by_arm if seen is None else seen
+    markers = frame.apply(workcell.tracker.markers_mm[workcell.calibrations.tracker_frame.tool])
+    return RoomReading(workcell.flange_pose(joints), frame_mm, spheres, markers)

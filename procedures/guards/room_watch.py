@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.registration.shift import PointShift, shift_of, shift_of_few
+from procedures.guards.ghosts import ghosts_of
+from procedures.registration.shift import NEAR_MM, PointShift, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
@@ -41,12 +42,14 @@ class RoomReading:
     """One look of the tracker while the arm rests.
 
     `robot_from_flange` is the arm's nominal pose, `frame_mm` (3,) the frame by the tracker minus the frame by
-    the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are strays, tracker frame.
+    the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are strays and `markers_mm` (k, 3)
+    the markers of the frame, tracker frame.
     """
 
     robot_from_flange: Transform
     frame_mm: Array | None
     spheres_mm: Array
+    markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
 
 
 @dataclass
@@ -155,11 +158,15 @@ class RoomWatch:
         return reading.frame_mm - reference.frame_mm
 
     def _strange(self, reading: RoomReading) -> int:
-        """How many points near the head are in no known place: it may have moved, and the rest be hidden."""
+        """How many points near the head are in no known place: it may have moved, and the rest be hidden.
+
+        Where lines to markers in known places cross, nothing need be.
+        """
         if not len(reading.spheres_mm):
             return 0
         apart = np.linalg.norm(reading.spheres_mm[:, None] - self.spheres_mm[None], axis=2).min(axis=1)
-        return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM)).sum())
+        ghosts = (apart >= NEAR_MM) & ghosts_of(self.spheres_mm, reading.markers_mm, reading.spheres_mm)
+        return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def hides_head(self, robot_from_flange: Transform) -> bool:
         """Whether the arm stands where, at the last reading, it hid the head from the tracker."""

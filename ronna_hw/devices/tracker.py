@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device
-from ronna_hw.devices.readings import TrackerFrame
+from ronna_hw.devices.readings import TrackerFrame, Vector3
 
 
 @runtime_checkable
@@ -16,6 +17,11 @@ class OpticalTracker(Device, Protocol):
     @property
     def tools(self) -> tuple[str, ...]:
         """Names of the tools to load, in the order of the theatre file."""
+        ...
+
+    @property
+    def markers_mm(self) -> Mapping[str, tuple[Vector3, ...]]:
+        """Where the markers of each tool are, by its name and in its own frame."""
         ...
 
     def observe(self) -> LastKnown[TrackerFrame]:

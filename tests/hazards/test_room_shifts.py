@@ -18,13 +18,21 @@ from clinical_case import (
     mounted_guide,
     registered_robot,
 )
+from numpy.typing import NDArray
 from room_trials import STILL, TrackedCase
 
 from procedures.engine.engine import Engine
 from procedures.engine.result import StepResult
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.ghosts import ghosts_of
+from procedures.guards.room_watch import NEAR_HEAD_MM, RoomReading
+from procedures.registration.shift import NEAR_MM
 from procedures.steps.clinical import positioning, relocalization
 from procedures.workcell import MountedTool
+from sim.polaris.optics.marker_noise import eyes_mm
+from sim.polaris.optics.phantoms import phantoms
+
+Array = NDArray[np.float64]
 
 SCENES = 50
 TRIALS_PER_SCENE = 20
@@ -119,6 +127,45 @@ def test_a_sphere_near_the_head_in_no_known_place_is_not_passed_over_where_other
     one = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:1])
     with pytest.raises(PatientUnseen, match=r"PRO-022.*1 of the spheres near the head"):
         watch.check(one)
+
+
+def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
+    """A marker on the arm stands before the first sphere, in one plane with it and both sensors.
+
+    One sensor sees it, the other the sphere: the tracker reports where these lines cross, and not the two.
+    """
+    marker = 0.93 * spheres_mm[0] + (0.0, 30.0, 0.0)
+    points, seen = np.vstack([spheres_mm[:1], marker]), np.array([[True, False], [False, True]])
+    crossings = phantoms(eyes_mm(), points, seen, line_separation_mm=0.5)
+    assert len(crossings) == 1
+    return RoomReading(
+        reading.robot_from_flange,
+        reading.frame_mm,
+        np.vstack([reading.spheres_mm[1:3], crossings]),
+        marker[None],
+    )
+
+
+@pytest.mark.hazard(12)
+def test_a_crossing_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_a_moved_head() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = with_crossings(case.reading(watch, case.home_rad), watch.spheres_mm)
+    assert [finding.split(" in this")[0] for finding in watch.check(reading)] == [
+        "the tracker sees fewer than three known spheres"
+    ]
+
+
+@pytest.mark.hazard(12)
+def test_no_sphere_of_a_moved_head_is_taken_for_a_crossing_of_lines() -> None:
+    generator = np.random.default_rng(12)
+    for seed in range(10):
+        case = TrackedCase(seed)
+        watch = case.begin()
+        reading = case.reading(watch, case.home_rad)
+        for _ in range(100):
+            moved = watch.spheres_mm + case.direction() * generator.uniform(NEAR_MM, NEAR_HEAD_MM)
+            assert not ghosts_of(watch.spheres_mm, reading.markers_mm, moved).any()
 
 
 def before(cell: ClinicalCell) -> tuple[StepResult, ...]:

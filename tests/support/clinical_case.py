@@ -115,6 +115,10 @@ class SeeingTracker(RecordingDevice):
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
     frames_read: int = 0
 
+    @property
+    def markers_mm(self) -> dict[str, tuple[Numbers3, ...]]:
+        return {tool.name: tool.markers_mm for tool in SCENE.tracker.tools}
+
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         assert self.cell is not None
         self.frames_read += 1

@@ -117,7 +117,8 @@ class TrackedCase:
         spheres, frame = self._seen(joints, head_mm, cart_mm, FRAMES)
         flange, _ = self._at(joints)
         seen = watch.robot_from_tracker @ frame
-        return RoomReading(flange, seen.translation_mm - self._frame_by_arm(flange).translation_mm, spheres)
+        way_mm = seen.translation_mm - self._frame_by_arm(flange).translation_mm
+        return RoomReading(flange, way_mm, spheres, frame.apply(self._body_mm))
 
     def measured(self, spheres_mm: Array) -> Array:
         """One frame of spheres (n, 3) that stand there in the robot frame, tracker frame."""

@@ -189,7 +189,9 @@ class CoveredApproach:
         seen = self._visible(joints)
         whole = self.case.reading(self._watch, joints, head_mm, cart_mm)
         self._frame += FRAMES
-        reading = RoomReading(whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen])
+        reading = RoomReading(
+            whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen], whole.markers_mm
+        )
         self._watch.check(reading, self._now_s)
         return self._watch.overdue(self._now_s)
 

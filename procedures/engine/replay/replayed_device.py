@@ -13,7 +13,7 @@ from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES
 
-KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools")  # by the configuration alone
+KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
 KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
 READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 

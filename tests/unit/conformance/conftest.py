@@ -25,6 +25,7 @@ class GoodTracker(IdealDevice):
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         super().__init__(name, config, clock, known={"tools"})
         self.tools: tuple[str, ...] = tuple(config.options.get("tools", ("probe",)))
+        self.markers_mm = {tool: ((0.0, 0.0, 0.0),) for tool in self.tools}
         self.frame = 0
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
