@@ -129,6 +129,11 @@ class ProcedureSettings(Strict):
         description="Error of the mount on the flange per axis, one standard deviation; the default is that "
         "of a mount as drawn.",
     )
+    seating_error_mm: Annotated[float, Field(ge=0)] = Field(
+        default=0.05,
+        description="By how much a sphere that was put back after the CT stands beside its place there, per "
+        "axis, one standard deviation.",
+    )
     servo_area_px: tuple[int, int] = Field(
         default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
     )

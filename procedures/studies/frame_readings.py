@@ -154,6 +154,7 @@ def _scene(orientation: Rotation, seed: int) -> dict[str, Any]:
     turned = orientation.as_quat(scalar_first=True).tolist()
     scene["head"] |= {
         "robot_from_ct": here | {"quaternion_wxyz": turned},
+        "seating_error_mm": 0.0,  # a frame of one piece
         "centre_ct_mm": [0.0, 0.0, 1e5],  # no head: it stands behind the tracker
         "fiducials": [
             {"number": number, "centre_ct_mm": centre, "post_ct": [0.0, 0.0, 1.0]}

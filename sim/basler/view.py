@@ -9,6 +9,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.theatre.room_shift import STILL, Vector
 from sim.theatre.scene.model import CameraTruth, Fiducial, Head
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import World
 
 FURTHEST_MM = 1000.0  # beyond, a sphere is a faint spot far out of focus
@@ -27,7 +28,7 @@ class View:
         self._world = world
         self._camera_from_tool = matrix_of(camera.camera_from_tool)
         head = world.scene.head
-        self._balls = (*head.fiducials, *_target_balls(head))
+        self._balls = (*spheres_in_theatre(world.scene), *_target_balls(head))
         self._robot_from_ct = matrix_of(head.robot_from_ct)
         self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._balls])
 

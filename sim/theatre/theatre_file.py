@@ -82,6 +82,7 @@ def theatre_content(
             "servo_area_px": list(scene.servo_area_px),
             "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
             "tool_error_mm": arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM,
+            "seating_error_mm": scene.head.seating_error_mm,
         },
     }
 

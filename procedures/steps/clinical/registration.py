@@ -107,12 +107,13 @@ class _Pairs:
     image_mm: Array
     physical_mm: Array
     ct_mm2: Array  # in the frame of the room, as all covariances here
+    seating_mm2: Array
     stereo_mm2: Array
     tool_mm: Array  # what each standard deviation of the tool frame displaces
 
     @property
     def measured_mm2(self) -> Array:
-        return self.ct_mm2 + self.stereo_mm2
+        return self.ct_mm2 + self.seating_mm2 + self.stereo_mm2
 
     @classmethod
     def of(cls, context: StepContext) -> _Pairs:
@@ -125,6 +126,9 @@ class _Pairs:
             image_mm=localization.centres_mm[fiducials],
             physical_mm=fine.points_mm,
             ct_mm2=rotation @ ct @ rotation.T,
+            seating_mm2=np.tile(
+                np.eye(3) * context.setting.settings.seating_error_mm**2, (len(fiducials), 1, 1)
+            ),
             stereo_mm2=np.array(fine.covariances_mm2),
             tool_mm=displaced_spheres_mm(context, fine.fiducials),
         )
@@ -136,6 +140,7 @@ class _Pairs:
             image_mm=self.image_mm[kept],
             physical_mm=self.physical_mm[kept],
             ct_mm2=self.ct_mm2[kept],
+            seating_mm2=self.seating_mm2[kept],
             stereo_mm2=self.stereo_mm2[kept],
             tool_mm=self.tool_mm[kept],
         )
@@ -145,7 +150,7 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with the covariances of CT, stereo head and arm; gate the residual; predict; have it accepted.
+    """Fit with the covariances of all that is known; gate the residual; predict; have it accepted.
 
     With the guide mounted it is repeated because the head has moved: the tracker measures how.
     """
@@ -281,6 +286,7 @@ def predict_tip_error(
         tip_mm,
         [
             OwnErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+            OwnErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
             OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
             *arm_errors(context, pairs.fiducials, fit.physical_mm, target, tip_mm),
             shared_with_target(context, pairs.tool_mm, target),

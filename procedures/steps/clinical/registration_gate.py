@@ -28,8 +28,8 @@ def residual_gate(
 ) -> FreGate:
     """Judge the residual of paired points (n, 3) mm with the reserve for the arm's shared error.
 
-    `measured_mm2` (n, 3, 3) is the covariance of CT and stereo head, `arm_mm` the arm's sigma per axis,
-    `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
+    `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head, `arm_mm` the arm's sigma per
+    axis, `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
     REG-006.
     """
     allowed = measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)

@@ -15,6 +15,7 @@ from sim.polaris.tools.definition import ToolDefinition
 from sim.theatre.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
 from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
 from sim.theatre.scene.model import TrackerTool
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import ArmState, World
 
 Vectors = NDArray[np.float64]
@@ -43,7 +44,7 @@ class TrueScene:
         self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
         self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
         self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
-        fiducials = scene.head.fiducials if scene.tracker.fiducials_visible else ()
+        fiducials = spheres_in_theatre(scene) if scene.tracker.fiducials_visible else ()
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
         centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
         self._centres_mm = apply(matrix_of(scene.head.robot_from_ct), centres)  # robot frame

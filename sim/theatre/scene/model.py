@@ -25,6 +25,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 Name = Annotated[str, Field(min_length=1)]
 ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
+SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
 
 class Fiducial(Strict):
@@ -61,6 +62,11 @@ class Head(Strict):
     semi_axes_mm: tuple[Positive, Positive, Positive] = Field(description="Left, posterior, superior.")
     fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
         description="Spheres on bone screws."
+    )
+    seating_error_mm: NotNegative = Field(
+        default=SEATING_ERROR_MM,
+        description="By how much a sphere that was put back after the CT stands beside its place there, per "
+        "axis, one standard deviation.",
     )
     template_mm: tuple[Numbers3, ...] | None = Field(
         default=None, description="Where the template by which they were implanted would have them."
