@@ -27,6 +27,8 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.text.counting import counted
 
+MISTAKES_SHOWN = 20  # of one file: more help nobody, and a hostile file has thousands
+
 
 class BadTheatreFile(ConfigurationError):
     """The theatre file is missing, not TOML, or has mistakes; all of them are listed."""
@@ -221,25 +223,30 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
 
 
 def describe_mistakes(error: ValidationError) -> list[str]:
-    """One short line per mistake: its place, what was expected, what was found."""
+    """A line per mistake: its place, what was expected, what was found; then how many more there are."""
     lines = []
     found = error.errors(include_url=False)
-    missing = {item["loc"] for item in found if item["type"] == "missing"}
+    missing: dict[tuple[int | str, ...], list[str]] = {}
     for item in found:
+        if item["type"] == "missing":
+            missing.setdefault(item["loc"][:-1], []).append(str(item["loc"][-1]))
+    for item in found[:MISTAKES_SHOWN]:
         where = ".".join(str(part) for part in item["loc"]) or "file"
         message = item["msg"].removeprefix("Value error, ")
         if item["type"] == "extra_forbidden":
-            message = f"there is no such key{_meant(item['loc'], missing)}"
+            beside = missing.get(item["loc"][:-1], [])
+            message = f"there is no such key{_meant(str(item['loc'][-1]), beside)}"
         value = item.get("input")
         shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
         lines.append(f"{where}: {message}{shown}")
+    if len(found) > MISTAKES_SHOWN:
+        lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
     return lines
 
 
-def _meant(place: tuple[int | str, ...], missing: set[tuple[int | str, ...]]) -> str:
-    """The key beside it that is missing and looks like it, as a question."""
-    beside = [str(one[-1]) for one in missing if one[:-1] == place[:-1]]
-    alike = get_close_matches(str(place[-1]), beside, n=1)
+def _meant(key: str, missing: list[str]) -> str:
+    """The missing key beside it that looks like it, as a question."""
+    alike = get_close_matches(key, missing, n=1)
     return f" (did you mean '{alike[0]}'?)" if alike else ""
 
 

@@ -40,7 +40,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
         # TOML has lists where the model has tuples and text where it has words; strict JSON mode takes both.
         plan = Plan.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        for mistake, line in zip(error.errors(include_url=False), describe_mistakes(error), strict=True):
+        for mistake, line in zip(error.errors(include_url=False), describe_mistakes(error), strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
             found.append(kind(line))
     found += [

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from bounded_cost import bounded_cost
 
 from procedures.planning.errors import (
     BadTrajectoryGeometry,
@@ -119,6 +120,13 @@ def test_all_mistakes_come_in_one_error_with_their_codes(plan_text, plan_path):
     message = str(caught.value)
     for part in ("3 mistakes", "PLAN-002 implanted", "PLAN-004 trajectories.0", "PLAN-005"):
         assert part in message
+
+
+def test_thousands_of_mistakes_are_counted_not_listed(plan_text, plan_path):
+    path = plan_path(plan_text + '[[trajectories]]\nidl = "guide"\n' * 1000)
+    with bounded_cost(limit_s=3.0), pytest.raises(PlanMistakes, match=r"and \d{4} more mistakes") as refused:
+        read_plan(path)
+    assert len(str(refused.value)) < 3000
 
 
 def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
