@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,6 +19,8 @@ from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.log_output import LOG_FILE
+
+MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file of nothing else is left
 
 R = TypeVar("R", bound=StepResult)
 
@@ -73,15 +76,19 @@ def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
 
 
 def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:
-    lines = []
+    lines: list[Mapping[str, Any]] = []
+    unreadable = 0
     try:
         text = read_json_lines(folder / LOG_FILE)
     except (OSError, InputRefused):
         return ()
-    for line in text.splitlines():
+    for line in BytesIO(text):
         try:
             content = parse_json(line)
         except ValueError:
+            unreadable += 1
+            if unreadable > MOST_UNREADABLE_LINES:
+                break
             continue
         if isinstance(content, dict):
             lines.append(content)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import hashlib
+import io
 import json
 import struct
 from collections.abc import Callable
@@ -120,7 +121,9 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
 def _read_run(run: Path) -> None:
     """As who may write everything: the chain is made anew over what was changed."""
     journal, previous, lines = run / "journal.jsonl", FIRST, []
-    for number, line in enumerate(journal.read_bytes().splitlines() if journal.exists() else ()):
+    for number, line in enumerate(io.BytesIO(journal.read_bytes() if journal.exists() else b"")):
+        if not line.startswith(b"{"):
+            continue
         with contextlib.suppress(ValueError):
             content = parse_json(line)
             if isinstance(content, dict):
