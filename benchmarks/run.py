@@ -39,6 +39,7 @@ MEASUREMENTS = {
     "stereo": "stereo",
     "stereo-calibration": "stereo_calibration",
     "stereo-rate": "stereo_rate",
+    "tracker-frame": "tracker_frame_calibration",
     "ct": "ct",
     "registration": "registration",
     "mini-case": "mini_case",

@@ -1,4 +1,4 @@
-"""Why a calibration of the stereo head is refused. CAL-001, an expired record, belongs to the record."""
+"""Why a calibration is refused. CAL-001, an expired record, belongs to the record."""
 
 from __future__ import annotations
 
@@ -88,3 +88,30 @@ class NoArmRecord(RefusedError):
 
     code = "CAL-014"
     action = "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file."
+
+
+class FrameNotCarried(DataError):
+    """What the tracker takes for the reference frame does not turn as the arm's flange does."""
+
+    code = "CAL-015"
+    action = (
+        "Check that the frame on the mount is the tool that the record names, that it is screwed tight, "
+        "and that no other frame of that kind is in view; then calibrate again."
+    )
+
+
+class TrackerMoved(DataError):
+    """With the arm where it was before, the tracker sees the reference frame elsewhere."""
+
+    code = "CAL-016"
+    action = "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again."
+
+
+class FarFromRecord(RefusedError):
+    """What was found lies farther from the record it began with than a mount can be off."""
+
+    code = "CAL-017"
+    action = (
+        "Correct the record in the theatre file: millimetres, quaternion with the scalar first, as drawn; "
+        "or mount the part as drawn. Then calibrate again."
+    )

@@ -62,18 +62,37 @@ def centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
     """Views with the sphere in the tool centre, where neither lens nor field matter; from `first` on."""
+    return turned_about(
+        reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
+    )
+
+
+def turned_about(
+    reference: Rotation,
+    point_mm: ArrayLike,
+    count: int,
+    first: int = 0,
+    *,
+    tilt_rad: float,
+    turn_rad: float,
+    offset_mm: ArrayLike = (0.0, 0.0, 0.0),
+) -> tuple[PlannedLook, ...]:
+    """Poses turned about a point (3,) of the robot frame, which lies at `offset_mm` in the tool frame.
+
+    Tilted by up to `tilt_rad` from the reference, turned by up to `turn_rad` either way; from `first` on.
+    """
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
-    sphere = np.asarray(sphere_mm, dtype=float)
+    point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
     return tuple(
         _look(
             _orientation(
                 reference,
-                CENTRED_TILT_RAD * float(np.sqrt(tilt)),
+                tilt_rad * float(np.sqrt(tilt)),
                 2.0 * np.pi * azimuth,
-                CENTRED_TURN_RAD * (2.0 * turn - 1.0),
+                turn_rad * (2.0 * turn - 1.0),
             ),
-            sphere,
-            np.zeros(3),
+            point,
+            offset,
         )
         for tilt, azimuth, turn in share
     )

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.runs.commands import add_commands
 from procedures.engine.errors import NotYet
 from ronna_hw.command_line.console import (
@@ -288,6 +289,7 @@ def _answers(path: Path | None) -> Answers | None:
 
 
 add_commands(app)
+app.add_typer(calibrate_app, name="calibrate")
 
 
 def main() -> None:

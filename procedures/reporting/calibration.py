@@ -9,7 +9,7 @@ from typing import NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from procedures.reporting.numbers import micrometres, millimetres
+from procedures.reporting.numbers import degrees, micrometres, millimetres
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
@@ -207,7 +207,62 @@ class ArmCheckFigures(_Figures):
         )
 
 
-AnyFigures = HeadFigures | CheckFigures | LookFigures | ArmFigures | ArmCheckFigures
+class FrameFigures(_Figures):
+    """A calibration of the reference frame on the mount."""
+
+    calibration: str
+    created: str
+    expires: str
+    frame: str
+    poses: int
+    outliers: int
+    validation_poses: int
+    tool_from_marker: _Place
+    error_mm: float
+    error_rad: float
+    arm_error_mm: float
+    stated_error_mm: float
+    scatter_mm: float
+    scatter_rad: float
+    validation_mm: float
+    validation_rad: float
+    predicted_mm: float
+    predicted_rad: float
+    change_mm: float
+    change_rad: float
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        yield Figure("frame", self.frame)
+        yield Figure("poses", f"{self.poses - self.outliers} used, {self.outliers} left out")
+        yield Figure("poses kept to judge by", str(self.validation_poses))
+        yield Figure(
+            "miss at these, mm rms",
+            f"{millimetres(self.validation_mm)}, expected {millimetres(self.predicted_mm)}",
+        )
+        yield Figure(
+            "miss at these, degrees rms",
+            f"{degrees(self.validation_rad)}, expected {degrees(self.predicted_rad)}",
+        )
+        for axis, value_mm in zip(AXES, self.tool_from_marker.translation_mm, strict=True):
+            yield Figure(f"frame in the tool frame, {axis}, mm", millimetres(value_mm))
+        yield Figure("found on this arm, mm", "", millimetres(self.error_mm))
+        yield Figure("found on this arm, degrees", "", degrees(self.error_rad))
+        yield Figure("the arm's own share, mm", "", millimetres(self.arm_error_mm))
+        yield Figure("stated error, mm", "", millimetres(self.stated_error_mm))
+        yield Figure(
+            "arm and tracker, scatter per axis",
+            f"{millimetres(self.scatter_mm)} mm, {degrees(self.scatter_rad)} degrees",
+        )
+        yield Figure(
+            "change from the former record",
+            f"{millimetres(self.change_mm)} mm, {degrees(self.change_rad)} degrees",
+        )
+        yield Figure("made", self.created[:16].replace("T", " "))
+        yield Figure("valid until", self.expires[:16].replace("T", " "))
+
+
+AnyFigures = HeadFigures | CheckFigures | LookFigures | FrameFigures | ArmFigures | ArmCheckFigures
 
 
 def read_figures(folder: Path) -> AnyFigures | None:

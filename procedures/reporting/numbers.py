@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 NOT_KNOWN = "–"
 
 
 def millimetres(value_mm: float | None) -> str:
     """Three decimals: a micrometre."""
     return NOT_KNOWN if value_mm is None else f"{value_mm:.3f}"
+
+
+def degrees(value_rad: float) -> str:
+    """Three decimals: a fiftieth of a milliradian."""
+    return f"{math.degrees(value_rad):.3f}"
 
 
 def tenths(value: float | None) -> str:

@@ -20,7 +20,7 @@ from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import ArmRadii, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import PoseRecord
-from ronna_hw.collision_config import BodyFrame, CollisionConfig
+from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.errors import LimitError
@@ -150,7 +150,6 @@ def around_ball(
     cell: CollisionConfig, flange_from_tool: Transform, ball_mm: ArrayLike, neighbours_mm: ArrayLike = ()
 ) -> Surroundings:
     """What the arm carries and what stands around: the ball on its post, other balls (n, 3) mm, the room."""
-    flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
     ball = _three(ball_mm)
     x, y, z = ball
     top = z - STAND_BELOW_MM - STAND_RADIUS_MM
@@ -161,11 +160,22 @@ def around_ball(
     for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
         place = _three(centre)
         obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
-    obstacles += [Obstacle(body.name, body.capsule) for body in cell.bodies if body.frame is BodyFrame.ROBOT]
+    return in_free_room(cell, flange_from_tool, cell.stereo_head, obstacles)
+
+
+def in_free_room(
+    cell: CollisionConfig,
+    flange_from_tool: Transform,
+    tool: Sequence[ToolBody],
+    obstacles: Sequence[Obstacle] = (),
+) -> Surroundings:
+    """A tool on the arm, without a patient: the bodies of the room, and what else stands there."""
+    flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
+    room = [Obstacle(body.name, body.capsule) for body in cell.bodies if body.frame is BodyFrame.ROBOT]
     arm, zone = cell.arm, cell.zone
     return Surroundings(
-        tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in cell.stereo_head),
-        obstacles=tuple(obstacles),
+        tool=tuple(Part(one.name, one.capsule.moved(flange), one.enters_head) for one in tool),
+        obstacles=(*obstacles, *room),
         radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
         margin_mm=cell.margin_mm,
         live_margin_mm=cell.live_margin_mm,

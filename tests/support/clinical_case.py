@@ -113,6 +113,7 @@ class SeeingTracker(RecordingDevice):
     cell: ClinicalCell | None = None
     spheres_mm: Array = field(default_factory=SPHERES_MM.copy)
     frame_shift_mm: Numbers3 = (0.0, 0.0, 0.0)
+    hidden: bool = False  # the frame
     frames_read: int = 0
 
     @property
@@ -130,6 +131,8 @@ class SeeingTracker(RecordingDevice):
         w, qx, qy, qz = pose.quaternion_wxyz.tolist()
         x, y, z = pose.translation_mm.tolist()
         reading = ToolReading(records.tracker_frame.tool, Validity.OK, (w, qx, qy, qz), (x, y, z), 0.1)
+        if self.hidden:
+            reading = ToolReading(records.tracker_frame.tool, Validity.MISSING, None, None, None)
         strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
         return TrackerFrame(STAMP, Validity.OK, (reading,), strays)
 

@@ -1,55 +1,28 @@
 """Every command that the tutorial and the README show is run as it stands there."""
 
-import os
-import re
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from documented import commands_of, run_all
 from user_commands import Commands
-
-ROOT = Path(__file__).resolve().parents[2]
-SHOWN = re.compile(r"```console\n(.*?)```", re.DOTALL)
-
-
-def _commands_of(page: str) -> list[str]:
-    text = (ROOT / page).read_text(encoding="utf-8")
-    lines = [line for block in SHOWN.findall(text) for line in block.splitlines()]
-    return [line.removeprefix("$ ").replace(".venv/bin/", "") for line in lines if line.startswith("$ ")]
-
-
-def _run_all(lines: list[str], commands: Commands, folder: Path) -> None:
-    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    for line in lines:
-        done = subprocess.run(
-            line,
-            shell=True,
-            cwd=folder,
-            env={**commands.environment, "PATH": path},
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=100,
-            check=False,
-        )
-        assert done.returncode == 0, f"{line}: {done.stderr}"
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_the_commands_of_the_tutorial_work_one_after_the_other(commands: Commands, tmp_path: Path) -> None:
-    lines = _commands_of("docs/tutorial/one-case.md")
+    lines = commands_of("docs/tutorial/one-case.md")
     assert len(lines) >= 6
-    _run_all(lines, commands, tmp_path)
+    run_all(lines, commands, tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 def test_the_command_of_the_readme_works(commands: Commands, tmp_path: Path) -> None:
-    lines = _commands_of("README.md")
+    lines = commands_of("README.md")
     assert lines
-    _run_all(lines, commands, tmp_path)
+    run_all(lines, commands, tmp_path)
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.baseline_visit import VisitedBaseline
+from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.catalogue import clinical_steps
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
@@ -45,7 +46,14 @@ from sim.theatre.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures)
 CASE_STEPS = clinical_steps(measure_targets=True)
-RESULTS = (*(step.result for step in CASE_STEPS), BallPlace, ObservedBall, VisitedBaseline, LookedAtBall)
+RESULTS = (
+    *(step.result for step in CASE_STEPS),
+    BallPlace,
+    ObservedBall,
+    VisitedBaseline,
+    LookedAtBall,
+    ObservedFrame,
+)
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 
 

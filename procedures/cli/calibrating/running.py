@@ -90,12 +90,13 @@ def concluded(
     return result
 
 
-def valid_now(calibrations: Calibrations) -> Calibrations:
-    """The same records where they only serve as a start, and their age does not matter."""
+def valid_now(calibrations: Calibrations, *names: str) -> Calibrations:
+    """The same records; those named, or else all, only serve as a start, and their age does not matter."""
     later = datetime.now(UTC) + GRACE
     return calibrations.model_copy(
         update={
             name: record.model_copy(update={"expires": later})
             for name, record in calibrations.records.items()
+            if not names or name in names
         }
     )

@@ -1,4 +1,4 @@
-"""The steps of each calibration of the stereo head, in their order."""
+"""The steps of each calibration, in their order."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from procedures.steps.calibration.ball_look import look_step
 from procedures.steps.calibration.ball_observation import observation_step
 from procedures.steps.calibration.ball_place import place_step
 from procedures.steps.calibration.baseline_visit import visit_step
+from procedures.steps.calibration.frame_looks import turning_step
 from procedures.steps.calibration.sphere_looks import looks_step
 from procedures.steps.clinical import global_localization, set_up
 from ronna_hw.calibration import Numbers3
@@ -36,6 +37,11 @@ def look_where_it_stands() -> Steps:
 def arm_looks(count: int, validation: int) -> Steps:
     """Set up, find the spheres, look at them from all sides."""
     return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
+
+
+def frame_looks(count: int, validation: int) -> Steps:
+    """Set up, and turn the reference frame before the tracker."""
+    return (set_up.STEP, turning_step(count, validation))
 
 
 def _to_ball(ball_mm: Numbers3 | None) -> Steps:

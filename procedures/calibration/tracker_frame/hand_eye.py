@@ -1,0 +1,180 @@
+"""Robot-world and hand-eye together: A X = Z B, with the covariance of X.
+
+A is the flange as the arm has it, B the reference frame as the tracker has it, X the frame on the flange and
+Z the tracker in the room. The start is linear: the rotations as the null vector of R_A R_X - R_Z R_B = 0 with
+Kronecker products, then the translations (Shah 2013). From there least squares in all twelve unknowns,
+rotations and positions each weighted by the scatter that the looks themselves show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.stats import chi2
+
+from procedures.calibration.bundle import orientation_spread
+from procedures.calibration.errors import DegeneratePoses, DoesNotFit, FrameNotCarried, TooFewPoses
+from procedures.calibration.tracker_frame.looks import PosePairs
+
+Array = NDArray[np.float64]
+
+LEAST_LOOKS = 15
+LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
+TURNS_AGREE_RAD = float(np.radians(0.5))  # from look to look, of flange and frame: a screw has one angle
+ROUNDS = 6  # of fit, scatter and outliers: they settle within four
+FIRST_SCATTER_MM, FIRST_SCATTER_RAD = 0.2, 5e-4
+LEAST_SCATTER_MM, LEAST_SCATTER_RAD = 0.003, 1e-5  # no arm and no tracker is better
+LARGEST_SCATTER_MM = 0.6  # per axis: uncalibrated arms show up to 0.3
+LARGEST_SCATTER_RAD = float(np.radians(0.15))  # per axis: uncalibrated arms show up to 0.04 degrees
+OUTLIER_CHI2 = float(chi2.isf(0.001, 6))
+MOST_OUTLIERS = 0.1
+STEP = 1e-6  # of a derivative, mm or rad
+UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and translation (mm)
+
+
+@dataclass(frozen=True)
+class HandEye:
+    """`flange_from_marker` (4, 4) and `robot_from_tracker` (4, 4), with the covariance (12, 12) of both.
+
+    The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) in the robot frame; `used` (m,) marks the
+    inliers.
+    """
+
+    flange_from_marker: Array
+    robot_from_tracker: Array
+    covariance: Array
+    scatter_mm: float
+    scatter_rad: float
+    misses_mm: Array
+    misses_rad: Array
+    used: NDArray[np.bool_]
+
+    @property
+    def error_mm(self) -> float:
+        """Standard error of the frame's origin on the flange, in space."""
+        return float(np.sqrt(np.trace(self.covariance[3:6, 3:6])))
+
+    @property
+    def error_rad(self) -> float:
+        """Standard error of its orientation: length of the rotation vector."""
+        return float(np.sqrt(np.trace(self.covariance[:3, :3])))
+
+
+def solve(pairs: PosePairs) -> HandEye:
+    """The frame on the flange that explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
+    _require_solvable(pairs)
+    x, z = _start(pairs)
+    scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
+    used = np.ones(pairs.count, dtype=bool)
+    for _ in range(ROUNDS):
+        misses, slopes = misses_of(pairs, x, z), slopes_of(pairs, x, z)
+        rows = (slopes[used] / scatter[:, None]).reshape(-1, UNKNOWNS)
+        covariance = np.linalg.inv(rows.T @ rows)
+        change = -covariance @ rows.T @ (misses[used] / scatter).ravel()
+        x, z = _changed(x, change[:6]), _changed(z, change[6:])
+        misses = misses_of(pairs, x, z)
+        freedom = 3 * int(used.sum()) - UNKNOWNS // 2  # of positions, and as many of rotations
+        squares = np.sum(misses[used] ** 2, axis=0)
+        scatter_mm = max(float(np.sqrt(squares[:3].sum() / freedom)), LEAST_SCATTER_MM)
+        scatter_rad = max(float(np.sqrt(squares[3:].sum() / freedom)), LEAST_SCATTER_RAD)
+        scatter = np.array([scatter_mm] * 3 + [scatter_rad] * 3)
+        used = np.sum((misses / scatter) ** 2, axis=1) < OUTLIER_CHI2
+    _require_fit(scatter_mm, scatter_rad, used)
+    return HandEye(x, z, covariance, scatter_mm, scatter_rad, misses[:, :3], misses[:, 3:], used)
+
+
+def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
+    """By how much A X lies beside Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
+    by_arm, by_tracker = pairs.robot_from_flange @ x, z @ pairs.tracker_from_marker
+    apart = by_arm[:, :3, :3] @ by_tracker[:, :3, :3].transpose(0, 2, 1)
+    turned = Rotation.from_matrix(apart).as_rotvec()
+    return np.hstack([by_arm[:, :3, 3] - by_tracker[:, :3, 3], turned])
+
+
+def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
+    """Derivative (m, 6, 12) of the misses by the unknowns."""
+    slopes = np.empty((pairs.count, 6, UNKNOWNS))
+    for column, step in enumerate(STEP * np.eye(UNKNOWNS)):
+        ahead = misses_of(pairs, _changed(x, step[:6]), _changed(z, step[6:]))
+        behind = misses_of(pairs, _changed(x, -step[:6]), _changed(z, -step[6:]))
+        slopes[:, :, column] = (ahead - behind) / (2.0 * STEP)
+    return slopes
+
+
+def _require_solvable(pairs: PosePairs) -> None:
+    if pairs.count < LEAST_LOOKS:
+        raise TooFewPoses(
+            "too few poses show the reference frame",
+            expected=f"at least {LEAST_LOOKS}",
+            got=str(pairs.count),
+            action="Clear the line of sight between tracker and frame, then calibrate again.",
+        )
+    flange, marker = pairs.robot_from_flange[:, :3, :3], pairs.tracker_from_marker[:, :3, :3]
+    apart = np.abs(_turns_rad(flange) - _turns_rad(marker))
+    if np.median(apart) > TURNS_AGREE_RAD:
+        raise FrameNotCarried(
+            "the reference frame that the tracker sees does not turn as the flange does",
+            limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
+            got=f"{np.degrees(np.median(apart)):.1f} deg",
+        )
+    spread = orientation_spread(flange)
+    if spread < LEAST_SPREAD:
+        raise DegeneratePoses(
+            "the poses turn the frame about nearly parallel axes, or hardly at all",
+            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
+            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            action="Let the arm turn the frame about axes in all directions, by 20 degrees or more.",
+        )
+
+
+def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_]) -> None:
+    if scatter_mm > LARGEST_SCATTER_MM or scatter_rad > LARGEST_SCATTER_RAD:
+        raise DoesNotFit(
+            "no place of the frame on the flange explains what arm and tracker say",
+            limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
+            got=f"{scatter_mm:.2f} mm and {np.degrees(scatter_rad):.2f} deg",
+            action="Check that frame, mount and tracker's stand are rigid and the arm variant is right.",
+        )
+    if np.mean(~used) > MOST_OUTLIERS:
+        raise DoesNotFit(
+            "too many poses do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
+        )
+
+
+def _turns_rad(rotations: Array) -> Array:
+    """Angle (m - 1,) from each rotation to the next."""
+    between = rotations[:-1].transpose(0, 2, 1) @ rotations[1:]
+    return np.asarray(Rotation.from_matrix(between).magnitude())
+
+
+def _start(pairs: PosePairs) -> tuple[Array, Array]:
+    a, b = pairs.robot_from_flange, pairs.tracker_from_marker
+    unit = np.eye(3)
+    equations = [
+        np.hstack([np.kron(one[:3, :3], unit), -np.kron(unit, other[:3, :3].T)])
+        for one, other in zip(a, b, strict=True)
+    ]
+    null = np.linalg.svd(np.vstack(equations))[2][-1]
+    sign = np.sign(np.linalg.det(null[:9].reshape(3, 3)))
+    x, z = np.eye(4), np.eye(4)
+    x[:3, :3], z[:3, :3] = (_nearest_rotation(sign * half.reshape(3, 3)) for half in (null[:9], null[9:]))
+    left = np.concatenate([a[:, :3, :3], np.tile(-unit, (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
+    right = (np.einsum("ij,mj->mi", z[:3, :3], b[:, :3, 3]) - a[:, :3, 3]).ravel()
+    solution = np.linalg.lstsq(left, right, rcond=None)[0]
+    x[:3, 3], z[:3, 3] = solution[:3], solution[3:]
+    return x, z
+
+
+def _nearest_rotation(matrix: Array) -> Array:
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right)
+
+
+def _changed(pose: Array, change: Array) -> Array:
+    """The pose turned in its source's axes and displaced in its target's."""
+    here = RigidTransform.from_matrix(pose)
+    turned = here.rotation * Rotation.from_rotvec(change[:3])
+    return np.asarray(RigidTransform.from_components(here.translation + change[3:], turned).as_matrix())

@@ -1,0 +1,86 @@
+"""The input of a calibration of the reference frame: arm poses, and the frame as the tracker sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.calibration.observations import Joints
+from ronna_hw.calibration import (
+    ArmCalibration,
+    PoseRecord,
+    StereoHeadCalibration,
+    Strict,
+    TrackerFrameCalibration,
+)
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+LOOKS_FILE = "frame-looks.json"
+
+
+class Use(StrEnum):
+    """What a look is for."""
+
+    FIT = "fit"
+    VALIDATION = "validation"  # kept from the fit, to judge it
+    RETURN = "return"  # from one and the same pose, again and again: has anything moved?
+
+
+class FrameLook(Strict):
+    """One pose at rest, and the mean of what the tracker measured there."""
+
+    use: Annotated[Use, Field(strict=False)] = Field(description="What the look is for.")
+    joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
+    robot_from_flange: PoseRecord = Field(description="Pose robot <- flange, by the arm's record or nominal.")
+    tracker_from_marker: PoseRecord = Field(description="Mean pose tracker <- reference frame.")
+    frames: Annotated[int, Field(ge=1)] = Field(description="Measurements that show the frame.")
+
+
+class FrameLooks(Strict):
+    """All looks of one calibration, and the records they were taken with."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
+    created: datetime = Field(description="When the looks were taken.")
+    arm: str = Field(description="Name of the arm's kinematic model.")
+    stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
+    start: TrackerFrameCalibration = Field(description="The record that was in use, or the drawing.")
+    arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
+    looks: tuple[FrameLook, ...] = Field(description="The looks, in the order in which they were taken.")
+
+
+@dataclass(frozen=True)
+class PosePairs:
+    """Poses as matrices (m, 4, 4): ROBOT <- FLANGE by the arm, TRACKER <- MARKER by the tracker."""
+
+    robot_from_flange: Array
+    tracker_from_marker: Array
+
+    @property
+    def count(self) -> int:
+        """How many there are."""
+        return len(self.robot_from_flange)
+
+    def only(self, rows: NDArray[np.bool_]) -> PosePairs:
+        """Some of them."""
+        return PosePairs(self.robot_from_flange[rows], self.tracker_from_marker[rows])
+
+
+def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
+    """The looks as arrays."""
+
+    def matrices(poses: Sequence[Transform]) -> Array:
+        return np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)
+
+    return PosePairs(
+        matrices([one.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE) for one in looks]),
+        matrices([one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in looks]),
+    )

@@ -1,0 +1,151 @@
+"""From looks to the record of the reference frame: solved, judged by looks kept apart, dated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM
+from procedures.calibration.errors import DoesNotFit, FarFromRecord, TooFewPoses, TrackerMoved
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.record import LIFE, new_identifier
+from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, slopes_of, solve
+from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
+from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+MADE_BY = "ronna-procedure calibrate tracker-frame"
+LEAST_VALIDATION = 5
+ACCEPTED = 1e-4  # probability with which a good calibration is refused
+MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are no noise
+MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times what arm and tracker repeat to
+FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount is so far from its drawing
+
+
+@dataclass(frozen=True)
+class FrameResult:
+    """The new record, and how good it is.
+
+    `misses_mm` and `misses_rad` (m, 3) of looks that were not used; `predicted_mm` and `predicted_rad`: what
+    is expected of them, rms in space. `arm_error_mm` is the share of the arm, which no look can tell from the
+    frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from the former
+    record.
+    """
+
+    fit: HandEye
+    misses_mm: Array
+    misses_rad: Array
+    predicted_mm: float
+    predicted_rad: float
+    arm_error_mm: float
+    change_mm: float
+    change_rad: float
+    tracker_frame: TrackerFrameCalibration
+
+
+def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameResult:
+    """A dated record from looks. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
+    _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
+    fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
+    kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
+    misses, predicted = _validated(fit, kept)
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    found = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
+    change_mm, change_rad = _change(
+        observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER), found
+    )
+    arm_error_mm = arm_share_mm(observed.arm_record)
+    return FrameResult(
+        fit=fit,
+        misses_mm=misses[:, :3],
+        misses_rad=misses[:, 3:],
+        predicted_mm=predicted[0],
+        predicted_rad=predicted[1],
+        arm_error_mm=arm_error_mm,
+        change_mm=change_mm,
+        change_rad=change_rad,
+        tracker_frame=TrackerFrameCalibration(
+            identifier=new_identifier("tracker-frame", observed.created),
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
+            stated_error_mm=float(np.hypot(fit.error_mm, arm_error_mm)),
+            tool=observed.start.tool,
+            tool_from_marker=pose_record(found),
+        ),
+    )
+
+
+def arm_share_mm(record: ArmCalibration | None) -> float:
+    """Error of the frame on the flange, in space, that comes from the arm's own and that no look reveals.
+
+    That of its last two links: A6 turns one against the other by too little to tell them from the frame.
+    """
+    link_mm = np.sqrt(3.0) * LINK_TRANSLATION_MM if record is None else record.stated_error_mm
+    return float(np.sqrt(2.0) * link_mm)
+
+
+def _require_at_rest(returns: Sequence[FrameLook]) -> None:
+    """Raise CAL-002 without a return, CAL-016 when the frame was not where it was before."""
+    if len(returns) < 2:
+        raise TooFewPoses(
+            "the arm did not return to its first pose: nobody knows whether the tracker stood still",
+            expected="at least 2 looks from there",
+            got=str(len(returns)),
+        )
+    for number, (before, after) in enumerate(pairwise(returns), start=1):
+        was, now = (one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in (before, after))
+        moved_mm, moved_rad = _change(was, now, limited=False)
+        if moved_mm > MOVED_MM or moved_rad > MOVED_RAD:
+            raise TrackerMoved(
+                f"tracker, arm or frame moved between looks {number} and {number + 1} at the first pose",
+                limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
+                got=f"{moved_mm:.2f} mm and {np.degrees(moved_rad):.2f} deg",
+            )
+
+
+def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
+    """Misses (m, 6) at looks that the fit has not seen, and what they should be. Raises CAL-002, CAL-004."""
+    if kept.count < LEAST_VALIDATION:
+        raise TooFewPoses(
+            "too few poses to validate the reference frame",
+            expected=f"at least {LEAST_VALIDATION}",
+            got=str(kept.count),
+        )
+    misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
+    slopes = slopes_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
+    random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
+    covariances = slopes @ fit.covariance @ slopes.transpose(0, 2, 1) + random
+    statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
+    limit = float(chi2.isf(ACCEPTED, 6 * kept.count)) * (1.0 + MODEL_SHARE)
+    if statistic > limit:
+        rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
+        raise DoesNotFit(
+            "the frame does not hold for poses that it was not fitted to",
+            limit=f"chi-square {limit:.0f}",
+            got=f"{statistic:.0f}: {rms_mm:.2f} mm",
+        )
+    variances = np.einsum("mii->mi", covariances)
+    mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))
+    return misses, (mm, rad)
+
+
+def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
+    """How far apart two poses are, mm and rad; raises CAL-017 where that is limited and exceeded."""
+    apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
+    apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
+    if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
+        raise FarFromRecord(
+            "the reference frame is not where its record has it",
+            limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
+            got=f"{apart_mm:.1f} mm and {np.degrees(apart_rad):.1f} deg",
+        )
+    return apart_mm, apart_rad

@@ -1,0 +1,1 @@
+"""`ronna-procedure calibrate`: what hangs on the mount of the arm, the reference frame and the guide."""

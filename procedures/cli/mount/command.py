@@ -1,0 +1,82 @@
+"""`ronna-procedure calibrate`: the reference frame on the mount."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from procedures.cli.calibrating.options import (
+    ConfigOption,
+    DaysOption,
+    OutOption,
+    RecordedOption,
+    SceneOption,
+    SeedOption,
+    SimOption,
+    WriteOption,
+    require_one_source,
+    theatre_request,
+)
+from ronna_hw.command_line import console
+
+app = typer.Typer(
+    name="calibrate",
+    help="Calibrate what hangs on the arm's mount.",
+    epilog="Example: ronna-procedure calibrate tracker-frame --sim --scene mini",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+CalibratedOption = Annotated[
+    bool, typer.Option("--calibrated", help="With --sim: a theatre with a calibrated arm.")
+]
+
+
+@app.callback()
+def calibrate() -> None:
+    """Calibrate what hangs on the arm's mount."""
+
+
+@app.command("tracker-frame")
+def tracker_frame(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    calibrated: CalibratedOption = False,
+    config: ConfigOption = None,
+    recorded: RecordedOption = None,
+    looks: Annotated[int, typer.Option(min=15, max=100, help="Poses to find the frame with.")] = 30,
+    validation: Annotated[
+        int, typer.Option(min=5, max=50, help="More poses, kept apart to judge the result by.")
+    ] = 10,
+    days: DaysOption = 30,
+    write: WriteOption = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Find the tracked frame on the mount: the arm turns it before the tracker, which looks at each pose.
+
+    Nothing moves before a confirmation. Exit codes: 0 done, 1 the looks do not give a calibration, 2 usage,
+    3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
+    from procedures.cli.mount.tracker_frame import calibrate_tracker_frame
+
+    request = (
+        None if recorded is not None else theatre_request(sim, scene, seed, config, calibrated=calibrated)
+    )
+    calibrate_tracker_frame(
+        request,
+        recorded,
+        (looks, validation),
+        life=timedelta(days=days),
+        write=write,
+        out=out,
+        as_json=as_json,
+    )

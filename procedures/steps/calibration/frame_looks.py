@@ -1,0 +1,186 @@
+"""Turn the reference frame before the tracker: arm and tracker from poses in all directions about it."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+from pydantic import Field
+
+from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.pose_set import PlannedLook
+from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
+from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
+from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.global_localization import average_pose
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room
+from procedures.workcell.tracker_look import frames_at_rest
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame
+
+SPARE = 1.5  # planned poses for each wanted one: from some the tracker does not see the frame
+RETURN_AFTER = 10  # looks, then one at home: whatever has moved is noticed
+
+
+class ObservedFrame(StepResult, kind="frame_looks"):
+    """The looks that a calibration of the reference frame is computed from."""
+
+    observed: FrameLooks = Field(description="As `frame-looks.json` has them.")
+    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+
+
+@dataclass(frozen=True)
+class FrameTurning:
+    """How many looks to find the frame with, and how many to judge it by."""
+
+    count: int
+    validation: int
+
+    def run(self, context: StepContext) -> Outcome[ObservedFrame]:
+        """Raises CAL-010, CAL-002 with too few poses, PRO-002 unless confirmed, DEV-003 for no such tool."""
+        context.result(CheckedSetUp)
+        workcell, calibrations = context.workcell, context.workcell.calibrations
+        plan = self._plan(workcell)
+        total = self.count + self.validation
+        context.confirm(
+            Topic.CALIBRATION,
+            f"The arm will turn the frame {calibrations.tracker_frame.tool} about where it is now, by "
+            f"up to {math.degrees(TILT_RAD):.0f} degrees in all directions, in {total} poses. "
+            "Nobody and nothing else may be within its reach",
+            f"{total} poses",
+        )
+        cell, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
+        workcell.surround(in_free_room(cell, tool, cell.stereo_head))
+        workcell.start()
+        turning = _Turning(context)
+        turning.look_at(workcell.home_rad, Use.RETURN)
+        for number, joints in enumerate(plan):
+            if turning.taken == total:
+                break
+            validates = turning.taken % (total // self.validation) == 1
+            turning.look_at(joints, Use.VALIDATION if validates else Use.FIT)
+            if number % RETURN_AFTER == RETURN_AFTER - 1:
+                turning.look_at(workcell.home_rad, Use.RETURN)
+            context.progress(turning.taken / total, "turning the reference frame")
+        turning.look_at(workcell.home_rad, Use.RETURN)
+        if turning.taken < LEAST_LOOKS:
+            raise TooFewPoses(
+                "too few poses show the reference frame",
+                expected=f"at least {LEAST_LOOKS}",
+                got=f"{turning.taken} of {len(plan)}; {turning.why_rejected}",
+                action="Clear the line of sight between tracker and frame, then calibrate again.",
+            )
+        observed = FrameLooks(
+            created=datetime.now(UTC).replace(microsecond=0),
+            arm=workcell.arm.kinematics.name,
+            stereo_head=calibrations.stereo_head,
+            start=calibrations.tracker_frame,
+            arm_record=calibrations.arm,
+            looks=tuple(turning.looks),
+        )
+        remarks = (f"{turning.rejected.total()} poses left out: {turning.why_rejected}",)
+        return Outcome(
+            ObservedFrame(observed=observed, remarks=remarks if turning.rejected else ()),
+            f"{turning.taken} poses",
+        )
+
+    def _plan(self, workcell: Workcell) -> Sequence[JointVector]:
+        """Joints of poses within reach."""
+        head = workcell.flange_from(MountedTool.STEREO_HEAD)
+        frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+        reference = workcell.flange_pose(workcell.home_rad) @ head
+        wanted = self.count + self.validation
+        planned = frame_poses(reference, frame, round(SPARE * wanted))
+        reached = [joints for look in planned if (joints := _joints(workcell, look)) is not None]
+        if len(reached) < wanted:
+            raise PosesOutOfReach(
+                "too few poses about the reference frame can be reached",
+                expected=f"{wanted} poses",
+                got=f"{len(reached)} of {len(planned)}",
+                action="Bring the arm to where it can turn the mount in all directions, then repeat.",
+            )
+        return reached
+
+
+@dataclass
+class _Turning:
+    """Takes the looks."""
+
+    context: StepContext
+    looks: list[FrameLook] = field(default_factory=list)
+    rejected: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def taken(self) -> int:
+        """Looks so far, without those at home."""
+        return sum(one.use is not Use.RETURN for one in self.looks)
+
+    @property
+    def why_rejected(self) -> str:
+        """The reasons, the most frequent first."""
+        return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
+
+    def look_at(self, joints: JointVector, use: Use) -> None:
+        """One look, settled onto from the same side; a pose that cannot be used is counted."""
+        workcell = self.context.workcell
+        try:
+            workcell.settle(joints, SAME_SIDE, from_afar=True)
+        except (LimitError, NotClear) as error:
+            if workcell.arm.observe().state is not Lifecycle.ACTIVE:
+                raise  # not refused before it began: tripped
+            self.rejected[error.code] += 1
+            return
+        tool = workcell.calibrations.tracker_frame.tool
+        frames, _ = frames_at_rest(workcell.tracker, self.context.setting.clock)
+        try:
+            seen = average_pose(frames, tool)
+        except GateFailed as error:
+            if use is Use.RETURN:
+                raise  # from there the frame was in view, or nothing is
+            self.rejected[error.what.partition(" is in ")[0] + " not in view"] += 1
+            return
+        measured = workcell.joints_rad()
+        self.looks.append(
+            FrameLook(
+                use=use,
+                joints_rad=measured,
+                robot_from_flange=pose_record(workcell.flange_pose(measured)),
+                tracker_from_marker=pose_record(seen),
+                frames=len(frames),
+            )
+        )
+
+
+def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
+    """The step for so many looks."""
+    return StepSpec(
+        ObservedFrame,
+        "Turn the reference frame before the tracker",
+        Phase.OPERATION,
+        FrameTurning(count, validation).run,
+        reads=(CheckedSetUp,),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )
+
+
+def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
+    try:
+        return workcell.joints_at(look.pose, workcell.home_rad)
+    except LimitError:
+        return None

@@ -1,0 +1,62 @@
+"""The reference frame is turned before the tracker only when confirmed, and from poses that can be used."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from clinical_case import ClinicalCell, checked_set_up
+from recording_cell import RecordingOperator
+
+from procedures.calibration.errors import PosesOutOfReach
+from procedures.calibration.tracker_frame.looks import FrameLooks, Use
+from procedures.calibration.tracker_frame.record import calibrate_frame
+from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
+from procedures.engine.operator import Topic
+from procedures.steps.calibration.frame_looks import turning_step
+from procedures.workcell import MountedTool
+
+COUNT, VALIDATION = 15, 5
+
+
+def turned(cell: ClinicalCell) -> FrameLooks:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    return cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION)).result.observed
+
+
+def test_the_looks_give_the_frame_that_the_cell_has(cell: ClinicalCell) -> None:
+    observed = turned(cell)
+    uses = [one.use for one in observed.looks]
+    assert (uses.count(Use.FIT), uses.count(Use.VALIDATION)) == (COUNT, VALIDATION)
+    assert uses[0] is uses[-1] is Use.RETURN
+    result = calibrate_frame(observed)
+    assert result.change_mm < 1e-6
+    assert observed.created > datetime.now(UTC) - timedelta(minutes=1)
+
+
+def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.CALIBRATION)
+    with pytest.raises(NotConfirmed, match="The arm will turn the frame robot_frame"):
+        turned(cell)
+    assert cell.arm.motions == []
+
+
+def test_a_frame_that_is_not_in_view_is_told_after_the_first_look(cell: ClinicalCell) -> None:
+    theatre = cell.calibrations.tracker_frame
+    cell.tracker.hidden = True
+    with pytest.raises(GateFailed, match=f"the reference frame {theatre.tool} is in 0 of"):
+        turned(cell)
+
+
+def test_an_arm_that_cannot_turn_there_is_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
+    cell.arm.joints_rad = (0.0, 0.0, 0.0, 0.0, 0.3, 0.0)  # stretched out
+    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+        turned(cell)
+    assert cell.operator.asked == []
+
+
+@pytest.mark.hazard(37)
+def test_with_the_guide_mounted_the_frame_is_not_calibrated(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.GUIDE)
+    with pytest.raises(StepRefused, match="the arm carries the guide"):
+        cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION))
