@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from benchmarks.head_looks import ENDPOINTS
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
+from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
 from procedures.calibration.tracker_frame.poses import frame_poses
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
@@ -88,15 +88,15 @@ class FrameCell:
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head
         seen: list[FrameLook] = []
-        for planned in frame_poses(reference, frame, round(SPARE * (count + validation))):
-            if len(seen) == count + validation:
+        uses = uses_of(count, validation)
+        for planned in frame_poses(reference, frame, round(SPARE * len(uses))):
+            if len(seen) == len(uses):
                 break
-            use = Use.VALIDATION if len(seen) % (count // validation + 1) == 1 else Use.FIT
             try:
                 joints = self.arm.compensated(planned.pose @ head.inverse(), self.home).joints_rad
             except LimitError:
                 continue
-            look = self._look(joints, use)
+            look = self._look(joints, uses[len(seen)])
             if look is not None:
                 seen.append(look)
         back = [look for _ in range(returns) if (look := self._look(self.home, Use.RETURN)) is not None]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, ConnectError, DataError
+from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
 
 
 class BadScene(ConfigurationError):
@@ -66,6 +66,20 @@ class BadLeftWorld(DataError):
 
     code = "SIM-012"
     action = "The file was changed; start a new run, or a theatre without --continue."
+
+
+class BadCalibrationFile(DataError):
+    """A file of calibration records for a theatre cannot be read, or has none."""
+
+    code = "SIM-014"
+    action = "Give the folder that a calibration command wrote, or its calibration.toml."
+
+
+class StandNotReady(RefusedError):
+    """The dials of the calibration stand cannot be read as it stands now."""
+
+    code = "SIM-015"
+    action = "Put the divot on the stand, mount the guide and bring its tip there."
 
 
 class TheatreRunning(ConnectError):

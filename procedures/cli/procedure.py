@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.runs.commands import add_commands
@@ -97,6 +98,8 @@ def run_command(
         ),
     ] = False,
     calibrated: CalibratedOption = False,
+    first_day: FirstDayOption = False,
+    calibration: RecordsOption = None,
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
     answers: AnswersOption = None,
@@ -117,7 +120,7 @@ def run_command(
         measure_targets=measure_targets,
         config=config,
         case=case,
-        scene=SceneChoice(scene, seed, markers, targets, calibrated),
+        scene=SceneChoice(scene, seed, markers, targets, calibrated, first_day, tuple(calibration or ())),
         speed=speed,
         faults=faults,
         answers=answers,
@@ -259,9 +262,11 @@ def _request(
     drawn = replace(scene, calibrated=False)
     if config is not None and (drawn != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
         raise UsageMistake(
-            "--scene, --seed, --markers, --targets, --speed and --faults go with --sim",
+            "--scene, --seed, --markers, --targets, --first-day, --calibration, --speed and --faults go with "
+            "--sim",
             action="Leave them out: the theatre file names the devices of the theatre.",
         )
+    drawn = replace(drawn, first_day=False, records=())
     if Path(scene.scene).suffix and drawn != SceneChoice(scene.scene):
         raise UsageMistake(
             "--seed, --markers and --targets do not go with a scene file",

@@ -152,15 +152,20 @@ def around_ball(
     """What the arm carries and what stands around: the ball on its post, other balls (n, 3) mm, the room."""
     ball = _three(ball_mm)
     x, y, z = ball
-    top = z - STAND_BELOW_MM - STAND_RADIUS_MM
-    obstacles = [
-        Obstacle("ball's stand", Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM), True),
-        Obstacle("ball", Capsule(ball, (x, y, z - STAND_BELOW_MM), NEIGHBOUR_RADIUS_MM)),
-    ]
+    below = (x, y, z - STAND_BELOW_MM)
+    obstacles = [*stand_under(ball), Obstacle("ball", Capsule(ball, below, NEIGHBOUR_RADIUS_MM))]
     for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
         place = _three(centre)
         obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
     return in_free_room(cell, flange_from_tool, cell.stereo_head, obstacles)
+
+
+def stand_under(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
+    """What carries a ball, without it."""
+    x, y, z = _three(ball_mm)
+    top = z - STAND_BELOW_MM - STAND_RADIUS_MM
+    body = Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM)
+    return (Obstacle("ball's stand", body, True),)
 
 
 def in_free_room(

@@ -89,9 +89,9 @@ class ControlPortClient:
             self.close()
             raise
 
-    def ask(self, action: str, **arguments: Any) -> None:
+    def ask(self, action: str, **arguments: Any) -> dict[str, Any]:
         """Have something done; raises CTL-001 when no answer comes, CTL-002 with the reason of a refusal."""
-        self._exchange(action, {"do": action, **arguments})
+        return self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
         """Hang up; never raises."""
@@ -105,7 +105,7 @@ class ControlPortClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _exchange(self, what: str, request: dict[str, Any]) -> None:
+    def _exchange(self, what: str, request: dict[str, Any]) -> dict[str, Any]:
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
             answer = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
@@ -115,12 +115,13 @@ class ControlPortClient:
             raise self._silent("the connection was closed")
         if not answer.get("ok"):
             raise ControlRequestRefused(f"{what} is refused: {answer.get('reason', 'no reason given')}")
+        return dict(answer)
 
     def _silent(self, reason: object) -> ControlPortSilent:
         return ControlPortSilent(f"no answer at the control port {self._endpoint}: {reason}")
 
 
-def ask_control_port(address: str, action: str, **arguments: Any) -> None:
-    """One request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
+def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
+    """The answer to one request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
-        port.ask(action, **arguments)
+        return port.ask(action, **arguments)

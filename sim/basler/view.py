@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.sphere import Sphere
+from sim.theatre.on_stand import OnStand
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
 from sim.theatre.room_shift import STILL, Vector
-from sim.theatre.scene.model import CameraTruth, Fiducial, Head
+from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
 from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import World
 
@@ -31,6 +32,8 @@ class View:
         self._balls = (*spheres_in_theatre(world.scene), *_target_balls(head))
         self._robot_from_ct = matrix_of(head.robot_from_ct)
         self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._balls])
+        self._stand_mm = np.array(world.scene.stand.ball_mm)
+        self._stand_number = 1 + max((each.number for each in self._balls), default=0)
 
     def pose(self) -> Pose | None:
         """True pose (4, 4) of the head in the robot's frame; None while no arm has said where it is."""
@@ -41,6 +44,11 @@ class View:
     def head_mounted(self) -> bool:
         """True while the stereo head, not the guide, hangs on the arm."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
+
+    @property
+    def stand_has_ball(self) -> bool:
+        """Whether the ball is on the calibration stand."""
+        return self._world.on_stand() is OnStand.BALL
 
     def spheres(
         self, robot_from_tool: Pose | None, twist_rad: float = 0.0, head_shift_mm: Vector = STILL
@@ -57,11 +65,15 @@ class View:
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
         centres = apply(camera_from_robot, self._centres_mm + head_shift_mm)
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
-        return tuple(
+        seen = [
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
             for each, centre in zip(self._balls, centres, strict=True)
-            if 0.0 < centre[2] < FURTHEST_MM
-        )
+        ]
+        if self.stand_has_ball:
+            centre = apply(camera_from_robot, self._stand_mm)
+            upright = camera_from_robot[:3, :3] @ _upright((0.0, 0.0, 1.0))
+            seen.append(Sphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
+        return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
     def _twisted(self, angle_rad: float) -> Pose:
         across = self._camera_from_tool[:3, 0]  # the tool's x axis in the camera's frame

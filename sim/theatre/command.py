@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, print_table
+from sim.theatre.on_stand import OnStand
 
 if TYPE_CHECKING:
     import threading
@@ -43,6 +44,18 @@ def theatre(
     calibrated: Annotated[
         bool, typer.Option("--calibrated", help="With a calibration record of the arm, and the head's by it.")
     ] = False,
+    first_day: Annotated[
+        bool,
+        typer.Option(
+            "--first-day", help="With frame and guide as drawn: their records are to be made first."
+        ),
+    ] = False,
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER", help="Records that a calibration command left, instead of its own; repeatable."
+        ),
+    ] = None,
     target_balls: Annotated[
         bool, typer.Option("--target-balls", help="With a ball at each target, as on a phantom.")
     ] = False,
@@ -71,6 +84,7 @@ def theatre(
     import threading
 
     from ronna_hw.errors import EXIT_FAILED
+    from sim.theatre.calibration_files import read_calibrations
     from sim.theatre.device_parameters import parameters_by_device
     from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
@@ -81,8 +95,15 @@ def theatre(
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
     truth = load_scene(
-        where, seed=seed, markers=markers, targets=targets, calibrated=calibrated, target_balls=target_balls
+        where,
+        seed=seed,
+        markers=markers,
+        targets=targets,
+        calibrated=calibrated,
+        first_day=first_day,
+        target_balls=target_balls,
     )
+    records = read_calibrations(calibration or ())
     script = read_faults(faults, truth) if faults else ""
     parameters = parameters_by_device(parameter or ())
     ended = threading.Event()
@@ -96,6 +117,7 @@ def theatre(
             faults=script,
             parameters=parameters,
             left=read_left_world(out) if goes_on else None,
+            records=records,
         )
         reasons = _serve(running, ended)
     if reasons:
@@ -138,6 +160,26 @@ def mount(
     from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "mount", number=number)
+
+
+def stand(
+    holds: Annotated[OnStand, typer.Argument(help="What the calibration stand on the table is to hold.")],
+    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
+) -> None:
+    """Put ball or divot on the calibration stand of a running theatre, or take both off."""
+    from ronna_hw.host.control_port import ask_control_port
+
+    ask_control_port(control, "stand", holds=holds.value)
+
+
+def dials(
+    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
+) -> None:
+    """Raise the divot to the guide's tip and read the three dials, in mm, as the staff would."""
+    from ronna_hw.host.control_port import ask_control_port
+
+    x, y, z = ask_control_port(control, "dials")["dials_mm"]
+    typer.echo(f"{x:.2f} {y:.2f} {z:.2f}")
 
 
 def fault(

@@ -1,7 +1,8 @@
 """What can be asked for at the control port, the only access of the scripted operator to the simulated room.
 
-`{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`,
-`{"do": "clear_faults"}`. Naming the step `at_target:<id>` samples the truth at that target.
+`{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`,
+`{"do": "dials"}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. Naming the step
+`at_target:<id>` samples the truth at that target.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from typing import Any
 from ronna_hw.errors import RonnaError
 from sim.theatre.faults import begin_now, check_faults, parse_faults
 from sim.theatre.left_world import write_left_world
+from sim.theatre.on_stand import OnStand
+from sim.theatre.stand import read_dials
 from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
@@ -35,9 +38,11 @@ class Room:
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request; an unknown or wrong one is answered with the reason."""
-        actions: dict[str, Callable[[dict[str, Any]], None]] = {
+        actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
             "step": self._step,
             "mount": self._mount,
+            "stand": self._stand,
+            "dials": self._dials,
             "fault": self._fault,
             "clear_faults": self._clear_faults,
         }
@@ -46,14 +51,14 @@ class Room:
             return {"ok": False, "reason": f"unknown request; known: {', '.join(actions)}"}
         try:
             with self._one_at_a_time:
-                action(request)
+                more = action(request) or {}
         except NoSuchTool as error:
             return {"ok": False, "reason": str(error)}
         except RonnaError as error:
             return {"ok": False, "reason": f"{error.code}: {error.what}"[:LONGEST_REASON]}
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
-        return {"ok": True, "theatre_time_s": self._world.clock.now_s()}
+        return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
 
     def _step(self, request: dict[str, Any]) -> None:
         name = str(request["name"])
@@ -72,6 +77,12 @@ class Room:
         self._world.mount_tool(number)
         if self._folder is not None:
             write_left_world(self._world, self._folder)
+
+    def _stand(self, request: dict[str, Any]) -> None:
+        self._world.put_on_stand(OnStand(str(request["holds"])))
+
+    def _dials(self, _request: dict[str, Any]) -> dict[str, Any]:
+        return {"dials_mm": read_dials(self._world)}
 
     def _fault(self, request: dict[str, Any]) -> None:
         line = str(request["line"])

@@ -31,6 +31,7 @@ REST_LOOK_S = 0.005
 SILENCE_LIMIT_PACED_S = 0.25
 # In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
+NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
 
 
@@ -47,11 +48,12 @@ class Theatre:
         faults: str = "",
         parameters: Mapping[str, Sequence[str]] = NO_PARAMETERS,
         left: LeftWorld | None = None,
+        records: Mapping[str, Any] = NO_RECORDS,
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
 
-        `left` is how another theatre left its world, for this one to go on with. Raises PRC-001 when a
-        device does not become ready.
+        `left` is how another theatre left its world, for this one to go on with; `records` take the place of
+        the theatre's own calibrations. Raises PRC-001 when a device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -65,18 +67,17 @@ class Theatre:
         try:
             self.endpoints = self._start_devices(parameters, cycle_ms)
             limit_s = SILENCE_LIMIT_PACED_S if paced else SILENCE_LIMIT_LOCK_STEP_S
-            write_theatre_file(
-                theatre_content(
-                    scene,
-                    self.endpoints,
-                    self.world.clock_endpoint,
-                    self._write_tools(),
-                    limit_s,
-                    cycle_ms,
-                    calibrated_at(self.file) if left is not None else None,
-                ),
-                self.file,
+            content = theatre_content(
+                scene,
+                self.endpoints,
+                self.world.clock_endpoint,
+                self._write_tools(),
+                limit_s,
+                cycle_ms,
+                calibrated_at(self.file) if left is not None else None,
             )
+            content["calibration"] |= records
+            write_theatre_file(content, self.file)
         except BaseException:  # also an interruption: no device process is left behind
             self.close()
             raise

@@ -104,11 +104,13 @@ def load_scene(
     markers: int | None = None,
     targets: int | None = None,
     calibrated: bool = False,
+    first_day: bool = False,
     target_balls: bool = False,
 ) -> Scene:
     """A named scene, or a scene file; raises SIM-001.
 
-    On request its arm has a calibration record, and there is a ball at each target.
+    On request its arm has a calibration record, frame and tip have none that is valid, and there is a ball at
+    each target.
     """
     if scene in SCENES:
         drawn = named_scene(scene, seed=seed, markers=markers, targets=targets)
@@ -117,9 +119,11 @@ def load_scene(
     if target_balls:
         head = drawn.head.model_copy(update={"target_balls": True})
         drawn = drawn.model_copy(update={"head": head})
-    if not calibrated or drawn.calibration_error.arm is not None:
-        return drawn
-    error = drawn.calibration_error.model_copy(update={"arm": ArmResidual()})
+    error = drawn.calibration_error
+    if calibrated and error.arm is None:
+        error = error.model_copy(update={"arm": ArmResidual()})
+    if first_day:
+        error = error.model_copy(update={"first_day": True})
     return drawn.model_copy(update={"calibration_error": error})
 
 

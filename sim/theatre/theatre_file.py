@@ -30,6 +30,9 @@ MADE_BY = "ronna-sim theatre"
 # What an arm of parameter set S does to the points of one head when all are approached alike. Chosen on seeds
 # 0 to 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
 ARM_ERROR_MM = 0.10
+# Of a frame and a guide that were mounted by their drawing and never measured, per axis.
+DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
+DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be believed
 BANNER = "SIMULATED THEATRE"
 
@@ -110,6 +113,13 @@ def calibrated_at(theatre_file: Path) -> datetime | None:
 
 def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     error = scene.calibration_error
+    if error.first_day:
+        drawn = {
+            "tip_mm": DRAWN_TIP_MM,
+            "marker_translation_mm": DRAWN_FRAME_MM,
+            "marker_rotation_rad": DRAWN_FRAME_RAD,
+        }
+        error = error.model_copy(update=drawn)
     generator = noise(scene.seed, "calibration", 0)
     measured = error.arm and measured_mount(scene.mount, error.arm, noise(scene.seed, "arm calibration", 0))
     head = matrix_of(measured or scene.mount.flange_from_tool_nominal)
@@ -130,6 +140,14 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             **more,
         }
 
+    def mounted(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
+        """Of a part on the mount: on the first day it holds its drawing, which is no calibration."""
+        made = record(name, stated_error_mm, **more)
+        if not error.first_day:
+            return made
+        old = {"created": created - 2 * RECORD_LIFE, "expires": created - RECORD_LIFE}
+        return {**made, "identifier": f"{name}-as-drawn", "made_by": DRAWN, **old}
+
     return {
         "stereo_head": record(
             "stereo-head",
@@ -142,13 +160,13 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             left=_camera(scene.left, error, generator),
             right=_camera(scene.right, error, generator),
         ),
-        "tool_tip": record(
+        "tool_tip": mounted(
             "tool-tip",
             3**0.5 * error.tip_mm,
             tool_number=scene.mount.tool_number_guide,
             flange_from_tool=_pose(pose_of(tip)),
         ),
-        "tracker_frame": record(
+        "tracker_frame": mounted(
             "tracker-frame",
             3**0.5 * error.marker_translation_mm,
             tool=scene.tracker.tools[0].name,

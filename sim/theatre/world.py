@@ -25,6 +25,7 @@ from ronna_hw.host.memory_map import MemoryMap
 from ronna_hw.host.shared_layout import text
 from ronna_hw.wire.theatre_clock import CLOCK
 from sim.errors import WorldUnavailable
+from sim.theatre.on_stand import OnStand
 from sim.theatre.rigid import matrix_of
 from sim.theatre.scene.model import Numbers6, Scene
 
@@ -61,6 +62,7 @@ _CLOCK = _MAP.rows(ClockRow)
 _ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
 _ARM = _MAP.rows(ArmRow)
 _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
+_STAND = _MAP.word("I")  # what the calibration stand holds: its place in `OnStand`
 _STEP = _MAP.rows(StepRow)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
@@ -176,6 +178,14 @@ class World:
     def mount_tool(self, number: int) -> None:
         """Mount another tool. For the control port only."""
         _TOOL.write(self._memory, number)
+
+    def on_stand(self) -> OnStand:
+        """What the calibration stand holds."""
+        return tuple(OnStand)[_STAND.read(self._memory)]
+
+    def put_on_stand(self, what: OnStand) -> None:
+        """Have it hold something else. For the control port only."""
+        _STAND.write(self._memory, tuple(OnStand).index(what))
 
     def step(self) -> tuple[str, int]:
         """Name of the running step and the theatre time of its start in ns."""

@@ -74,6 +74,13 @@ class PosePairs:
         return PosePairs(self.robot_from_flange[rows], self.tracker_from_marker[rows])
 
 
+def uses_of(count: int, validation: int) -> tuple[Use, ...]:
+    """What each of so many looks is for: those to judge by are spread evenly among those to fit."""
+    total = count + validation
+    judging = {round((number + 0.5) * total / validation) for number in range(validation)}
+    return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
+
+
 def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
     """The looks as arrays."""
 

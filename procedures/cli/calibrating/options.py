@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -18,6 +19,20 @@ SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; 
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
 ConfigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
+]
+FirstDayOption = Annotated[
+    bool,
+    typer.Option(
+        "--first-day", help="With --sim: frame and guide are as drawn, without records that are valid."
+    ),
+]
+RecordsOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--calibration",
+        metavar="FOLDER",
+        help="With --sim: records that a calibration left, instead of the theatre's own; repeatable.",
+    ),
 ]
 RecordedOption = Annotated[
     Path | None,
@@ -41,7 +56,14 @@ def require_one_source(*, sim: bool, config: Path | None, recorded: Path | None,
 
 
 def theatre_request(
-    sim: bool, scene: str, seed: int, config: Path | None, *, calibrated: bool = False
+    sim: bool,
+    scene: str,
+    seed: int,
+    config: Path | None,
+    *,
+    calibrated: bool = False,
+    first_day: bool = False,
+    records: Sequence[Path] = (),
 ) -> TheatreRequest:
     """The theatre that the options name; raises CLI-001 unless it is one."""
     if sim == (config is not None):
@@ -51,4 +73,7 @@ def theatre_request(
 
     if config is not None:
         read_theatre_file(config)
-    return TheatreRequest(config=config, choice=SceneChoice(scene, seed, calibrated=calibrated))
+    if config is not None and (first_day or records):
+        raise UsageMistake("--first-day and --calibration go with --sim")
+    choice = SceneChoice(scene, seed, calibrated=calibrated, first_day=first_day, records=tuple(records))
+    return TheatreRequest(config=config, choice=choice)

@@ -34,6 +34,8 @@ class RequestFile(BaseModel):
     markers: int | None = None
     targets: int | None = None
     calibrated: bool = False
+    first_day: bool = False
+    records: tuple[Path, ...] = ()
     strategy: str
     measure_targets: bool = False
     speed: str
@@ -52,6 +54,8 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         markers=choice.markers,
         targets=choice.targets,
         calibrated=choice.calibrated,
+        first_day=choice.first_day,
+        records=tuple(folder.resolve() for folder in choice.records),
         strategy=request.strategy,
         measure_targets=request.measure_targets,
         speed=request.speed,
@@ -85,7 +89,15 @@ def read_request(folder: Path) -> CaseRequest:
         )
     return CaseRequest(
         out=folder.parent,
-        choice=SceneChoice(content.scene, content.seed, content.markers, content.targets, content.calibrated),
+        choice=SceneChoice(
+            content.scene,
+            content.seed,
+            content.markers,
+            content.targets,
+            content.calibrated,
+            content.first_day,
+            content.records,
+        ),
         strategy=content.strategy,
         measure_targets=content.measure_targets,
         speed=content.speed,

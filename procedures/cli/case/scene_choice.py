@@ -17,6 +17,8 @@ class SceneChoice:
     markers: int | None = None
     targets: int | None = None
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
+    first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
+    records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
 
     def arguments(self) -> list[str]:
         """As options of `ronna-sim theatre` and `ronna-sim phantom`."""
@@ -24,6 +26,17 @@ class SceneChoice:
         for name, value in (("--markers", self.markers), ("--targets", self.targets)):
             if value is not None:
                 options += [name, str(value)]
+        return options
+
+    def theatre_arguments(self) -> list[str]:
+        """Those and what only the theatre is to know."""
+        options = self.arguments()
+        if self.calibrated:
+            options.append("--calibrated")
+        if self.first_day:
+            options.append("--first-day")
+        for folder in self.records:
+            options += ["--calibration", str(folder)]
         return options
 
     @property

@@ -23,16 +23,14 @@ class SimulatedCase:
         self, request: TheatreRequest, folder: Path, phantom: Path | None, *, goes_on: bool = False
     ) -> None:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
-        scene = request.choice.arguments()
+        scene = request.choice.theatre_arguments()
         more = ["--faults", str(request.faults)] if request.faults is not None and not goes_on else []
-        if request.choice.calibrated:
-            more.append("--calibrated")
         if request.measure_targets:
             more.append("--target-balls")
         if goes_on:
             more.append("--continue")
         self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *more)
-        self._phantom = None if phantom is None else _start_phantom(scene, phantom)
+        self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
 
     def await_patient(self) -> None:
         """Return when the CT series and the plan are written; raises PRO-013 with the command's words.

@@ -5,15 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from datetime import datetime
 
+from procedures.calibration.validity import MADE_BY_COMMAND
 from ronna_hw.config import TheatreFile
 from ronna_hw.devices.probing import Diagnostic
-
-CALIBRATE = {
-    "stereo_head": "Run ronna-stereo calibrate --config FILE.",
-    "tool_tip": "Measure the tip of the guide again, and enter the new record.",
-    "arm": "Run ronna-arm calibrate --config FILE.",
-    "tracker_frame": "Measure the reference frame on the mount again, and enter the new record.",
-}
 
 
 def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
@@ -24,7 +18,7 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     for name, record in theatre.calibration.records.items():
-        advice = CALIBRATE[name]
+        advice = f"Run {MADE_BY_COMMAND[name]} --config FILE."
         valid = now <= record.expires
         until = f"{'valid until' if valid else 'expired on'} {record.expires:%Y-%m-%d %H:%M %Z}"
         yield Diagnostic(

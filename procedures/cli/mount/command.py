@@ -11,8 +11,10 @@ import typer
 from procedures.cli.calibrating.options import (
     ConfigOption,
     DaysOption,
+    FirstDayOption,
     OutOption,
     RecordedOption,
+    RecordsOption,
     SceneOption,
     SeedOption,
     SimOption,
@@ -46,6 +48,8 @@ def tracker_frame(
     scene: SceneOption = "default",
     seed: SeedOption = 0,
     calibrated: CalibratedOption = False,
+    first_day: FirstDayOption = False,
+    calibration: RecordsOption = None,
     config: ConfigOption = None,
     recorded: RecordedOption = None,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses to find the frame with.")] = 30,
@@ -68,9 +72,17 @@ def tracker_frame(
     require_one_source(sim=sim, config=config, recorded=recorded, write=write)
     from procedures.cli.mount.tracker_frame import calibrate_tracker_frame
 
-    request = (
-        None if recorded is not None else theatre_request(sim, scene, seed, config, calibrated=calibrated)
-    )
+    request = None
+    if recorded is None:
+        request = theatre_request(
+            sim,
+            scene,
+            seed,
+            config,
+            calibrated=calibrated,
+            first_day=first_day,
+            records=calibration or (),
+        )
     calibrate_tracker_frame(
         request,
         recorded,

@@ -14,7 +14,7 @@ from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import PlannedLook
 from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
-from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
+from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
 from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
@@ -56,7 +56,8 @@ class FrameTurning:
         context.result(CheckedSetUp)
         workcell, calibrations = context.workcell, context.workcell.calibrations
         plan = self._plan(workcell)
-        total = self.count + self.validation
+        uses = uses_of(self.count, self.validation)
+        total = len(uses)
         context.confirm(
             Topic.CALIBRATION,
             f"The arm will turn the frame {calibrations.tracker_frame.tool} about where it is now, by "
@@ -72,8 +73,7 @@ class FrameTurning:
         for number, joints in enumerate(plan):
             if turning.taken == total:
                 break
-            validates = turning.taken % (total // self.validation) == 1
-            turning.look_at(joints, Use.VALIDATION if validates else Use.FIT)
+            turning.look_at(joints, uses[turning.taken])
             if number % RETURN_AFTER == RETURN_AFTER - 1:
                 turning.look_at(workcell.home_rad, Use.RETURN)
             context.progress(turning.taken / total, "turning the reference frame")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
 from procedures.engine.result import Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -47,8 +48,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     Raises CAL-001 for an expired record, STE-010 for another camera, PRO-009 for another tool.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
-    for record in calibrations.records.values():
-        record.check_valid_at(context.setting.today())
+    require_valid(calibrations, context.setting.today())
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):

@@ -91,7 +91,8 @@ class Photographer:
         pose = self._view.pose()
         place = None if pose is None else pose.tobytes()
         on_lens = self._faults.on_lens()
-        return (frame, place, self._view.head_mounted, self._disturbances.now(), on_lens), pose
+        in_view = (self._view.head_mounted, self._view.stand_has_ball)
+        return (frame, place, in_view, self._disturbances.now(), on_lens), pose
 
 
 class Ring:

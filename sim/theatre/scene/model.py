@@ -211,6 +211,24 @@ class TrackerTruth(Strict):
     reflections: Annotated[int, Field(ge=0)] = Field(default=0, description="How many glints come and go.")
 
 
+class Stand(Strict):
+    """The calibration stand on the table, empty until ball or divot are put on it.
+
+    Divot and ball take the same place to within the stand's own tolerance.
+    """
+
+    ball_mm: Numbers3 = Field(default=(563.0, -325.0, 230.0), description="Centre of its ball, robot frame.")
+    divot_from_ball_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="By which the divot at zero lies beside that, robot frame."
+    )
+    dials_turned_rad: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="Rotation vector of the dials' axes in the robot frame."
+    )
+    travel_mm: Positive = Field(default=6.0, description="Of the divot along each axis, either way.")
+    reading_mm: NotNegative = Field(default=0.003, description="Of one reading, one standard deviation.")
+    scale_mm: Positive = Field(default=0.01, description="Step of the dials.")
+
+
 class ArmResidual(Strict):
     """What a calibration of the arm leaves over in its record, one standard deviation each."""
 
@@ -230,6 +248,11 @@ class CalibrationError(Strict):
     tip_mm: NotNegative = Field(default=0.03, description="Of the guide's tip per axis: 0.05 mm in space.")
     marker_translation_mm: NotNegative = Field(default=0.2, description="Of the reference frame, per axis.")
     marker_rotation_rad: NotNegative = Field(default=1e-3, description="Of the reference frame, per axis.")
+    first_day: bool = Field(
+        default=False,
+        description="Whether frame and tip were never measured: their records hold the drawing, and are no "
+        "longer valid.",
+    )
     arm: ArmResidual | None = Field(
         default=None, description="Of the arm's own record; without, there is none and the head is nominal."
     )
@@ -252,6 +275,7 @@ class Scene(Strict):
     tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
+    stand: Stand = Field(default=Stand(), description="The calibration stand.")
     servo_area_px: tuple[Count, Count] = Field(
         default=(1024, 1024), description="Area of interest that holds a sphere with room to move."
     )

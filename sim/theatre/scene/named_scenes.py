@@ -6,16 +6,18 @@ the robot; the tracker looks at the head from above and the side.
 
 from __future__ import annotations
 
+from math import radians
 from typing import Literal
 
 import numpy as np
 
 from ronna_hw.marker_template import MarkerTemplate
 from sim.errors import BadScene
+from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.theatre.scene.arm_truth import draw_arm
 from sim.theatre.scene.head import draw_head
-from sim.theatre.scene.model import CtProtocol, Scene, TrackerTool, TrackerTruth
+from sim.theatre.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
 from sim.theatre.scene.stereo_head import draw_cameras, draw_mount
 
 SCENES = ("default", "mini", "bench", "bench-near")
@@ -29,6 +31,11 @@ TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 # The bench of a tracker: `bench-near` lies within the volume of a Polaris Vicra.
 USUAL_REFLECTIONS = 2  # of a room with lamps and instruments in it
+# The stand is put where it was asked for by hand, its dials are set along the robot's axes by eye.
+STAND_MM = (563.0, -325.0, 230.0)
+STAND_SPREAD_MM = 3.0
+DIVOT_MM = 0.005  # per axis: as such stands are made
+DIALS_RAD = radians(1.0)
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
 SceneName = Literal["default", "mini", "bench", "bench-near"]
@@ -71,7 +78,23 @@ def named_scene(
         ),
         left=left,
         right=right,
+        stand=_stand(seed),
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
+    )
+
+
+def _stand(seed: int) -> Stand:
+    """As it was put on the table; drawn by itself, so that the rest of a scene does not depend on it."""
+    generator = noise(seed, "stand", 0)
+
+    def three(values: np.ndarray) -> tuple[float, float, float]:
+        x, y, z = values.tolist()
+        return (x, y, z)
+
+    return Stand(
+        ball_mm=three(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
+        divot_from_ball_mm=three(generator.normal(0.0, DIVOT_MM, 3)),
+        dials_turned_rad=three(generator.normal(0.0, DIALS_RAD, 3)),
     )
 
 

@@ -1,11 +1,16 @@
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 
 from drivers.kuka_rsi.options import read_options
+from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
+from sim.errors import BadCalibrationFile
+from sim.theatre.calibration_files import CALIBRATION_FILE, read_calibrations
 from sim.theatre.process import load_scene
 from sim.theatre.rigid import inverse, matrix_of
 from sim.theatre.scene.model import Scene
@@ -102,3 +107,36 @@ def test_a_robot_at_another_cycle_is_told_to_its_driver() -> None:
     for cycle_ms, told in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == told
+
+
+def test_on_the_first_day_frame_and_tip_are_as_drawn_and_not_valid() -> None:
+    scene = load_scene("mini", seed=4, first_day=True)
+    usual = parse_theatre(
+        theatre_content(load_scene("mini", seed=4), ENDPOINTS, "host:", {}, 1.0)
+    ).calibration
+    drawn = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)).calibration
+    assert usual is not None
+    assert drawn is not None
+    now = datetime.now(UTC)
+    for record in (drawn.tool_tip, drawn.tracker_frame):
+        with pytest.raises(CalibrationExpired):
+            record.check_valid_at(now)
+    drawn.stereo_head.check_valid_at(now)
+    assert drawn.stereo_head.left == usual.stereo_head.left
+    assert drawn.tracker_frame.stated_error_mm > usual.tracker_frame.stated_error_mm
+
+
+def test_records_of_a_calibration_take_the_place_of_the_theatres_own(tmp_path: Path) -> None:
+    for name, content in (("one", {"arm": 1, "tool_tip": 1}), ("other", {"tool_tip": 2})):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / CALIBRATION_FILE).write_text(tomli_w.dumps({"calibration": content}))
+    found = read_calibrations([tmp_path / "one", tmp_path / "other" / CALIBRATION_FILE])
+    assert found == {"arm": 1, "tool_tip": 2}
+
+
+@pytest.mark.parametrize("text", [None, "x = 1", "calibration = 3", "[calibration]"])
+def test_a_file_without_records_is_refused(tmp_path: Path, text: str | None) -> None:
+    if text is not None:
+        (tmp_path / CALIBRATION_FILE).write_text(text)
+    with pytest.raises(BadCalibrationFile, match="SIM-014"):
+        read_calibrations([tmp_path])

@@ -1,0 +1,13 @@
+"""What the calibration stand on the table can hold."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class OnStand(StrEnum):
+    """What it holds: its ball, or in the ball's place the divot on a slide with three dials."""
+
+    NOTHING = "nothing"
+    BALL = "ball"
+    DIVOT = "divot"
