@@ -42,7 +42,7 @@ METHODS: dict[str, Method] = {
     "thesis, SphereFit": lambda volume: localize_as_thesis(volume, ThesisFit.SPHERE),
 }
 OURS_ONLY = {OURS: localize}
-GOAL_CPU_S, GOAL_MEMORY_GB = 2.0, 1.2  # for 512 x 512 x 200, without reading the files
+GOAL_CPU_S, GOAL_MEMORY_GB = 2.0, 0.6  # for 512 x 512 x 200, without reading the files
 GOAL_BOUND_RATIO = 2.5  # bare spheres
 GOAL_CHI2 = (0.7, 1.4)  # of the error over its stated covariance, per degree of freedom
 
