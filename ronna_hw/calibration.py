@@ -22,6 +22,7 @@ Numbers2 = tuple[float, float]
 
 CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
 SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
+SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera of some hundred pixels; 50 mm are not that many
 SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
 
 
@@ -32,6 +33,15 @@ def _millimetres(length_mm: float) -> float:
 
 
 Length = AfterValidator(_millimetres)  # of something large enough that metres can be told from millimetres
+
+
+def _pixels(focal_px: float) -> float:
+    if focal_px < SHORTEST_FOCAL_PX:
+        raise ValueError("give the focal length in pixels, not in millimetres or metres")
+    return focal_px
+
+
+FocalPixels = Annotated[float, Field(gt=0), AfterValidator(_pixels)]
 
 
 class CalibrationExpired(DataError):
@@ -81,7 +91,7 @@ class CameraCalibration(Strict):
     """
 
     serial: str = Field(description="Serial number, as read from the camera.")
-    focal_px: tuple[float, float] = Field(description="Along columns and along rows.")
+    focal_px: tuple[FocalPixels, FocalPixels] = Field(description="Along columns and along rows.")
     principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
     distortion: tuple[float, float, float, float, float] = Field(
         default=(0.0, 0.0, 0.0, 0.0, 0.0), description="k1 k2 p1 p2 k3."

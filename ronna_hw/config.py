@@ -5,12 +5,14 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args
 
-from pydantic import Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic import BaseModel, Field, PrivateAttr, ValidationError, field_validator, model_validator
+from pydantic.fields import FieldInfo
 
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import (
@@ -195,7 +197,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
         content = read_toml(path, BadTheatreFile)
     except OSError as error:
         raise BadTheatreFile(
-            f"cannot read {path.name}: {error.strerror}",
+            f"cannot read {path}: {error.strerror}",
             action="Give the path of a theatre file; ronna-sim theatre writes one to start from.",
         ) from error
     theatre = parse_theatre(content, path.name)
@@ -216,26 +218,27 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
         # Strict models refuse TOML's lists where tuples are declared; pydantic's JSON-like mode takes them.
         return TheatreFile.model_validate(_tuples(content))
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
+        mistakes = describe_mistakes(error, TheatreFile)
         raise BadTheatreFile(
             f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error
 
 
-def describe_mistakes(error: ValidationError) -> list[str]:
-    """A line per mistake: its place, what was expected, what was found; then how many more there are."""
+def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
+    """A line per mistake: its place, what was expected, what was found; then how many more there are.
+
+    With the model that was validated, an unknown key is told with those that are known at its place.
+    """
     lines = []
     found = error.errors(include_url=False)
-    missing: dict[tuple[int | str, ...], list[str]] = {}
-    for item in found:
-        if item["type"] == "missing":
-            missing.setdefault(item["loc"][:-1], []).append(str(item["loc"][-1]))
     for item in found[:MISTAKES_SHOWN]:
-        where = ".".join(str(part) for part in item["loc"]) or "file"
-        message = item["msg"].removeprefix("Value error, ")
+        where = _place(item["loc"])
+        message = item["msg"].removeprefix("Value error, ").replace("Input should be", "expected", 1)
+        if item["type"] == "missing":
+            message = "is missing"
         if item["type"] == "extra_forbidden":
-            beside = missing.get(item["loc"][:-1], [])
-            message = f"there is no such key{_meant(str(item['loc'][-1]), beside)}"
+            known = () if model is None else known_keys(model, item["loc"][:-1])
+            message = f"there is no such key{_meant(str(item['loc'][-1]), known)}"
         value = item.get("input")
         shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
         lines.append(f"{where}: {message}{shown}")
@@ -244,10 +247,40 @@ def describe_mistakes(error: ValidationError) -> list[str]:
     return lines
 
 
-def _meant(key: str, missing: list[str]) -> str:
-    """The missing key beside it that looks like it, as a question."""
-    alike = get_close_matches(key, missing, n=1)
-    return f" (did you mean '{alike[0]}'?)" if alike else ""
+def _place(parts: tuple[int | str, ...]) -> str:
+    """`trajectories 1.entry_mm`: what stands in a list is counted from 1, as in every message."""
+    text = ""
+    for part in parts:
+        text += f" {part + 1}" if isinstance(part, int) else f".{part}"
+    return text.strip(" .") or "file"
+
+
+def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
+    """The keys of a model, or of the one within it at that place; none where it is no model."""
+    here: Any = model
+    for part in place:
+        names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
+        if names and str(part) in names:
+            here = _model_in(names[str(part)])
+    return tuple(field.alias or name for name, field in _fields(here).items())
+
+
+def _fields(model: Any) -> dict[str, FieldInfo]:
+    return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
+
+
+def _model_in(annotation: Any) -> Any:
+    """The model that a field holds: itself, optional, or as the values of a table or a list."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
+
+
+def _meant(key: str, known: Sequence[str]) -> str:
+    """The known key that looks like it, as a question, or all of them."""
+    if alike := get_close_matches(key, known, n=1):
+        return f" (did you mean '{alike[0]}'?)"
+    return f" (known: {', '.join(known)})" if known else ""
 
 
 def _tuples(value: Any) -> Any:

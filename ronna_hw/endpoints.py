@@ -11,6 +11,7 @@ host:                      this machine itself, for the clock
 from __future__ import annotations
 
 from dataclasses import dataclass
+from ipaddress import IPv4Address
 from urllib.parse import urlsplit
 
 from ronna_hw.errors import ConfigurationError
@@ -49,6 +50,18 @@ class Endpoint:
         return self
 
 
+def _check_host(text: str, host: str) -> None:
+    """Refuse what can only be meant as an IPv4 address and is none: no name ends in a number."""
+    if not host.rpartition(".")[2].isdigit():
+        return
+    try:
+        IPv4Address(host)
+    except ValueError as error:
+        raise BadEndpoint(
+            f"{text!r}: {host} is no IPv4 address", expected="four numbers from 0 to 255", got=str(error)
+        ) from error
+
+
 def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     """Parse an endpoint; raises CFG-002 with the reason.
 
@@ -69,6 +82,7 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
         return Endpoint(parts.scheme, path=parts.path)
     if not parts.hostname or parts.path or parts.query:
         raise BadEndpoint(f"{text!r} needs a host", expected=f"{parts.scheme}://host:port")
+    _check_host(text, parts.hostname)
     if parts.scheme == "gev":
         return Endpoint("gev", host=parts.hostname, port=port or 0)
     if port is None or (port == 0 and not listening):

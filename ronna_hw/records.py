@@ -91,24 +91,28 @@ def _as_written(record: Record) -> bytes:
     return json.dumps({**content, "sha256": record.sha256}, indent=1, allow_nan=False).encode()
 
 
-def write_whole(path: Path, content: bytes, *, exclusive: bool = False) -> None:
+def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed: bool = True) -> None:
     """Write a file so that it is never seen half written, not even after a crash.
 
-    With `exclusive` an existing file is never replaced: raises FileExistsError.
+    With `exclusive` an existing file is never replaced: raises FileExistsError. One of many that are worth
+    nothing alone need not be `flushed` to the disk. An error of the system names the file.
     """
     temporary = path.with_name(f".{path.name}{PARTIAL}")
     try:
         with temporary.open("wb") as file:
             file.write(content)
             file.flush()
-            os.fsync(file.fileno())
+            if flushed:
+                os.fsync(file.fileno())
         if exclusive:
             os.link(temporary, path)
             temporary.unlink()
         else:
             temporary.replace(path)
-    except BaseException:  # an interruption of the flush too leaves nothing half written
+    except BaseException as problem:  # an interruption of the flush too leaves nothing half written
         temporary.unlink(missing_ok=True)
+        if isinstance(problem, OSError) and problem.filename is None:
+            problem.filename = str(path)
         raise
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
 
+SEE_PHANTOM = "See ronna-sim phantom --help."  # for what is an option of it, not a line of a file
+
 
 class BadScene(ConfigurationError):
     """A scene file is missing or has mistakes."""

@@ -99,7 +99,7 @@ def read_options(config: DeviceConfig) -> BaslerOptions:
         # by way of JSON: strict types, but a whole number may stand for a float
         return BaslerOptions.model_validate_json(json.dumps(config.options))
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
+        mistakes = describe_mistakes(error, BaslerOptions)
         raise BadOptions(
             f"stereo options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error

@@ -12,6 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from drivers.kuka_rsi.errors import BadOptions
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
+from ronna_hw.config import describe_mistakes
+from ronna_hw.text.counting import counted
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
@@ -96,5 +98,7 @@ def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     try:
         return KukaOptions.model_validate(options)
     except ValidationError as error:
-        mistakes = "; ".join(f"{'.'.join(map(str, m['loc']))}: {m['msg']}" for m in error.errors())
-        raise BadOptions(f"{device}: {error.error_count()} wrong options: {mistakes}") from None
+        mistakes = describe_mistakes(error, KukaOptions)
+        raise BadOptions(
+            f"{device}: options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+        ) from None

@@ -115,7 +115,7 @@ def read_options(config: DeviceConfig) -> PolarisOptions:
         # via JSON: strict types, but lists are accepted for tuples
         return PolarisOptions.model_validate_json(json.dumps(config.options))
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
+        mistakes = describe_mistakes(error, PolarisOptions)
         raise BadOptions(
             f"tracker options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from error

@@ -11,6 +11,7 @@ import typer
 
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
     from procedures.studies.table import Table
@@ -282,6 +283,10 @@ def _run(
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
         console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
+    if ledger.damaged:
+        console.tell(
+            f"{counted(ledger.damaged, 'damaged line')} of {folder} dropped: what they held runs again"
+        )
     with console.progress_bar(study.name) as progress:
         run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
     sums = add_up(ledger.results())

@@ -50,11 +50,13 @@ def localize(
         Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
     ],
     diameter_mm: Annotated[
-        float, typer.Option("--diameter-mm", help="Diameter of the marker spheres in mm.")
+        float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
     ] = 11.5,
     expected: Annotated[
         int | None,
-        typer.Option("--expected", metavar="N", help="Fail unless exactly this many markers are found."),
+        typer.Option(
+            "--expected", metavar="N", min=1, help="Fail unless exactly this many markers are found."
+        ),
     ] = None,
     method: Annotated[
         Method,
@@ -202,7 +204,7 @@ def view(
         Path, typer.Option("--out", metavar="FILE", help="The page to write; open it in a browser.")
     ] = Path("ct.html"),
     diameter_mm: Annotated[
-        float, typer.Option("--diameter-mm", help="Diameter of the marker spheres in mm.")
+        float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
     ] = 11.5,
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,

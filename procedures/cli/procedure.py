@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
-from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.runs.commands import add_commands
 from procedures.engine.errors import NotYet
@@ -55,7 +55,7 @@ class SpeedChoice(StrEnum):
 
 SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
 SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")]
+SeedOption = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")]
 StrategyOption = Annotated[
@@ -272,6 +272,8 @@ def _request(
             "--seed, --markers and --targets do not go with a scene file",
             action="The file holds its own seed, markers and targets.",
         )
+    if sim:
+        scene.check()
     return CaseRequest(
         answers=_answers(answers),
         out=out,

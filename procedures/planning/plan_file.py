@@ -40,9 +40,10 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
         # TOML has lists where the model has tuples and text where it has words; strict JSON mode takes both.
         plan = Plan.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        for mistake, line in zip(error.errors(include_url=False), describe_mistakes(error), strict=False):
+        lines = describe_mistakes(error, Plan)
+        for mistake, line in zip(error.errors(include_url=False), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            found.append(kind(line))
+            found.append(kind(_named(line, mistake["loc"], content)))
     found += [
         DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
         for identifier, count in _ids(content).items()
@@ -54,6 +55,17 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
     if plan is None:
         raise PlanMistakes(f"{name} is not a plan")
     return plan
+
+
+def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
+    """The line with the trajectory by its id, where it has one; without, by its number."""
+    match place:
+        case ("trajectories", int(index), *_):
+            row = content["trajectories"][index]
+            name = row.get("id") if isinstance(row, dict) else None
+            known = f"trajectory {name}" if isinstance(name, str) and name else f"trajectory {index + 1}"
+            return line.replace(f"trajectories {index + 1}", known, 1)
+    return line
 
 
 def _ids(content: dict[str, Any]) -> Counter[str]:

@@ -16,7 +16,7 @@ class LedgerUnreadable(DataError):
     """The file of finished units cannot be read."""
 
     code = "STU-002"
-    action = "Remove the folder and run the study again; only complete lines are ever used."
+    action = "Choose another --out: the units in this folder cannot be told from those of another study."
 
 
 class SchedulerUnreachable(ConnectError):

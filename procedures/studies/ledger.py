@@ -6,11 +6,12 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from procedures.studies.errors import LedgerUnreadable, OtherStudy
 from procedures.studies.unit import Study, Sums, Unit
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.records import canonical_json
+from ronna_hw.records import canonical_json, write_whole
 
 FILE = "units.jsonl"
 
@@ -24,10 +25,11 @@ class Ledger:
     """Finished units of one study in a folder. The first line says which study it is."""
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or start it; raises STU-001 for another study, STU-002 when it is damaged."""
+        """Open or start it; raises STU-001 for another study, STU-002 when nothing says which one it is."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
+        self.damaged = 0  # lines that were dropped: their units are run again
         head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
@@ -51,18 +53,46 @@ class Ledger:
                 yield unit, self.finished[key]
 
     def _read(self, head: Mapping[str, object]) -> None:
-        lines = read_json_lines(self._path).decode().split("\n")
+        lines = read_json_lines(self._path).decode(errors="replace").split("\n")
         try:
             there = parse_json(lines[0])
-            whole = [parse_json(line) for line in lines[1:-1]]  # a line without an end was truncated
             if there["fingerprint"] != head["fingerprint"]:
-                raise OtherStudy(f"{self._path.parent} holds a {there['study']} study with other parameters")
-            self.finished = {line["unit"]: line["sums"] for line in whole if line["unit"] in self._units}
+                raise OtherStudy(f"{self._path.parent} holds {_difference(there, head)}")
         except (ValueError, KeyError, TypeError) as error:
-            raise LedgerUnreadable(f"{self._path} is damaged: {error}") from error
-        if lines[-1]:
-            self._path.write_text("\n".join([*lines[:-1], ""]), encoding="utf-8")
+            raise LedgerUnreadable(f"{self._path}: line 1 does not say which study it is: {error}") from error
+        kept = [lines[0]]
+        for line in lines[1:-1]:  # a line without an end was truncated
+            if (finished := _finished(line)) is not None:
+                kept.append(line)
+                if finished[0] in self._units:
+                    self.finished[finished[0]] = finished[1]
+        self.damaged = len(lines) - len(kept) - (not lines[-1])
+        if self.damaged:
+            write_whole(self._path, "\n".join([*kept, ""]).encode())
 
     def _append(self, line: Mapping[str, object]) -> None:
         with self._path.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
+
+
+def _finished(line: str) -> tuple[str, Sums] | None:
+    """The unit of a line and its sums; None for a line that is damaged."""
+    try:
+        content = parse_json(line)
+        sums = content["sums"]
+        return (str(content["unit"]), sums) if isinstance(sums, dict) else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _difference(there: Any, head: Mapping[str, Any]) -> str:
+    """What another study is, in words: its name, or the parameters that differ."""
+    if there["study"] != head["study"]:
+        return f"the study {there['study']}, not {head['study']}"
+    before, now = there.get("parameters", {}), head["parameters"]
+    differ = [
+        f"{name} {before.get(name)!r}, now {now.get(name)!r}"
+        for name in sorted({*before, *now})
+        if before.get(name) != now.get(name)
+    ]
+    return f"a study with other parameters: {'; '.join(differ)}"

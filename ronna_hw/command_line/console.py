@@ -17,6 +17,7 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
+from ronna_hw.command_line.common_options import with_common_options
 from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
 from ronna_hw.command_line.logging_options import (
     VERBOSE_FLAG,
@@ -30,6 +31,7 @@ from ronna_hw.command_line.logging_options import (
 from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
+from ronna_hw.command_line.usage import usage_mistake
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.file_access import own_files
 from ronna_hw.host.own_packages import require_own_packages
@@ -117,17 +119,14 @@ def _own_files() -> Iterator[None]:
 
 
 def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
-    command = typer.main.get_command(app)
+    command = with_common_options(typer.main.get_command(app))
     try:
         outcome = command.main(args=list(arguments), standalone_mode=False)
     except _USAGE_ERROR as mistake:
-        message = mistake.format_message() if hasattr(mistake, "format_message") else str(mistake)
         if isinstance(mistake, _NOTHING_ASKED):
-            sys.stderr.write(message + "\n")
+            sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        context = getattr(mistake, "ctx", None)
-        where = context.command_path if context is not None else command.name
-        raise UsageMistake(message.rstrip("."), action=f"See {where} --help.") from mistake
+        raise usage_mistake(mistake, str(command.name)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 

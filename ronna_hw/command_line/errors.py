@@ -27,7 +27,7 @@ class DiskFull(RonnaError):
     """No space is left, or the quota is used up."""
 
     code = "CLI-003"
-    action = "Free some space or choose another folder; files written earlier are complete."
+    action = "Free some space or choose another folder; this file was not written, those before it are whole."
 
 
 class NotWritable(RonnaError):

@@ -35,10 +35,7 @@ class ControlRequestRefused(ConfigurationError):
     """A running theatre or simulated device refused a request at its control port."""
 
     code = "CTL-002"
-    action = (
-        "Correct what the reason names; ronna-sim fault lists all kinds of fault, and the control endpoint "
-        "is given whole, token included."
-    )
+    action = "Correct what the reason names; the control endpoint is given whole, token included."
 
 
 @dataclass(frozen=True)
@@ -108,14 +105,15 @@ class ControlPortClient:
     def _exchange(self, what: str, request: dict[str, Any]) -> dict[str, Any]:
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
-            answer = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
+            answer: dict[str, Any] = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
         except (OSError, ValueError) as error:
             raise self._silent(error) from error
         if not answer:
             raise self._silent("the connection was closed")
         if not answer.get("ok"):
-            raise ControlRequestRefused(f"{what} is refused: {answer.get('reason', 'no reason given')}")
-        return dict(answer)
+            reason = answer.get("reason", "no reason given")
+            raise ControlRequestRefused(f"{what} is refused: {reason}", action=answer.get("advice"))
+        return answer
 
     def _silent(self, reason: object) -> ControlPortSilent:
         return ControlPortSilent(f"no answer at the control port {self._endpoint}: {reason}")

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 CAMERAS = 2
+FAULTS_OF = ("camera", "room")  # that this simulator alone can have
 
 
 def basler(
@@ -24,7 +25,7 @@ def basler(
 
     from sim.basler.kept_memory import keep_freed_memory
     from sim.basler.pair import CameraPair
-    from sim.theatre.process import announce, end_with_parent, open_world
+    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
 
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):
@@ -39,7 +40,8 @@ def basler(
                 f"{one!r} is not an IPv4 address, such as 127.77.0.1", param_hint="--address"
             ) from error
     keep_freed_memory()
-    room, control = open_world(world, scene, faults)
+    room = open_world(world, scene, faults, FAULTS_OF)
+    control = own_control_port(world, room, FAULTS_OF)
     pair = CameraPair(room, addresses)
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)

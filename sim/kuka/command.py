@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
 
 RSI_DEFAULT = "udp://127.0.0.1:59152"
+FAULTS_OF = ("robot",)  # that this simulator alone can have
 
 
 class Corrections(StrEnum):
@@ -79,7 +80,7 @@ def kuka(
     from sim.kuka.rsi.rsi_socket import resolve
     from sim.kuka.rsi.telegram_writer import TelegramWriter
     from sim.named_parameters import rows
-    from sim.theatre.process import announce, end_with_parent, open_world
+    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
@@ -91,7 +92,8 @@ def kuka(
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
-    room, control = open_world(world, scene, faults)
+    room = open_world(world, scene, faults, FAULTS_OF)
+    control = own_control_port(world, room, FAULTS_OF)
     left = room.arm() if room.has_arm else None
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, left)
     controller = Controller(context, arm, room.mounted_tool, parameters)

@@ -97,7 +97,9 @@ def phantom(
     )
     if family is not None or fiducials is not Fiducials.FREE:
         if scene != DEFAULT_SCENE or targets is not None:
-            raise BadScene("a family draws its own head and trajectory; leave --scene and --targets out")
+            raise BadScene(
+                "a family draws its own head and trajectory", action="Leave --scene and --targets out."
+            )
         scan = family_scan(
             family or DEFAULT_FAMILY,
             protocol or DEFAULT_PROTOCOL,

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 SERIAL_PTY = "serial-pty"
+FAULTS_OF = ("tracker", "room")  # that this simulator alone can have
 
 
 class ModelName(StrEnum):
@@ -50,7 +51,7 @@ def polaris(
     from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.unit import Unit
-    from sim.theatre.process import announce, end_with_parent, open_world
+    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
         for name, value, meaning in rows(UnitBehaviour):
@@ -62,8 +63,10 @@ def polaris(
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and model is ModelName.VICRA:
         scene = "bench-near"  # the other bench is beyond its volume
-    room, control = open_world(world, scene, faults)
-    interpreter = CommandInterpreter(Unit(room, kind, behaviour, tools))
+    room = open_world(world, scene, faults, FAULTS_OF)
+    unit = Unit(room, kind, behaviour, tools)
+    interpreter = CommandInterpreter(unit)
+    control = own_control_port(world, room, FAULTS_OF, unit.loaded_tools)
     end = EndSignal()
     server = Server(interpreter, end)
     end_with_parent(end.give)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line.console import JsonOption, print_json, print_table
+from ronna_hw.command_line.console import JsonOption, print_json, print_table, say
+from ronna_hw.command_line.errors import UsageMistake
 from sim.theatre.on_stand import OnStand
 
 if TYPE_CHECKING:
@@ -194,19 +195,22 @@ def fault(
 ) -> None:
     """Inject a fault into a running theatre or simulator; without one, list all faults."""
     from ronna_hw.host.control_port import ask_control_port
-    from sim.theatre.faults import FAULT_KINDS, TRIGGERS
+    from sim.theatre.faults import FAULT_KINDS
 
     if line is None and not clear:
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]
         print_table("Faults that can be injected", ("fault", "", "effect"), rows)
         return
     if control is None:
-        raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")
+        raise UsageMistake(
+            f"no control port for the fault {line!r}" if line else "no control port to clear faults at",
+            expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
+            action="Copy the line that ronna-procedure run --sim, step --sim or the READY line tells.",
+        )
     if clear:
         ask_control_port(control, "clear_faults")
     if line is not None:
-        timed = line.split(maxsplit=1)[0].rstrip(":") in TRIGGERS
-        ask_control_port(control, "fault", line=line if timed else f"now: {line}")
+        say(ask_control_port(control, "fault", line=line)["effect"])
 
 
 def verify(

@@ -8,12 +8,12 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
-from sim.theatre.faults import begin_now, check_faults, parse_faults
+from sim.theatre.faults import DEVICES, begin_now, check_faults, parse_faults, parse_request
 from sim.theatre.left_world import write_left_world
 from sim.theatre.on_stand import OnStand
 from sim.theatre.stand import read_dials
@@ -29,11 +29,23 @@ class NoSuchTool(Exception):
 
 
 class Room:
-    """What the operator can do in the room. Truth at a target is kept in `folder`, where there is one."""
+    """What the operator can do in the room. Truth at a target is kept in `folder`, where there is one.
 
-    def __init__(self, world: World, folder: Path | None) -> None:
+    `devices` are those that are simulated here: faults of another one are refused. `loaded` tells the tools
+    that a client has loaded into the tracker, where it is in this process.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        folder: Path | None,
+        devices: Sequence[str] = DEVICES,
+        loaded: Callable[[], Sequence[str]] | None = None,
+    ) -> None:
         self._world = world
         self._folder = folder
+        self._devices = devices
+        self._loaded = loaded
         self._one_at_a_time = threading.Lock()  # several connections may ask
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
@@ -55,7 +67,11 @@ class Room:
         except NoSuchTool as error:
             return {"ok": False, "reason": str(error)}
         except RonnaError as error:
-            return {"ok": False, "reason": f"{error.code}: {error.what}"[:LONGEST_REASON]}
+            return {
+                "ok": False,
+                "reason": f"{error.code}: {error.summary}"[:LONGEST_REASON],
+                "advice": error.advice[:LONGEST_REASON],
+            }
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
@@ -84,12 +100,15 @@ class Room:
     def _dials(self, _request: dict[str, Any]) -> dict[str, Any]:
         return {"dials_mm": read_dials(self._world)}
 
-    def _fault(self, request: dict[str, Any]) -> None:
+    def _fault(self, request: dict[str, Any]) -> dict[str, Any]:
         line = str(request["line"])
+        asked = parse_request(line)
+        loaded = None if self._loaded is None else self._loaded()
+        check_faults([asked], self._world.scene, self._devices, loaded)
         _, text = self._world.fault_script()
-        check_faults(parse_faults(line), self._world.scene)
         line = begin_now(line, self._world.clock.now_s())
         self._world.set_fault_script(f"{text}\n{line}" if text else line)
+        return {"effect": parse_faults(line)[0].effect}
 
     def _clear_faults(self, _request: dict[str, Any]) -> None:
         self._world.set_fault_script("")

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 
@@ -19,7 +19,7 @@ from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.host.parent_process import PARENT
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
-from sim.theatre.faults import read_faults
+from sim.theatre.faults import DEVICES, read_faults
 from sim.theatre.scene.model import ArmResidual, Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
@@ -81,20 +81,32 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
     os._exit(EXIT_FAILED)
 
 
-def open_world(world: str | None, scene: str, faults: Path | None = None) -> tuple[World, str | None]:
-    """The theatre's world, or for a simulator that was started alone a world and a control port of its own.
+def open_world(
+    world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
+) -> World:
+    """The theatre's world, or for a simulator that was started alone a world of its own.
 
-    A world of its own follows the host's clock. `scene` is a built-in name or a file. Also the endpoint of
-    the control port; None in a theatre, whose own it is.
+    A world of its own follows the host's clock. `scene` is a built-in name or a file; `devices` are those
+    that are simulated in it.
     """
     if world is not None:
-        return World.open(world), None
+        return World.open(world)
     truth = load_scene(scene)
-    script = read_faults(faults, truth) if faults else ""
+    script = read_faults(faults, truth, devices) if faults else ""
     own = World.create(truth, paced=True)
     if script:
         own.set_fault_script(script)
-    return own, ControlPort(Room(own, None)).endpoint
+    return own
+
+
+def own_control_port(
+    world: str | None,
+    own: World,
+    devices: Sequence[str],
+    loaded: Callable[[], Sequence[str]] | None = None,
+) -> str | None:
+    """The control port of a simulator that was started alone; None in a theatre, whose own it is."""
+    return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
 
 
 def load_scene(

@@ -98,19 +98,6 @@ def test_a_port_in_use(silent_port: int) -> None:
     assert str(silent_port) in line
 
 
-def test_a_camera_address_that_is_none() -> None:
-    done = in_this_process(ronna_sim, "basler", "--address", "foo", "--address", "127.77.9.2")
-    assert "'foo' is not an IPv4 address" in " ".join(one_error(done.stderr))
-    assert done.returncode == EXIT_USAGE
-
-
-def test_a_fault_script_that_cannot_happen(tmp_path: Path) -> None:
-    path = tmp_path / "faults.txt"
-    path.write_text("at 0 s: tracker occlude marker 99 for 1 s")
-    words = ("theatre", "--scene", "mini", "--faults", path, "--out", tmp_path / "theatre")
-    assert "got 99" in _refused(in_this_process(ronna_sim, *words), "SIM-003", EXIT_USAGE)
-
-
 def test_truth_with_a_bad_line(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre"
     theatre.mkdir()
@@ -127,6 +114,22 @@ def test_an_output_folder_that_cannot_be_written(tmp_path: Path) -> None:
 
 def test_a_read_only_output_folder() -> None:
     _refused(_run_mini(Path("/proc/self/runs")), "CLI-00", EXIT_FAILED)
+
+
+@pytest.mark.parametrize(
+    ("option", "content", "said"),
+    [
+        ("--faults", "at 3 s: robot dorp 2 %\n", "Did you mean: at 3 s: robot drop 2 %?"),
+        ("--scene", "schema = 1\nname = 'mine'\n", "head: is missing"),
+    ],
+)
+def test_a_refused_theatre_leaves_no_run_and_says_why(
+    tmp_path: Path, option: str, content: str, said: str
+) -> None:
+    (path := tmp_path / "given.toml").write_text(content)
+    words = ("run", "--sim", option, path, "--out", tmp_path / "new" / "runs")
+    assert said in _refused(in_this_process(ronna_procedure, *words), "PRO-013", EXIT_USAGE)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def _run_mini(out: Path) -> subprocess.CompletedProcess[str]:
@@ -148,7 +151,8 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (50_000, 50_000)),
     )
     assert done.returncode == EXIT_FAILED
-    assert "CLI-003" in " ".join(one_error(done.stderr))
+    assert "ct/slice-0001.dcm: file too large" in " ".join(one_error(done.stderr))
+    assert list(out.rglob("*.dcm")) == []
     assert list(out.rglob("*.partial")) == []
 
 
@@ -163,23 +167,3 @@ def test_what_is_not_built_yet_says_so(tmp_path: Path, code: str, option: tuple[
     done = in_this_process(ronna_procedure, "run", "--sim", *option, "--out", tmp_path / "runs")
     assert "not yet" in _refused(done, code, EXIT_USAGE)
     assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        ("run",),
-        ("run", "--sim", "--config", "x"),
-        ("run", "--sim", "--markers", "9"),
-        ("run", "--sim", "--seed", "-1"),
-        ("run", "--sim", "--scene", "theatre royal"),
-        ("fly",),
-    ],
-)
-def test_a_wrong_command_line(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: tuple[str, ...]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    done = in_this_process(ronna_procedure, *arguments)
-    one_error(done.stderr)
-    assert done.returncode == EXIT_USAGE, done.stderr

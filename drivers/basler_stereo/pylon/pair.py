@@ -54,7 +54,9 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         try:
             self._options = PylonOptions.model_validate_json(json.dumps(config.options))
         except ValidationError as error:
-            raise BadOptions("stereo options: " + "; ".join(describe_mistakes(error))) from error
+            raise BadOptions(
+                "stereo options: " + "; ".join(describe_mistakes(error, PylonOptions))
+            ) from error
         super().__init__(name, config, clock, self._options)
         self._pair_clock = PairClock((None, None), 0.0)
         self._out_of_step = False

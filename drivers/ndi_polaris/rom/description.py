@@ -129,12 +129,12 @@ def read_description(path: Path) -> ToolDescription:
     try:
         content = read_toml(path, partial(BadToolFile, action="Correct the description."))
     except OSError as error:
-        raise BadToolFile(f"cannot read {path.name}: {error.strerror}") from error
+        raise BadToolFile(f"cannot read {path}: {error.strerror}") from error
     try:
         # via JSON: strict types, but lists are accepted for tuples and text for dates
         return ToolDescription.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
+        mistakes = describe_mistakes(error, ToolDescription)
         raise BadToolFile(
             f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes),
             action="Correct the description.",

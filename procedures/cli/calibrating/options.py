@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
 SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]
-SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the simulated theatre.")]
+SeedOption = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the simulated theatre.")]
 ConfigOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
 ]
@@ -76,4 +76,6 @@ def theatre_request(
     if config is not None and (first_day or records):
         raise UsageMistake("--first-day and --calibration go with --sim")
     choice = SceneChoice(scene, seed, calibrated=calibrated, first_day=first_day, records=tuple(records))
+    if sim:
+        choice.check()
     return TheatreRequest(config=config, choice=choice)

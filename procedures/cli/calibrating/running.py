@@ -63,8 +63,8 @@ def run_steps(
         with opened_engine(request, folder, procedure, watcher) as engine:
             engine.run_to()
             judge(engine)
-    except BaseException:  # also an interruption: a folder that holds nothing is no run
-        forget_if_empty(folder)
+    except BaseException as problem:  # also an interruption: a folder that holds nothing is no run
+        forget_if_empty(folder, problem)
         raise
     return engine
 

@@ -52,7 +52,7 @@ def read_answers(path: Path) -> Answers:
     try:
         read = Answers.model_validate(read_toml(path, AnswersUnfit))
     except ValidationError as error:
-        raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error))}") from error
+        raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
         raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
     return read

@@ -88,6 +88,9 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
     if key is None:
         say("the case is finished")
         return
+    if engine.case.stands(key):
+        say(f"{key} is done and its result stands; back {key} repeats it")
+        return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
 

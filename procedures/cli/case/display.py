@@ -16,7 +16,7 @@ from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, new_run_folder
+from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, run_folder
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
@@ -115,8 +115,7 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
 def follow_case(request: CaseRequest, *, as_json: bool) -> None:
     """Run a case and show it; with JSON one object also for a run that did not end."""
     check_request(request)
-    folder = new_run_folder(request)
-    with held_run(folder):
+    with run_folder(request) as folder, held_run(folder):
         follow(
             request,
             folder,
@@ -137,7 +136,7 @@ def follow(
         with following(quiet=as_json) as watcher:
             outcome = run(watcher)
     except BaseException as problem:  # also an interruption: every run leaves a report
-        forget_if_empty(folder)
+        forget_if_empty(folder, problem)
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)
         seal_run(folder)

@@ -273,6 +273,7 @@ def _make_engine(
     from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape
     from ronna_hw.recording.taped_device import taped
     from ronna_hw.registry import make_device
+    from ronna_hw.software import this_software
     from ronna_hw.theatre import Theatre
 
     def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
@@ -314,6 +315,7 @@ def _make_engine(
         **request_hash(folder),
         **truth_so_far(folder),
         run=case.run,
+        software=str(this_software()),
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
         procedure=wanted.title,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import secrets
 import shutil
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,7 +13,10 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
+from procedures.engine.errors import CommandRefused
+from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
@@ -85,9 +90,27 @@ def new_run_folder(request: CaseRequest) -> Path:
     return made.rename(folder)
 
 
-def forget_if_empty(folder: Path) -> None:
-    """Remove a run folder in which nothing but the request and the log was written."""
-    if not any(
+@contextlib.contextmanager
+def run_folder(request: CaseRequest) -> Iterator[Path]:
+    """A new run's folder for the length of the block; nothing is left of one that was forgotten in it."""
+    made = [path for path in (request.out, *request.out.parents) if not path.exists()]
+    folder = new_run_folder(request)
+    try:
+        yield folder
+    finally:
+        if not folder.exists():
+            for path in made:
+                with contextlib.suppress(OSError):  # another run has begun there meanwhile
+                    path.rmdir()
+
+
+def forget_if_empty(folder: Path, problem: BaseException | None = None) -> None:
+    """Remove a run folder in which nothing but the request and the log was written.
+
+    Also one whose simulated theatre or patient was refused: what they had begun is of no use.
+    """
+    refused = isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
+    if (refused and not (folder / JOURNAL_FILE).exists()) or not any(
         path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path in folder.rglob("*")
     ):
         shutil.rmtree(folder, ignore_errors=True)

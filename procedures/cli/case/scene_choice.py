@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from difflib import get_close_matches
 from pathlib import Path
 
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
+from ronna_hw.command_line.errors import UsageMistake
+
+NAMED = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
+LARGEST_SEED = 2**63 - 1  # what a journal's JSON keeps exactly everywhere
 
 
 @dataclass(frozen=True)
@@ -19,6 +24,16 @@ class SceneChoice:
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
     first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
+
+    def check(self) -> None:
+        """Raise CLI-001 for a scene that is neither named nor a file; what is in a file, its reader says."""
+        if self.scene not in NAMED and not Path(self.scene).is_file():
+            alike = get_close_matches(self.scene, NAMED, n=1)
+            raise UsageMistake(
+                f"there is no scene {self.scene!r}",
+                expected=f"{' or '.join(NAMED)}, which have a patient, or the path of a scene file",
+                action=f"Did you mean {alike[0]}?" if alike else "ronna-sim scene prints one to start from.",
+            )
 
     def arguments(self) -> list[str]:
         """As options of `ronna-sim theatre` and `ronna-sim phantom`."""

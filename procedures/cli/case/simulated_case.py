@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -14,6 +15,7 @@ from ronna_hw.host.child_process import ChildNotReady, command
 from ronna_hw.simulation import NAME, TheatreProcess
 
 PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
+LOOK_AGAIN_S = 0.1  # host time: at whether the theatre still starts
 
 
 class SimulatedCase:
@@ -35,15 +37,23 @@ class SimulatedCase:
     def await_patient(self) -> None:
         """Return when the CT series and the plan are written; raises PRO-013 with the command's words.
 
-        PRC-001 when they are not in time.
+        That of the theatre as soon as it is refused; PRC-001 when they are not in time.
         """
         assert self._phantom is not None, "no patient was wanted"
-        try:
-            _, messages = self._phantom.communicate(timeout=PHANTOM_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            raise ChildNotReady(
-                "ronna-sim phantom did not end", expected="the phantom CT", limit=f"{PHANTOM_TIMEOUT_S:g} s"
-            ) from None
+        limit_s = time.monotonic() + PHANTOM_TIMEOUT_S
+        while True:
+            try:
+                _, messages = self._phantom.communicate(timeout=LOOK_AGAIN_S)
+                break
+            except subprocess.TimeoutExpired:
+                if not self.theatre.child.alive:
+                    self.await_theatre()  # it was refused: nobody needs the patient
+                if time.monotonic() > limit_s:
+                    raise ChildNotReady(
+                        "ronna-sim phantom did not end",
+                        expected="the phantom CT",
+                        limit=f"{PHANTOM_TIMEOUT_S:g} s",
+                    ) from None
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 

@@ -11,7 +11,7 @@ from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Watcher, opened_case
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, new_run_folder
+from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import say, tell
@@ -20,8 +20,12 @@ from ronna_hw.command_line.messages import say, tell
 def step_through(request: CaseRequest) -> None:
     """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held."""
     check_request(request)
-    folder = new_run_folder(request)
-    with held_run(folder), leaving_report(folder), pause_on_interrupt() as interrupts:
+    with (
+        run_folder(request) as folder,
+        held_run(folder),
+        leaving_report(folder),
+        pause_on_interrupt() as interrupts,
+    ):
         followers: list[EventFollower] = []
 
         def catch_up() -> None:

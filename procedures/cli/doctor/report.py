@@ -116,7 +116,7 @@ def _probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diag
     try:
         return load_probe(config.driver)(name, config, progress)
     except RonnaError as error:
-        return (Diagnostic(f"device {name}", False, f"{error.code} {error.what}", error.advice),)
+        return (Diagnostic(f"device {name}", False, f"{error.code} {error.summary}", error.advice),)
 
 
 def _advance(progress: Progress, number: int, looks: int, share: float) -> None:

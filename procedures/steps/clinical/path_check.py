@@ -137,7 +137,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
 def _closest(motions: Sequence[PreviewedMotion]) -> str:
     closest = [motion.preview.closest for motion in motions]
     distances = [one.distance_mm for one in closest if one is not None]
-    return f", clear by {min(distances):.0f} mm" if distances else ""
+    return f", nothing nearer than {min(distances):.0f} mm" if distances else ""
 
 
 def _turns(turned: TurnedPaths) -> str:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.errors import BadScene
+from sim.errors import SEE_PHANTOM, BadScene
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Family, Headrest
 from sim.phantom.families.drawn_bands import draw_bands
 from sim.phantom.families.field_edge import grid_ending_at_spheres
@@ -70,7 +70,7 @@ def family_scan(
 ) -> Scan:
     """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
     if name not in FAMILIES:
-        raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES))
+        raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
         raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
@@ -109,7 +109,7 @@ def family_scan(
 def protocol_named(name: str) -> CtProtocol:
     """A protocol by name; raises SIM-001."""
     if name not in PROTOCOLS:
-        raise BadScene(f"there is no protocol {name!r}", expected=", ".join(PROTOCOLS))
+        raise BadScene(f"there is no protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
     return PROTOCOLS[name]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cached_property
+from io import BytesIO
 from math import cos, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.records import write_whole
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
@@ -64,7 +66,9 @@ class DicomSeries:
         data.ImagePositionPatient = [_decimal(value) for value in position]
         data.SliceLocation = _decimal(position[2])
         data.PixelData = stored.tobytes()
-        dcmwrite(self._folder / f"slice-{number + 1:04d}.dcm", data, enforce_file_format=True)
+        content = BytesIO()
+        dcmwrite(content, data, enforce_file_format=True)
+        write_whole(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
         """Of a slice that is turned about its middle row."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from sim.errors import BadScene
+from sim.errors import SEE_PHANTOM, BadScene
 from sim.phantom.scanner import blur
 
 MOST_TILT_DEG = 30.0  # of a gantry
@@ -52,9 +52,15 @@ class ScannerFaults:
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
-            raise BadScene(f"there is no kernel {self.kernel!r}", expected=", ".join(KERNELS))
+            raise BadScene(
+                f"there is no kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM
+            )
         if abs(self.tilt_deg) > MOST_TILT_DEG:
-            raise BadScene(f"a gantry does not tilt by {self.tilt_deg:g} degrees", limit=f"{MOST_TILT_DEG:g}")
+            raise BadScene(
+                f"a gantry does not tilt by {self.tilt_deg:g} degrees",
+                limit=f"{MOST_TILT_DEG:g}",
+                action=SEE_PHANTOM,
+            )
 
     def told(self) -> dict[str, Any]:
         """Those that are not the default, for the truth file."""

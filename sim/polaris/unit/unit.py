@@ -54,6 +54,10 @@ class Unit:
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
         self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
 
+    def loaded_tools(self) -> list[str]:
+        """Part numbers of the tools that the host has loaded or plugged in."""
+        return [port.definition.part_number for port in self.ports if port.definition is not None]
+
     def initialise(self) -> None:
         """INIT: to setup mode; passive handles are freed, plugged-in tools get theirs."""
         self.frames.stop()

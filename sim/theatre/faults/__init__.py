@@ -7,22 +7,24 @@ from sim.theatre.faults.board import FaultBoard
 from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.kinds import FaultKind
 from sim.theatre.faults.language import (
+    DEVICES,
     FAULT_KINDS,
-    TRIGGERS,
     begin_now,
     check_faults,
     parse_faults,
+    parse_request,
     read_faults,
 )
 
 __all__ = [
+    "DEVICES",
     "FAULT_KINDS",
-    "TRIGGERS",
     "Fault",
     "FaultBoard",
     "FaultKind",
     "begin_now",
     "check_faults",
     "parse_faults",
+    "parse_request",
     "read_faults",
 ]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from sim.theatre.faults.kinds import Arguments, FaultKind
+from sim.theatre.faults.kinds import TERMINALS, Arguments, FaultKind
 
 
 def _never(_cycle: int) -> float:
@@ -29,6 +29,26 @@ class Fault:
     def argument(self) -> str:
         """The first argument; an empty text for a fault without one."""
         return self.arguments[0] if self.arguments else ""
+
+    @property
+    def phrase(self) -> str:
+        """As it is written in a script, without beginning and duration."""
+        words = iter(self.arguments)
+        return " ".join(
+            next(words) if word in TERMINALS else word
+            for word in (self.kind.device, *self.kind.phrase.split())
+        )
+
+    @property
+    def effect(self) -> str:
+        """What it does, and when, for the one who has just asked for it."""
+        begins = "from now on" if self.at_s is None else f"from {self.at_s:.3f} s of theatre time on"
+        if self.step is not None:
+            begins = f"whenever the step {self.step} begins"
+        if self.cycle is not None:
+            begins = f"from cycle {self.cycle} on"
+        lasts = "until it is cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
+        return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"
 
     def onset_s(
         self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float] = _never

@@ -13,8 +13,8 @@ of each. `now` is for the control port; in a script it is the beginning.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
-from difflib import SequenceMatcher, get_close_matches
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -26,7 +26,8 @@ from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.kinds import TERMINALS, FaultKind, either
 from sim.theatre.faults.robot import ROBOT_FAULTS
 from sim.theatre.faults.room import ROOM_FAULTS
-from sim.theatre.faults.tracker import TRACKER_FAULTS
+from sim.theatre.faults.suggestion import meant, nearest_kind
+from sim.theatre.faults.tracker import TRACKER_FAULTS, tool_is_there
 from sim.theatre.scene.model import Scene
 
 if TYPE_CHECKING:
@@ -37,11 +38,13 @@ FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FA
 NOW = "now"
 CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", NOW)
+DEVICES = ("tracker", "robot", "camera", "room")
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # that are told at once; each costs a search for what was meant
-LONGEST_COMPARED = 200  # characters of a line in that search
 MOST_LISTED = 6  # of what may stand at a place; beyond this the closest ones are listed
 END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
+BEGINS_NOW = f"{NOW}: "  # put before a line that was typed without a beginning
+EXAMPLE = "at 12.5 s: tracker occlude marker 2 for 2 s"
 READABLE = {
     "INT": "a whole number",
     "NUMBER": "a number",
@@ -72,7 +75,7 @@ COMMENT: /#[^\n]*/
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 with every line that is not a fault."""
+    """Parse a script; raises SIM-003 with every line that is not a fault, and what was probably meant."""
     from lark.exceptions import UnexpectedInput
 
     if len(text) > LONGEST_SCRIPT:
@@ -91,61 +94,100 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
             fault, has_duration = _fault(statement, number)
             faults.append(fault)
             if has_duration and fault.kind.momentary:
-                what = f"line {number}: expected no duration, because the fault happens only once"
+                got = f"got 'for {fault.duration_s:g} s': it happens only once"
+                what = f"line {number}: expected no duration, {got}"
                 mistakes.append(Mistake(what, fault.kind.example))
     _refuse(mistakes)
     return tuple(faults)
 
 
+def parse_request(line: str) -> Fault:
+    """The one fault of a line that was typed at the control port; without a beginning it begins now.
+
+    Raises SIM-003.
+    """
+    if "\n" in line:
+        raise BadFaultScript("expected one line", got=repr(line), action="Give each fault by itself.")
+    faults = parse_faults(line if _begins(line) or not line.strip() else f"{BEGINS_NOW}{line}")
+    if not faults:
+        raise BadFaultScript(f"there is no fault in {line!r}", action=f"Write for example: {EXAMPLE}.")
+    return faults[0]
+
+
 def begin_now(line: str, now_s: float) -> str:
-    """The line with `now` replaced by the present theatre time."""
+    """The line with `now`, or no beginning at all, replaced by the present theatre time."""
+    if not _begins(line):
+        return f"at {now_s:.6f} s: {line}"
     trigger, colon, rest = line.partition(":")
     return f"at {now_s:.6f} s{colon}{rest}" if trigger.strip() == NOW else line
 
 
-def read_faults(path: Path, scene: Scene) -> str:
-    """Text of a script that is right for `scene`; raises SIM-003."""
+def _begins(line: str) -> bool:
+    return line.split(maxsplit=1)[:1] != [] and line.split()[0].rstrip(":") in TRIGGERS
+
+
+def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
+    """Text of a script that is right for `scene` and the devices in it; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
-        raise BadFaultScript(error.summary) from error
+        raise BadFaultScript(f"{path}: {error.summary}") from error
     except OSError as error:
-        raise BadFaultScript(f"cannot read the fault script {path.name}: {error.strerror}") from error
+        raise BadFaultScript(f"cannot read the fault script {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
         raise BadFaultScript(f"{path.name} is not text in UTF-8: {error.reason}") from error
-    check_faults(parse_faults(text), scene)
+    check_faults(parse_faults(text), scene, devices)
     return text
 
 
-def check_faults(faults: Iterable[Fault], scene: Scene) -> None:
-    """Raise SIM-003 with every fault that names a marker or tool that the scene does not have."""
-    _refuse(
-        [
-            Mistake(f"line {fault.line}: {mistake}", fault.kind.example)
-            for fault in faults
-            for mistake in _mistakes(fault, scene)
-        ]
-    )
+def check_faults(
+    faults: Iterable[Fault],
+    scene: Scene,
+    devices: Sequence[str] = DEVICES,
+    loaded: Sequence[str] | None = None,
+) -> None:
+    """Raise SIM-003 with every fault of a device, marker or tool that is not there.
+
+    `loaded` are the tools that a client has loaded into the tracker, where that is known.
+    """
+    mistakes = []
+    for fault in faults:
+        found = list(_mistakes(fault, scene, devices))
+        if not found and loaded is not None:
+            found = list(tool_is_there(fault, scene, loaded))
+        here = fault.kind.device in devices
+        example = (fault.kind if here else _first_of(devices)).example
+        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
+    _refuse(mistakes)
 
 
-def _mistakes(fault: Fault, scene: Scene) -> Iterator[str]:
+def _first_of(devices: Sequence[str]) -> FaultKind:
+    return next(kind for kind in FAULT_KINDS if kind.device in devices)
+
+
+def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
+    if fault.kind.device not in devices:
+        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: there is no other here"
+        return
     if fault.cycle is not None and fault.kind.device != CYCLES_OF:
         yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
     yield from fault.kind.check(fault.arguments, scene)
 
 
 class Mistake(NamedTuple):
-    """What is wrong with a line, and a line that is right."""
+    """What is wrong with a line, a line that is right, and what this one was probably meant to be."""
 
     what: str
     example: str
+    meant: str | None = None
 
 
 def _refuse(mistakes: list[Mistake]) -> None:
     if mistakes:
         what = "; ".join(mistake.what for mistake in mistakes)
-        advice = f"Write for example: {mistakes[0].example}. `ronna-sim fault` lists all faults."
-        raise BadFaultScript(what, action=advice)
+        first = mistakes[0]
+        write = f"Did you mean: {first.meant}?" if first.meant else f"Write for example: {first.example}."
+        raise BadFaultScript(what, action=f"{write} `ronna-sim fault` lists all faults.")
 
 
 def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
@@ -164,11 +206,32 @@ def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
     words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
-    nearest = max(
-        FAULT_KINDS,
-        key=lambda kind: SequenceMatcher(None, kind.usage, line.partition(":")[2][:LONGEST_COMPARED]).ratio(),
+    typed = line.removeprefix(BEGINS_NOW)
+    place = f"line {number}, column {column - len(line) + len(typed)}"
+    if not _begins(line) and _reads(f"{BEGINS_NOW}{line}"):
+        what = f"{place}: expected 'at' or 'when', which say when it begins, got {got}"
+        return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
+    said = None
+    if any(
+        word not in READABLE.values() for word in words
+    ):  # else an argument is wrong, which only they know
+        said = meant(
+            typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
+        )
+    return Mistake(
+        f"{place}: expected {either(words)}, got {got}", nearest_kind(typed, FAULT_KINDS).example, said
     )
-    return Mistake(f"line {number}, column {column}: expected {either(words)}, got {got}", nearest.example)
+
+
+def _reads(line: str) -> bool:
+    """True for a line of the language."""
+    from lark.exceptions import UnexpectedInput
+
+    try:
+        _grammar().parse(line)
+    except UnexpectedInput:
+        return False
+    return True
 
 
 def _readable(terminal: str) -> str:

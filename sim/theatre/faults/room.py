@@ -11,6 +11,6 @@ SHIFT = DeviceFaults(DEVICE).lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
     "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
-    OneOf("what is moved", (HEAD, CART, TRACKER)),
+    OneOf("to move the", (HEAD, CART, TRACKER)),
 )
 ROOM_FAULTS = (SHIFT,)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS
+from sim.theatre.faults.fault import Fault
 from sim.theatre.faults.kinds import Arguments, DeviceFaults, OneOf, at_most, expected, fiducial_number
 from sim.theatre.scene.model import Scene, TrackerTool
 
@@ -33,11 +34,25 @@ def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
         yield from expected(f"{tool.name} marker", numbers, arguments[1])
 
 
+def tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
+    """Check that the tool of a fault is in the scene, or that a client has loaded its definition."""
+    if fault.kind.check in (_tool, _tool_marker) and not _tools(fault.argument, scene):
+        known = [*(tool.name for tool in scene.tracker.tools), *loaded]
+        yield from expected("tool", list(dict.fromkeys(known)), fault.argument)
+
+
+def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    if not scene.tracker.fiducials_visible:
+        yield f"expected a scene with markers on a head, got {scene.name}: marker {arguments[0]} is not in it"
+        return
+    yield from fiducial_number(arguments, scene)
+
+
 _few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit reports")
 _socket = OneOf("socket", SOCKETS)
 
 SIGHT_FAULTS = (
-    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", fiducial_number),
+    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _visible_fiducial),
     lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _tool),
     lasting(
         "occlude_tool_marker",

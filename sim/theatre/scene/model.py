@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from ronna_hw.bounded_input import read_json_bytes, read_toml
-from ronna_hw.calibration import Numbers3, PoseRecord, Strict
+from ronna_hw.calibration import FocalPixels, Length, Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.text.counting import counted
 from sim.errors import BadScene
@@ -22,6 +22,8 @@ Numbers6 = tuple[float, float, float, float, float, float]
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
+HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
 Name = Annotated[str, Field(min_length=1)]
 ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
@@ -34,7 +36,9 @@ class Fiducial(Strict):
     number: Count = Field(description="Name of the sphere in messages and truth.")
     centre_ct_mm: Numbers3 = Field(description="Its centre.")
     post_ct: Numbers3 = Field(description="Unit vector from the skull to the sphere.")
-    radius_mm: Positive = Field(default=SPHERE_RADIUS_MM, description="Of the sphere.")
+    radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
+        default=SPHERE_RADIUS_MM, description="Of the sphere."
+    )
 
 
 class Target(Strict):
@@ -59,7 +63,7 @@ class Head(Strict):
 
     robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient lies.")
     centre_ct_mm: Numbers3 = Field(description="Middle of the ellipsoid.")
-    semi_axes_mm: tuple[Positive, Positive, Positive] = Field(description="Left, posterior, superior.")
+    semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(description="Left, posterior, superior.")
     fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
         description="Spheres on bone screws."
     )
@@ -94,11 +98,11 @@ class Head(Strict):
 class CtProtocol(Strict):
     """How the CT is scanned: voxel size, grid and noise."""
 
-    pixel_mm: Positive = Field(default=0.5, description="Within a slice.")
-    slice_mm: Positive = Field(default=1.0, description="From slice to slice.")
-    columns: Count = Field(default=512, description="Of a slice.")
-    rows: Count = Field(default=512, description="Of a slice.")
-    slices: Count = Field(default=200, description="Of the series.")
+    pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Within a slice.")
+    slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="From slice to slice.")
+    columns: SlicePixels = Field(default=512, description="Of a slice.")
+    rows: SlicePixels = Field(default=512, description="Of a slice.")
+    slices: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="Of the series.")
     noise_HU: NotNegative = Field(default=20.0, description="One standard deviation.")
 
 
@@ -163,7 +167,7 @@ class CameraTruth(Strict):
     """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
 
     serial: str = Field(description="Serial number that the camera tells.")
-    focal_px: tuple[Positive, Positive] = Field(description="Along columns and along rows.")
+    focal_px: tuple[FocalPixels, FocalPixels] = Field(description="Along columns and along rows.")
     principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
     distortion: tuple[float, float, float, float, float] = Field(description="k1 k2 p1 p2 k3.")
     sensor_px: tuple[Count, Count] = Field(default=(2048, 1088), description="Columns and rows.")
@@ -289,7 +293,7 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
     try:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
+        mistakes = describe_mistakes(error, Scene)
         raise BadScene(f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)) from error
 
 
@@ -302,5 +306,5 @@ def read_scene(path: Path) -> Scene:
     except OSError as error:
         raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
     except ValidationError as error:
-        raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error
+        raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error, Scene))) from error
     return parse_scene(content, path.name)

@@ -146,7 +146,7 @@ def test_percentiles_lie_in_the_right_bin() -> None:
 def test_options_have_defaults_and_every_mistake_is_told() -> None:
     assert read_options("arm", {}).silence_limit_s == 0.25
     assert read_options("arm", {"variant": "kr6_r900_2"}).variant.value == "kr6_r900_2"
-    with pytest.raises(BadOptions, match="3 wrong options") as caught:
+    with pytest.raises(BadOptions, match="options have 3 mistakes") as caught:
         read_options("arm", {"variant": "kr16", "speed_fraction": 0.5, "speed": 1})
     assert caught.value.code == "RSI-013"
     assert caught.value.exit_code == 2

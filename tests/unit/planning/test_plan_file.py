@@ -118,7 +118,7 @@ def test_all_mistakes_come_in_one_error_with_their_codes(plan_text, plan_path):
     with pytest.raises(PlanMistakes) as caught:
         read_plan(plan_path(text))
     message = str(caught.value)
-    for part in ("3 mistakes", "PLAN-002 implanted", "PLAN-004 trajectories.0", "PLAN-005"):
+    for part in ("3 mistakes", "PLAN-002 implanted", "PLAN-004 trajectory T1", "PLAN-005"):
         assert part in message
 
 
@@ -132,7 +132,5 @@ def test_thousands_of_mistakes_are_counted_not_listed(plan_text, plan_path):
 def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
     text = plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60]")
     text = text.replace("target_mm = [-15.5, -10.0, 25.0]", "target_mm = [-20, -40, 70]")
-    with pytest.raises(
-        BadTrajectoryGeometry, match=r"PLAN-004.*2 mistakes.*trajectories\.0.*trajectories\.1"
-    ):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*2 mistakes.*trajectory T1.*trajectory T2"):
         read_plan(plan_path(text))

@@ -119,8 +119,20 @@ def test_a_line_that_was_cut_off_is_run_again(tmp_path: Path) -> None:
 
 def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
-    with pytest.raises(OtherStudy, match="STU-001"):
+    with pytest.raises(OtherStudy, match=r"STU-001: .* other parameters: runs 4, now 5"):
         Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
+
+
+def test_a_damaged_line_costs_its_unit_only(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path, SMALL)
+    for unit in ledger.missing():
+        ledger.add(unit, {"runs": 1.0})
+    file = tmp_path / FILE
+    head, first, *others = file.read_text().splitlines()
+    file.write_text("\n".join([head, first[:-9], *others, ""]))
+    opened = Ledger(tmp_path, SMALL)
+    assert (opened.damaged, len(opened.missing())) == (1, 1)
+    assert Ledger(tmp_path, SMALL).damaged == 0
 
 
 def test_a_damaged_record_is_refused(tmp_path: Path) -> None:

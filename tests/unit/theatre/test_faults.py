@@ -9,6 +9,7 @@ from sim.theatre.faults import (
     begin_now,
     check_faults,
     parse_faults,
+    parse_request,
     read_faults,
 )
 from sim.theatre.scene.named_scenes import named_scene
@@ -34,23 +35,42 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        ("at 3 s robot drop 5 %", "line 2, column 8: expected ':', got 'robot'"),
+        (
+            "at 3 s robot drop 5 %",
+            "line 2, column 8: expected ':', got 'robot'. Write for example: at 12.5 s: ",
+        ),
         (
             "at 3 s: tea for 2 s",
-            "line 2, column 9: expected 'camera', .* or 'tracker', got 'tea'",
+            "line 2, column 9: expected 'camera', .*, got 'tea'. Write for example: at 12.5 s: ",
         ),
         (
             "at 3 s:",
-            "line 2, column 8: expected 'camera', .* or 'tracker', got the end of the line",
+            "line 2, column 8: expected 'camera', .*, got the end of the line. Write for example: at 12.5",
         ),
-        ("at 3 s: robot dorp 5 %", "line 2, column 15: expected 'drop', .*, got 'dorp'"),
-        ("at 3 s: tracker occlude marker x", "line 2, column 32: expected a whole number, got 'x'"),
+        (
+            "at 3 s: robot dorp 5 %",
+            "line 2, column 15: expected 'drop', .*, got 'dorp'. Did you mean: at 3 s: robot drop 5 %",
+        ),
+        (
+            "at 3 s: room shift head 1 2 3",
+            "line 2, .*'mm', .* Did you mean: at 3 s: room shift head 1 2 3 mm",
+        ),
+        ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
+        (
+            "robot drop 5 %",
+            "line 2, column 1: expected 'at' or 'when', which say when it begins, got 'robot'. "
+            "Did you mean: at 12.5 s: robot drop 5 %",
+        ),
+        (
+            "at 3 s: tracker occlude marker x",
+            "line 2, column 32: expected a whole number, got 'x'. Write for example: ",
+        ),
     ],
 )
-def test_a_wrong_line_is_refused_with_its_place_what_was_expected_and_an_example(
+def test_a_wrong_line_is_refused_with_its_place_what_was_expected_and_what_to_write(
     line: str, said: str
 ) -> None:
-    with pytest.raises(BadFaultScript, match=f"SIM-003: {said}. Write for example: at 12.5 s: "):
+    with pytest.raises(BadFaultScript, match=f"SIM-003: {said}"):
         parse_faults("# first\n" + line)
 
 
@@ -97,6 +117,37 @@ def test_every_wrong_line_is_named() -> None:
 def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: {said}"):
         check_faults(parse_faults("\n" + line), named_scene("mini"))
+
+
+@pytest.mark.parametrize(
+    ("line", "devices", "said"),
+    [
+        (
+            "robot drop 2 %",
+            ("tracker", "room"),
+            "of the tracker or room, got 'robot drop 2 %': there is no other",
+        ),
+        ("camera forget left", ("robot",), "of the robot, got 'camera forget left'"),
+        ("tracker occlude tool spoon", ("tracker",), "expected tool robot_frame or fork, got spoon"),
+        ("tracker occlude marker 1", ("tracker",), "expected a scene with markers on a head, got bench"),
+    ],
+)
+def test_a_simulator_alone_has_only_faults_of_what_is_there(
+    line: str, devices: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(BadFaultScript, match=said):
+        check_faults([parse_request(line)], named_scene("bench"), devices, loaded=["fork"])
+
+
+def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
+    (fault,) = parse_faults("at 3 s: robot drop 5 % for 2 s")
+    assert fault.effect == (
+        "robot drop 5 %, from 3.000 s of theatre time on, for 2 s. "
+        "That share of the RSI replies never arrives."
+    )
+    assert parse_request("when step == set_up: tracker bump").effect.startswith(
+        "tracker bump, whenever the step set_up begins, once. "
+    )
 
 
 @pytest.mark.parametrize("step", ["tea", "relocalization:left-STN"])

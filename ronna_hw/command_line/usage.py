@@ -1,0 +1,86 @@
+"""What is wrong with a command line: the option, the value, what was expected, the closest right word.
+
+Typer reports one half of that; the other half is in the option and in the error of its validation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any
+
+from ronna_hw.command_line.errors import UsageMistake
+
+MOST_ALIKE = 3  # of what may have been meant
+
+
+def usage_mistake(mistake: Exception, command: str) -> UsageMistake:
+    """Typer's refusal of the arguments of `command` as an error of ours."""
+    context = getattr(mistake, "ctx", None)
+    help_of = f"{command if context is None else context.command_path} --help"
+    see = f"See {help_of}."
+    if hasattr(mistake, "option_name") and hasattr(mistake, "possibilities"):
+        return _unknown_option(str(mistake.option_name), context, help_of)
+    parameter = getattr(mistake, "param", None)
+    reason = _validation(mistake.__cause__)
+    if parameter is not None and reason is not None:
+        expected, got = reason
+        meaning = _meaning(parameter, context)
+        return UsageMistake(
+            f"{_hint(parameter, context)} cannot be {got}",
+            expected=expected,
+            action=f"{meaning} {see}".lstrip(),
+        )
+    message = getattr(mistake, "message", "") or _formatted(mistake)
+    if parameter is not None and type(mistake).__name__ == "MissingParameter":
+        return UsageMistake(
+            f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()
+        )
+    hint = getattr(mistake, "param_hint", None)
+    text = f"{hint}: {message}" if hint else message
+    return UsageMistake(text if text.endswith("...") else text.rstrip("."), action=see)
+
+
+def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
+    known = [] if context is None else [option for one in context.command.params for option in one.opts]
+    alike = get_close_matches(name, [option for option in known if option.startswith("--")], n=MOST_ALIKE)
+    meant = f"Did you mean {' or '.join(alike)}? " if alike else ""
+    return UsageMistake(f"there is no option {name}", action=f"{meant}{help_of} lists all options.")
+
+
+def _validation(cause: BaseException | None) -> tuple[str, str] | None:
+    """What was expected and what was given instead, where the value was validated."""
+    errors = getattr(cause, "errors", None)
+    if errors is None:
+        return None
+    first: Mapping[str, Any] = errors()[0]
+    limits: Mapping[str, Any] = first.get("ctx", {})
+    match first["type"]:
+        case "greater_than_equal":
+            expected = f"at least {limits['ge']:g}"
+        case "less_than_equal":
+            expected = f"at most {limits['le']:g}"
+        case "int_parsing" | "int_from_float" | "int_parsing_size":
+            expected = "a whole number"
+        case "float_parsing":
+            expected = "a number"
+        case _:  # one of several words, or what else a type refuses
+            expected = str(first["msg"]).removeprefix("Value error, ").rstrip(".")
+            expected = expected.partition(" is not ")[2] or expected
+    return expected, repr(first["input"])
+
+
+def _hint(parameter: Any, context: Any) -> str:
+    """The option or argument as it is typed."""
+    return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
+
+
+def _meaning(parameter: Any, context: Any) -> str:
+    """The help of an option, with its limits; an argument's too."""
+    record = parameter.get_help_record(context)
+    text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
+    return text if not text or text.endswith((".", "]")) else f"{text}."
+
+
+def _formatted(mistake: Exception) -> str:
+    return str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)

@@ -1,0 +1,95 @@
+"""Which software this is: its version, the commit of a checkout, and the lock of its packages.
+
+A result can be computed again only with the packages that computed it, so each run keeps them by the hash of
+the lock file and the names of what is installed otherwise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import subprocess
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+PACKAGE = "ronna-hw"
+CHECKOUT = Path(__file__).resolve().parents[1]
+LOCK = Path("requirements") / "locked.txt"
+GIT_LIMIT_S = 2.0  # host time; a folder on a network may be slow, and a run does not wait for it
+SHORT_HASH = 12  # characters: enough to tell locks apart by eye
+_PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class Software:
+    """What computed a result. `commit` and `lock_sha256` are None where it does not run from a checkout."""
+
+    version: str
+    commit: str | None  # with "-dirty" where files differ from it
+    lock_sha256: str | None
+    otherwise: tuple[str, ...] = ()  # installed in another version than locked: "numpy 2.1, locked 2.0"
+
+    def as_plain(self) -> dict[str, str | list[str] | None]:
+        """For a journal or a log."""
+        return {
+            "version": self.version,
+            "commit": self.commit,
+            "lock_sha256": self.lock_sha256,
+            "otherwise": list(self.otherwise),
+        }
+
+    def __str__(self) -> str:
+        commit = f" ({self.commit})" if self.commit else ""
+        if self.lock_sha256 is None:
+            return f"{PACKAGE} {self.version}{commit}, packages not locked"
+        lock = f"lock {self.lock_sha256[:SHORT_HASH]}"
+        return f"{PACKAGE} {self.version}{commit}, {lock}" + "".join(f"; {one}" for one in self.otherwise)
+
+
+def this_software(checkout: Path = CHECKOUT) -> Software:
+    """The software that runs, as installed and as checked out in a folder."""
+    try:
+        version = metadata.version(PACKAGE)
+    except metadata.PackageNotFoundError:  # on the path without being installed
+        version = "not installed"
+    lock = checkout / LOCK
+    if not lock.is_file():
+        return Software(version, None, None)
+    content = lock.read_bytes()
+    return Software(
+        version, _commit(checkout), hashlib.sha256(content).hexdigest(), tuple(_otherwise(content.decode()))
+    )
+
+
+def _commit(checkout: Path) -> str | None:
+    """As git describes it; None without git or where the folder is none of its own."""
+    if not (checkout / ".git").exists():
+        return None
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"],
+            capture_output=True,
+            text=True,
+            timeout=GIT_LIMIT_S,
+            check=True,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip() or None
+
+
+def _otherwise(lock: str) -> list[str]:
+    """Packages of the lock that are installed in another version. What is not installed, no system needs."""
+    locked: dict[str, set[str]] = {}  # several versions of one package: for other versions of Python
+    for match in _PINNED.finditer(lock):
+        locked.setdefault(match["name"], set()).add(match["version"])
+    found = []
+    for name, versions in locked.items():
+        try:
+            installed = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            continue
+        if installed not in versions:
+            found.append(f"{name} {installed}, locked {' or '.join(sorted(versions))}")
+    return found

@@ -1,0 +1,171 @@
+"""Bad inputs to every command, and the bench on which they are tried: files wrong in one way each."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import import_module
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+import typer
+
+from ronna_hw.errors import EXIT_USAGE
+from sim.theatre.scene.named_scenes import named_scene
+
+
+@dataclass(frozen=True)
+class BadInput:
+    """One command line, and what its one message holds. `{control}` is the control port of a theatre."""
+
+    command: str
+    thing: str
+    value: str
+    expected: str
+    advice: str
+    exit_code: int = EXIT_USAGE
+
+    @classmethod
+    def read(cls, path: Path) -> list[BadInput]:
+        """The rows of a table, one per line: the fields with ` | ` between them."""
+        rows = (line.split(" | ") for line in path.read_text().splitlines() if line and line[0] != "#")
+        return [cls(*row[:5], *map(int, row[5:])) for row in rows]
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        return (self.thing, self.value, self.expected, self.advice)
+
+    def arguments(self, names: Mapping[str, str]) -> list[str]:
+        """Name of the command and its arguments."""
+        return [word.format_map(names) for word in shlex.split(self.command)]
+
+
+def app_of(name: str) -> typer.Typer:
+    """The application of a console script."""
+    (script,) = entry_points(group="console_scripts", name=name)
+    app: typer.Typer = import_module(script.module).app
+    return app
+
+
+def write_bench(folder: Path) -> None:
+    """Every file that a row names."""
+    for name, content in _files().items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    (folder / "empty").mkdir()
+
+
+THEATRE = 'schema = 1\ntheatre = "lab"\n'
+TRACKER = '[tracker]\ndriver = "ndi_polaris"\nendpoint = "tcp://127.0.0.1:1"\n'
+ROBOT = (
+    '[robot.master]\ndriver = "kuka_rsi"\n'
+    'endpoints = { rsi = "udp://127.0.0.1:59152", eki = "tcp://127.0.0.1:1" }\n'
+)
+STEREO = (
+    '[stereo]\ndriver = "basler_stereo"\n'
+    'endpoints = { left = "gev://127.77.0.1", right = "gev://127.77.0.2" }\n'
+)
+PLAN = """schema = 1
+series_instance_uid = "1.2.826.0.1.3680043.8.498.7"
+patient_orientation = "HFS"
+implanted = 4
+fiducials = "free"
+tool = "guide"
+[[trajectories]]
+id = "T1"
+entry_mm = [10.0, -50.0, 60.0]
+target_mm = [5.0, -20.0, 20.0]
+margin_mm = 2.0
+"""
+STEREO_HEAD = """[calibration.stereo_head]
+identifier = "head-1"
+created = 2026-01-01T00:00:00Z
+expires = 2036-01-01T00:00:00Z
+made_by = "bench"
+stated_error_mm = 0.05
+flange_from_tool = { translation_mm = [0.0, 0.0, 300.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0] }
+[calibration.stereo_head.left]
+serial = "1"
+focal_px = [0.0113, 0.0113]
+principal_point_px = [1023.5, 543.5]
+camera_from_tool = { translation_mm = [0.0, 0.0, 250.0], quaternion_wxyz = [1.0, 0.0, 0.0, 0.0] }
+"""
+TOOL = 'part_number = "8700000"\nmarkers_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0]]\n'
+
+
+def _with_focal_px(scene: dict[str, Any], focal_px: float) -> dict[str, Any]:
+    return {**scene, "left": {**scene["left"], "focal_px": [focal_px, focal_px]}}
+
+
+def _files() -> dict[str, str | bytes]:
+    content = named_scene("mini").model_dump(mode="json", by_alias=True, exclude_none=True)
+    scene = tomli_w.dumps(content)
+    return {
+        "notes.txt": "hello\n",
+        "no.toml": "a = = 3\n",
+        "binary.toml": b"\xff\xfe\x00",
+        "wide.toml": scene.replace("columns = 256", "columns = 100000"),
+        "negative.toml": scene.replace("columns = 256", "columns = -1"),
+        "metres.toml": scene.replace("radius_mm = 5.75", "radius_mm = 0.00575", 1),
+        "large.toml": scene.replace("radius_mm = 5.75", "radius_mm = 575.0", 1),
+        "radius.toml": scene.replace("radius_mm = 5.75", "radius = 5.75", 1),
+        "focal.toml": tomli_w.dumps(_with_focal_px(content, 0.0113)),
+        "untimed.txt": "robot drop 2 %\n",
+        "after.txt": "after 3 s: robot drop 2 %\n",
+        "step.txt": "when step == regstration: robot drop 2 %\n",
+        "typo.txt": "at 3 s: robot dorp 2 %\n",
+        "middle.txt": "at 3 s: camera forget middle\n",
+        "latin.txt": b"at 0 s: \xff\n",
+        "answer.toml": "[answers]\nregistration = 'perhaps'\n",
+        "answers.toml": "answer = 'yes'\n",
+        "address.toml": THEATRE
+        + '[robot.master]\ndriver = "kuka_rsi"\n'
+        + 'endpoints = { rsi = "udp://192.168.10.300:59152", eki = "tcp://192.168.10.2:54602" }\n',
+        "camera.toml": THEATRE + STEREO.replace("127.77.0.1", "192.168.3.999"),
+        "port.toml": THEATRE + TRACKER.replace(":1", ":99999"),
+        "com.toml": THEATRE + TRACKER.replace("tcp://127.0.0.1:1", "COM3"),
+        "drver.toml": THEATRE + TRACKER.replace("driver", "drver"),
+        "trackr.toml": THEATRE + TRACKER.replace("[tracker]", "[trackr]"),
+        "noend.toml": THEATRE + '[tracker]\ndriver = "ndi_polaris"\n',
+        "procedure.toml": THEATRE + "[procedure]\nstandof_mm = 60.0\n",
+        "standoff.toml": THEATRE + "[procedure]\nstandoff_mm = 0.06\n",
+        "schema.toml": 'schema = 2\ntheatre = "lab"\n',
+        "nothing.toml": "",
+        "focal_record.toml": THEATRE + STEREO_HEAD,
+        "tracker.toml": THEATRE + TRACKER,
+        "lab.toml": THEATRE + TRACKER.replace("127.0.0.1", "192.168.1.7"),
+        "unknown.toml": THEATRE + TRACKER.replace("ndi_polaris", "ndi_polariss"),
+        "silence.toml": THEATRE + ROBOT + "[robot.master.options]\nsilence_limits = 0.25\n",
+        "speed.toml": THEATRE + ROBOT + "[robot.master.options]\nspeed_fraction = 2.0\n",
+        "robot.toml": THEATRE + ROBOT,
+        "semicolon.csv": "x;y;z\n1;2;3\n",
+        "two.csv": "1,2\n",
+        "words.csv": "left,back,top\n",
+        "infinite.csv": "1,2,inf\n",
+        "empty.csv": "",
+        "pairs.json": "[[1, 2]]",
+        "object.json": "{}",
+        "lps.mrk.json": json.dumps(
+            {"markups": [{"coordinateSystem": "XYZ", "controlPoints": [{"position": [1, 2, 3]}]}]}
+        ),
+        "series/readme.txt": "hello\n",
+        "case/plan.toml": PLAN,
+        "plan.toml": PLAN,
+        "entry.toml": PLAN.replace("entry_mm", "entri_mm"),
+        "same.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[5.0, -20.0, 20.0]"),
+        "twice.toml": PLAN + PLAN[PLAN.index("[[") :],
+        "pronate.toml": PLAN.replace('"HFS"', '"HFX"'),
+        "count.toml": PLAN.replace("implanted = 4", "implanted = 0"),
+        "short.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10.0, -50.0]"),
+        "tool.toml": TOOL,
+        "tool_two.toml": TOOL.replace(", [0.0, 70.0, 0.0]]", "]"),
+        "tool_key.toml": TOOL.replace("part_number", "part_numbr"),
+        "tool_same.toml": TOOL.replace("[0.0, 70.0, 0.0]", "[50.0, 0.0, 0.0]"),
+        "x.rom": b"NDI",
+        "ethernet.xml": "<ROOT/>",
+    }

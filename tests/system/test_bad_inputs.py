@@ -1,0 +1,65 @@
+"""What is typed wrongly is answered by one message: what, which value, what was expected, what to do.
+
+Without a trace, and without a file left behind. The table is `bad_inputs.txt`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import pytest
+from bad_inputs import BadInput, app_of, write_bench
+from user_commands import in_this_process, one_error
+
+from sim.theatre.control import Room
+from sim.theatre.control_port import ControlPort
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.world import World
+
+BAD_INPUTS = BadInput.read(Path(__file__).with_name("bad_inputs.txt"))
+FEWEST = 150
+LOADED = ("8700338",)  # into the tracker that runs alone
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with every file that a row names."""
+    folder = tmp_path_factory.mktemp("bench")
+    write_bench(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def names() -> Iterator[Mapping[str, str]]:
+    """Control ports: of a theatre, of a tracker and of a robot that run alone."""
+    theatre = World.create(named_scene("mini"), paced=False)
+    alone = World.create(named_scene("bench"), paced=False)
+    ports = {
+        "control": ControlPort(Room(theatre, None)),
+        "tracker_alone": ControlPort(Room(alone, None, ("tracker", "room"), lambda: LOADED)),
+        "robot_alone": ControlPort(Room(alone, None, ("robot",))),
+    }
+    yield {name: port.endpoint for name, port in ports.items()}
+    for port in ports.values():
+        port.close()
+
+
+@pytest.mark.parametrize("bad", BAD_INPUTS, ids=lambda bad: bad.command)
+def test_a_bad_input_is_answered_with_what_it_is_what_was_expected_and_what_to_do(
+    bad: BadInput, bench: Path, names: Mapping[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(bench)
+    monkeypatch.delenv("RONNA_CONTROL", raising=False)
+    before = sorted(bench.rglob("*"))
+    name, *arguments = bad.arguments(names)
+    done = in_this_process(app_of(name), *arguments)
+    message = " ".join(one_error(done.stderr))
+    assert [word for word in bad.words if word not in message] == [], message
+    assert done.returncode == bad.exit_code, message
+    assert done.stdout == ""
+    assert sorted(bench.rglob("*")) == before
+
+
+def test_there_are_enough_of_them() -> None:
+    assert len({bad.command for bad in BAD_INPUTS}) == len(BAD_INPUTS) >= FEWEST
