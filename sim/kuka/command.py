@@ -92,17 +92,18 @@ def kuka(
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
+    eki_address, project_address = _listening(eki), _listening(eki_project)
     room = open_world(world, scene, faults, FAULTS_OF)
-    control = own_control_port(world, room, FAULTS_OF)
     left = room.arm() if room.has_arm else None
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, left)
     controller = Controller(context, arm, room.mounted_tool, parameters)
     # In lock-step the theatre's time stands while the submit interpreter loops: there it answers at once.
-    project_server = EkiServer(_listening(eki_project), SUBMIT_CYCLE_S if room.clock.paced else 0.0)
-    sdk_server = EkiServer(_listening(eki), SUBMIT_CYCLE_S)
+    project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
+    sdk_server = EkiServer(eki_address, SUBMIT_CYCLE_S)
     cycle_loop = CycleLoop(
         controller, room, address, project_server, sdk_server, Autostart(controller, wanted=autostart)
     )
+    control = own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
         "kuka",

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Watcher, opened_engine
-from procedures.cli.case.request import TheatreRequest, forget_if_empty
+from procedures.cli.case.request import TheatreRequest, forget_if_empty, forget_if_refused
 from procedures.engine.events import Event, Progress
 
 if TYPE_CHECKING:
@@ -64,7 +64,8 @@ def run_steps(
             engine.run_to()
             judge(engine)
     except BaseException as problem:  # also an interruption: a folder that holds nothing is no run
-        forget_if_empty(folder, problem)
+        forget_if_refused(folder, problem)
+        forget_if_empty(folder)
         raise
     return engine
 

@@ -16,7 +16,13 @@ from procedures.cli.case.opening import Watcher
 from procedures.cli.case.outcome import run_case, unfinished
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, forget_if_empty, run_folder
+from procedures.cli.case.request import (
+    CaseRequest,
+    check_request,
+    forget_if_empty,
+    forget_if_refused,
+    run_folder,
+)
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
@@ -136,7 +142,8 @@ def follow(
         with following(quiet=as_json) as watcher:
             outcome = run(watcher)
     except BaseException as problem:  # also an interruption: every run leaves a report
-        forget_if_empty(folder, problem)
+        forget_if_refused(folder, problem)
+        forget_if_empty(folder)
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)
         seal_run(folder)

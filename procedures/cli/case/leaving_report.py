@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.request import forget_if_empty
+from procedures.cli.case.request import forget_if_refused
 from procedures.cli.case.truth import truth_if_any
 from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import as_ronna_error
@@ -86,7 +86,7 @@ def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     try:
         yield
     except BaseException as problem:  # also an interruption: every run leaves a report
-        forget_if_empty(folder, problem)
+        forget_if_refused(folder, problem)
         leave_report(folder, error_of(problem))
         seal_run(folder)
         tell_way_on(folder, problem)

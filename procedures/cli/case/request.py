@@ -104,13 +104,16 @@ def run_folder(request: CaseRequest) -> Iterator[Path]:
                     path.rmdir()
 
 
-def forget_if_empty(folder: Path, problem: BaseException | None = None) -> None:
-    """Remove a run folder in which nothing but the request and the log was written.
-
-    Also one whose simulated theatre or patient was refused: what they had begun is of no use.
-    """
+def forget_if_refused(folder: Path, problem: BaseException) -> None:
+    """Remove a run folder whose simulated theatre or patient was refused: what they began is of no use."""
     refused = isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
-    if (refused and not (folder / JOURNAL_FILE).exists()) or not any(
+    if refused and not (folder / JOURNAL_FILE).exists():
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def forget_if_empty(folder: Path) -> None:
+    """Remove a run folder in which nothing but the request and the log was written."""
+    if not any(
         path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path in folder.rglob("*")
     ):
         shutil.rmtree(folder, ignore_errors=True)

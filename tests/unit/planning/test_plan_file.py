@@ -68,15 +68,15 @@ def test_bytes_that_are_no_text_are_unreadable(tmp_path):
         ('tool = "guide"', 'tool = ""', "tool"),
         ('tool = "guide"', 'tool = "guide"\nside = "left"', "side"),
         ('series_instance_uid = "1.2', 'series_instance_uid = "CT 1.2', "series_instance_uid"),
-        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, -20.0]", "trajectories.0.target_mm"),
-        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, nan, 20.0]", "trajectories.0.target_mm"),
-        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, 1e9, 20.0]", "trajectories.0.target_mm"),
-        ("margin_mm = 1.5", "", "trajectories.0.margin_mm"),
-        ("margin_mm = 1.5", "margin_mm = 0", "trajectories.0.margin_mm"),
-        ('id = "T1"', 'id = "../T1"', "trajectories.0.id"),
-        ('id = "T1"', "", "trajectories.0.id"),
-        ("free_angle_deg = 30.0", "free_angle_deg = inf", "trajectories.1.free_angle_deg"),
-        ("free_angle_deg = 30.0", "free_angle = 30.0", "trajectories.1.free_angle"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, -20.0]", "trajectory T1.target_mm"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, nan, 20.0]", "trajectory T1.target_mm"),
+        ("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5.0, 1e9, 20.0]", "trajectory T1.target_mm"),
+        ("margin_mm = 1.5", "", "trajectory T1.margin_mm"),
+        ("margin_mm = 1.5", "margin_mm = 0", "trajectory T1.margin_mm"),
+        ('id = "T1"', 'id = "../T1"', ".id: "),
+        ('id = "T1"', "", ".id: "),
+        ("free_angle_deg = 30.0", "free_angle_deg = inf", "trajectory T2.free_angle_deg"),
+        ("free_angle_deg = 30.0", "free_angle = 30.0", "trajectory T2.free_angle"),
     ],
 )
 def test_each_mistake_is_named_where_it_is(old, new, said, plan_text, plan_path):
@@ -96,7 +96,7 @@ def test_a_plan_without_trajectories_is_a_mistake(trajectories, plan_text, plan_
 
 
 def test_entry_and_target_must_differ(plan_text, plan_path):
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectories\.0.*one point"):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*one point"):
         read_plan(
             plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60.2]"))
         )
