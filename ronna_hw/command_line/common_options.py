@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Any
 
 import typer
@@ -15,13 +16,19 @@ VERSION_FLAG = "--version"
 def with_common_options(command: Any) -> Any:
     """Add them to typer's command and to all commands of a group; returns it."""
     version, verbose = _declared()
-    commands = list(getattr(command, "commands", {}).values()) or [command]
-    for one in commands:
-        if not any(VERBOSE_FLAG in option.opts for option in one.params):
+    for one in _all(command):
+        is_group = bool(getattr(one, "commands", {}))
+        if not is_group and not any(VERBOSE_FLAG in option.opts for option in one.params):
             one.params.append(verbose)
-    for one in {id(found): found for found in (command, *commands)}.values():
         one.params.append(version)
     return command
+
+
+def _all(command: Any) -> Iterator[Any]:
+    """A command and all below it."""
+    yield command
+    for one in getattr(command, "commands", {}).values():
+        yield from _all(one)
 
 
 def _tell_version(wanted: bool) -> None:
