@@ -98,7 +98,7 @@ def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
     )
     head = content["calibration"]["stereo_head"]
     head["flange_from_tool"]["translation_mm"] = [value, 0.0, 0.0]
-    with pytest.raises(ConfigurationError, match=r"CFG-001: .*flange_from_tool.translation_mm.0"):
+    with pytest.raises(ConfigurationError, match=r"CFG-001: .*flange_from_tool.translation_mm 1"):
         parse_theatre(content)
 
 
