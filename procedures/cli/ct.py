@@ -1,4 +1,4 @@
-"""`ronna-ct`: the marker spheres in a CT series."""
+"""`ronna-ct`: the marker spheres in a CT series; the CT after the operation is `postoperative.py`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -41,7 +42,10 @@ app = typer.Typer(
 
 @app.callback()
 def ct() -> None:
-    """Localize marker spheres in a CT series."""
+    """Localize marker spheres in a CT series, and check the CT after the operation."""
+
+
+app.command()(postoperative)
 
 
 @app.command()

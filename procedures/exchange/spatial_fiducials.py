@@ -1,4 +1,4 @@
-"""The spheres of a CT as a DICOM Spatial Fiducials object: centres in patient coordinates (LPS, mm)."""
+"""Points of a CT as a DICOM Spatial Fiducials object: centres of spheres, LPS in mm, and others."""
 
 from __future__ import annotations
 
@@ -13,11 +13,15 @@ from procedures.exchange.dicom_object import Origin, decimals, new_object, uid
 
 @dataclass(frozen=True)
 class Fiducial:
-    """A sphere: its name, its centre (LPS, mm) and the radius of its uncertainty (3-D rms, mm)."""
+    """A point: its name, its place (LPS, mm), the radius of its uncertainty (3-D rms, mm), what it is.
+
+    An uncertainty of 0 is one that nobody states.
+    """
 
     name: str
     centre_mm: tuple[float, float, float]
     uncertainty_mm: float
+    description: str = "marker sphere"
 
 
 def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
@@ -25,9 +29,15 @@ def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
     return str(uid(origin, "fiducial", fiducial.name))
 
 
-def spatial_fiducials(fiducials: Sequence[Fiducial], origin: Origin, *, label: str = "MARKERS") -> Dataset:
-    """The object for the spheres of one CT series."""
-    made = new_object(origin, SpatialFiducialsStorage, "FID", label, "centres of marker spheres")
+def spatial_fiducials(
+    fiducials: Sequence[Fiducial],
+    origin: Origin,
+    *,
+    label: str = "MARKERS",
+    description: str = "centres of marker spheres",
+) -> Dataset:
+    """The object for the points of one CT series."""
+    made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
     group = Dataset()
     group.FrameOfReferenceUID = origin.frame_of_reference_uid
     group.FiducialSequence = [_item(fiducial, origin) for fiducial in fiducials]
@@ -38,10 +48,11 @@ def spatial_fiducials(fiducials: Sequence[Fiducial], origin: Origin, *, label: s
 def _item(fiducial: Fiducial, origin: Origin) -> Dataset:
     item = Dataset()
     item.FiducialIdentifier = fiducial.name
-    item.FiducialDescription = "marker sphere"
+    item.FiducialDescription = fiducial.description
     item.FiducialUID = fiducial_uid(origin, fiducial)
     item.ShapeType = "POINT"
     item.NumberOfContourPoints = 1
     item.ContourData = decimals(fiducial.centre_mm)
-    item.ContourUncertaintyRadius = fiducial.uncertainty_mm
+    if fiducial.uncertainty_mm > 0.0:
+        item.ContourUncertaintyRadius = fiducial.uncertainty_mm
     return item

@@ -1,4 +1,4 @@
-"""A rigid registration as a DICOM Spatial Registration object: from CT to robot coordinates."""
+"""A rigid registration as a DICOM Spatial Registration object: from CT to robot, from one CT to another."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from procedures.exchange.dicom_object import Origin, code, decimals, instance_ui
 from ronna_hw.frames import Transform
 
 FIDUCIAL_ALIGNMENT = ("125022", "DCM", "Fiducial Alignment")
+CONTENT_ALIGNMENT = ("125024", "DCM", "Image Content-based Alignment")
 
 
 def spatial_registration(
@@ -43,12 +44,35 @@ def spatial_registration(
     return made
 
 
-def _item(frame_of_reference_uid: str, matrix: NDArray[np.float64]) -> Dataset:
+def frames_registration(
+    first_from_second: NDArray[np.float64],
+    origin: Origin,
+    second_frame_uid: str,
+    *,
+    label: str,
+    description: str,
+) -> Dataset:
+    """The object for the pose (4, 4) mm of a second CT in the frame of reference of the origin's CT."""
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = origin.frame_of_reference_uid
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = [
+        _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
+        _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
+    ]
+    return made
+
+
+def _item(
+    frame_of_reference_uid: str,
+    matrix: NDArray[np.float64],
+    alignment: tuple[str, str, str] = FIDUCIAL_ALIGNMENT,
+) -> Dataset:
     step = Dataset()
     step.FrameOfReferenceTransformationMatrixType = "RIGID"
     step.FrameOfReferenceTransformationMatrix = decimals(matrix.ravel().tolist())
     transform = Dataset()
-    transform.RegistrationTypeCodeSequence = [code(*FIDUCIAL_ALIGNMENT)]
+    transform.RegistrationTypeCodeSequence = [code(*alignment)]
     transform.MatrixSequence = [step]
     item = Dataset()
     item.FrameOfReferenceUID = frame_of_reference_uid

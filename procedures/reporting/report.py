@@ -21,6 +21,7 @@ from procedures.reporting.happenings import happenings, questions
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.second_reading import as_text, second_reading
 from procedures.reporting.sessions import sessions
@@ -50,12 +51,17 @@ TEMPLATE = "page.html.j2"
 
 
 def write_report(
-    run: Path, *, truth: Truth | None = None, error: RunError | None = None, out: Path | None = None
+    run: Path,
+    *,
+    truth: Truth | None = None,
+    error: RunError | None = None,
+    out: Path | None = None,
+    after: AfterTheOperation | None = None,
 ) -> Path:
     """Write the report of a run folder into it, or into `out`; returns its path.
 
-    `truth` is what the theatre's verifier says, by default what was kept of it in the folder; `error` what
-    the command line met. Raises OSError when it
+    `truth` is what the theatre's verifier says, by default what was kept of it in the folder, and so is
+    `after`, the check after the operation; `error` is what the command line met. Raises OSError when it
     cannot be written, and nothing that the run's content can cause.
     """
     out = run if out is None else out
@@ -65,6 +71,9 @@ def write_report(
     rows = target_rows(reading, truth or Truth())
     if truth is not None:
         keep_truth(out, truth)
+    after = kept_check(run) if after is None else after
+    if after is not None and out != run:
+        keep_check(out, after)
     page = {
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
@@ -95,6 +104,7 @@ def write_report(
         "stereo_pictures": _pictures(reading, "stereo-"),
         **_figures(reading, files, rows, [health for _, health in links]),
         **_calibration(run, files),
+        "after": after,
         **_read_twice(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),

@@ -15,7 +15,16 @@ from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
 
 SCANNER = "What the scanner does"
+AFTERWARDS = "After the operation"
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
+
+
+class Instrument(StrEnum):
+    """What is in the head when it is scanned after the operation."""
+
+    ELECTRODE = "electrode"
+    NEEDLE = "needle"
+    DRILL_HOLE = "drill-hole"
 
 
 class Fiducials(StrEnum):
@@ -72,6 +81,19 @@ def phantom(
     extended_range: Annotated[
         bool, typer.Option(help="Store metal beyond 3071 HU.", rich_help_panel=SCANNER)
     ] = False,
+    postoperative: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RUN",
+            help="Scan the head of this run after the operation instead: another pose, spheres off, and in it"
+            " what the run left there.",
+            rich_help_panel=AFTERWARDS,
+        ),
+    ] = None,
+    instrument: Annotated[
+        Instrument,
+        typer.Option(help="What is in the head, with --postoperative.", rich_help_panel=AFTERWARDS),
+    ] = Instrument.ELECTRODE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -92,6 +114,13 @@ def phantom(
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))
     if out.is_dir() and any(out.iterdir()):
         raise FolderNotEmpty(f"{out} is not empty; nothing in it was changed")
+    if postoperative is not None:
+        if scene != DEFAULT_SCENE or family is not None or markers is not None or targets is not None:
+            raise BadScene(
+                "the run has its head and trajectories; leave --scene, --family and their like out"
+            )
+        _scan_after(postoperative, instrument, out, seed, protocol, as_json)
+        return
     faults = ScannerFaults(
         tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range
     )
@@ -132,3 +161,30 @@ def phantom(
         f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
         f"{counted(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
     )
+
+
+def _scan_after(
+    run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
+) -> None:
+    """The CT of a run's head after the operation."""
+    from sim.phantom.families.drawn_scan import protocol_named
+    from sim.phantom.postoperative.case import write_postoperative
+    from sim.phantom.postoperative.instruments import Kind, instruments_of
+    from sim.phantom.postoperative.scan import draw_scan
+
+    scene, left = instruments_of(run, Kind(instrument.value))
+    scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))
+    with progress_bar("scanning the phantom") as progress:
+        case = write_postoperative(scan, left, out, progress)
+    if as_json:
+        print_json(
+            {
+                "series": str(case.series),
+                "truth": str(case.truth),
+                "series_instance_uid": case.series_instance_uid,
+                "slices": case.slices,
+                "instruments": len(left),
+            }
+        )
+        return
+    typer.echo(f"{case.series}: {case.slices} slices, {counted(len(left), instrument.value)}")

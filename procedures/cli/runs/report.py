@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.truth import truth_if_any
@@ -14,11 +15,14 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import BESIDE, SEAL_FILE, is_sealed
 from ronna_hw.host.interruption import interruption_deferred
 
+if TYPE_CHECKING:
+    from procedures.reporting.postoperative import AfterTheOperation
+
 NOT_INTO_IT = "The folder is kept as it is; with --out DIR its report shows what can still be read."
 
 
-def make_report(run: Path, out: Path | None = None) -> Path:
-    """The report of any run folder, made anew.
+def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:
+    """The report of any run folder, made anew; with `after`, the check after the operation is added to it.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
@@ -31,10 +35,10 @@ def make_report(run: Path, out: Path | None = None) -> Path:
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         if out is not None:
-            return write_report(run, truth=truth_if_any(run), out=out)
+            return write_report(run, truth=truth_if_any(run), out=out, after=after)
         beside = run / BESIDE
         try:
-            write_report(run, truth=truth_if_any(run), out=beside)
+            write_report(run, truth=truth_if_any(run), out=beside, after=after)
             with interruption_deferred():
                 _take_over(beside, run)
                 seal_run(run)

@@ -33,16 +33,28 @@ FILE_PATTERN = "slice-*.dcm"
 
 
 class DicomSeries:
-    """One series in a folder. UIDs are a hash of the whole scene."""
+    """One series in a folder. UIDs are a hash of the whole scene, and of the occasion of a later scan."""
 
-    def __init__(self, scene: Scene, grid: CtGrid, folder: Path, faults: ScannerFaults = NO_FAULTS) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        grid: CtGrid,
+        folder: Path,
+        faults: ScannerFaults = NO_FAULTS,
+        *,
+        occasion: str = "",
+    ) -> None:
         self._scene = scene
         self._grid = grid
         self._folder = folder
         self._tilt_rad = radians(faults.tilt_deg)
         self._faults = faults
         told = json.dumps(faults.told()) if faults.told() else ""
-        self._content = hashlib.sha256((scene.model_dump_json(by_alias=True) + told).encode()).digest()
+        content = scene.model_dump_json(by_alias=True) + told + occasion
+        self._content = hashlib.sha256(content.encode()).digest()
+        self._described = (
+            "Head phantom after the operation" if occasion else "Head phantom with fiducial spheres"
+        )
         self.series_instance_uid = self._uid("series")
         self._study_uid = self._uid("study")
         self._frame_uid = self._uid("frame of reference")
@@ -95,7 +107,7 @@ class DicomSeries:
         data.AccessionNumber = data.ReferringPhysicianName = ""
         data.Modality = "CT"
         data.Manufacturer = "ronna-sim phantom"
-        data.StudyDescription = data.SeriesDescription = "Head phantom with fiducial spheres"
+        data.StudyDescription = data.SeriesDescription = self._described
         data.PatientName, data.PatientID = "Phantom^Head", f"{self._scene.name}-{self._scene.seed}"[:64]
         data.PatientBirthDate = data.PatientSex = ""
         data.BodyPartExamined = "HEAD"

@@ -11,7 +11,7 @@ from sim.phantom.head.layers import AIR_HU, HeadLayers
 from sim.phantom.head.shapes import Shape, Values
 from sim.phantom.head.streaks import add_band, add_filling_streaks, add_streak
 from sim.phantom.scanner import blur
-from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
+from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 from sim.phantom.scanner.sphere_patch import Patch, paint_patch
@@ -107,18 +107,29 @@ class SlicePainter:
         np.maximum(region, self._head.at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
 
     def noise(self, number: int) -> Values:
-        """Noise of one slice, correlated in the slice as the scanner's kernel makes it."""
-        rows, columns = len(self._y), len(self._x)
+        """Noise of one slice."""
         generator = noise(self._scene.seed, "ct", number)
-        white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
-        kernel = self._kernel
-        blurred = exp(-0.5 * (self._grid.pixel_mm / kernel.plane_sigma_mm) ** 2)
-        side = np.float32(blurred if kernel.noise_side is None else kernel.noise_side)
-        smooth = white[1:-1] + side * (white[:-2] + white[2:])
-        smooth = smooth[:, 1:-1] + side * (smooth[:, :-2] + smooth[:, 2:])
-        gain = 1.0 + 2.0 * float(side) ** 2  # of the variance, along each of both axes
-        smooth *= np.float32(self._scene.ct.noise_HU / gain)
-        return smooth
+        shape = (len(self._y), len(self._x))
+        return slice_noise(generator, shape, self._grid.pixel_mm, self._scene.ct.noise_HU, self._kernel)
+
+
+def slice_noise(
+    generator: np.random.Generator,
+    shape: tuple[int, ...],
+    pixel_mm: float,
+    noise_HU: float,
+    kernel: Kernel = KERNELS["standard"],
+) -> Values:
+    """Noise (rows, columns), correlated in the slice as the scanner's kernel makes it."""
+    rows, columns = shape
+    white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
+    blurred = exp(-0.5 * (pixel_mm / kernel.plane_sigma_mm) ** 2)
+    side = np.float32(blurred if kernel.noise_side is None else kernel.noise_side)
+    smooth = white[1:-1] + side * (white[:-2] + white[2:])
+    smooth = smooth[:, 1:-1] + side * (smooth[:, :-2] + smooth[:, 2:])
+    gain = 1.0 + 2.0 * float(side) ** 2  # of the variance, along each of both axes
+    smooth *= np.float32(noise_HU / gain)
+    return smooth
 
 
 def _heights(shape: Shape, margin_mm: float) -> tuple[float, float]:

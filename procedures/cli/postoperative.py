@@ -1,0 +1,156 @@
+"""`ronna-ct postoperative`: what was planned against what the CT after the operation shows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.postoperative.summary import PostoperativeCheck
+
+READING_SHARE = 0.3  # of the progress bar, for each series
+SUMMARY_FILE = "postoperative.json"
+
+
+def postoperative(
+    pre_dir: Annotated[Path, typer.Argument(metavar="PRE", help="Folder of the CT that was planned on.")],
+    post_dir: Annotated[Path, typer.Argument(metavar="POST", help="Folder of the CT after the operation.")],
+    plan_file: Annotated[Path, typer.Option("--plan", metavar="PLAN", help="The plan.toml.")],
+    only: Annotated[
+        list[str] | None,
+        typer.Option("--only", metavar="ID", help="A trajectory that was done; repeat it. [all of the plan]"),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Also write JSON, DICOM objects and pictures into DIR."),
+    ] = None,
+    run: Annotated[
+        Path | None,
+        typer.Option("--run", metavar="RUN", help="Add the result to the report of this run."),
+    ] = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Lay both CTs over each other on bone, find what was inserted, and tell its errors against the plan.
+
+    Along each trajectory an electrode, a needle or else a drilled hole is searched, within 10 mm of the plan.
+    The errors are in the coordinates of the planned CT; no output names the patient.
+    Exit codes: 0 every trajectory was found, 1 a CT or the plan is unusable, 2 usage, 3 refused: another
+    patient or head, nothing found along a trajectory, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    import procedures.imaging as imaging
+    from procedures.planning.plan_file import read_plan
+    from procedures.postoperative.comparison import compare, require_series
+    from procedures.postoperative.summary import summary_of
+
+    plan = read_plan(plan_file)
+    known = [one.id for one in plan.trajectories]
+    for name in only or ():
+        if name not in known:
+            raise UsageMistake(f"the plan has no trajectory {name}", expected=", ".join(known))
+    if run is not None:
+        _require_same_ct(run, plan.series_instance_uid)
+    warnings = _same_patient(pre_dir, post_dir)
+    with console.progress_bar("reading and comparing") as advance:
+        pre = imaging.read_series(pre_dir, progress=lambda share: advance(READING_SHARE * share))
+        post = imaging.read_series(post_dir, progress=lambda share: advance(READING_SHARE * (1.0 + share)))
+        require_series(plan, pre, post)
+        proof = compare(plan, pre, post, only or ())
+    found = summary_of(proof, plan, pre, post, warnings)
+    for sentence in found.warnings:
+        console.tell(f"warning: {sentence}")
+    pictures = {}
+    if out is not None or run is not None:
+        from procedures.postoperative.pictures import trajectory_picture
+
+        pictures = {
+            f"postoperative-{one.id}.png": trajectory_picture(post, one, proof.registration.post_from_pre)
+            for one in found.trajectories
+        }
+    if out is not None:
+        _write(out, found, pictures, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
+    if run is not None:
+        from procedures.cli.runs.report import make_report
+        from procedures.reporting.postoperative import AfterTheOperation
+
+        console.tell(f"report {make_report(run, after=AfterTheOperation(found, pictures))}")
+    if as_json:
+        console.print_json(found.model_dump(mode="json", by_alias=True))
+        return
+    _print(found)
+
+
+def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
+    """Warnings when it cannot be told; raises POST-005."""
+    from procedures.imaging.dicom.patient_identity import patient_identifier
+    from procedures.postoperative.errors import OtherPatient
+
+    before, after = patient_identifier(pre_dir), patient_identifier(post_dir)
+    if before and after and before != after:  # who they are is not for messages
+        raise OtherPatient("the two CTs bear different patient identifiers")
+    if before and after:
+        return ()
+    return (
+        "not both CTs bear a patient identifier: that they are of one patient is told by the skull alone",
+    )
+
+
+def _require_same_ct(run: Path, series_instance_uid: str) -> None:
+    """Raises POST-008 when the run followed a plan on another CT, PRO-033 for a run that was changed."""
+    from procedures.engine.run_folder import run_of
+    from procedures.postoperative.errors import RunOfAnotherCt
+    from procedures.steps.clinical.ct_import import ImportedCt
+    from ronna_hw.evidence.inspection import inspected
+
+    imported = run_of(inspected(run).require_unchanged()).standing(ImportedCt)
+    used = imported[-1].result.series_instance_uid if imported else "none"
+    if used != series_instance_uid:
+        raise RunOfAnotherCt(
+            "the run did not use the CT of this plan", expected=series_instance_uid, got=used
+        )
+
+
+def _write(out: Path, found: PostoperativeCheck, pictures: dict[str, bytes], frames: tuple[str, str]) -> None:
+    from procedures.exchange.errors import NotWritable
+    from procedures.exchange.postoperative import write_postoperative
+    from ronna_hw.records import write_whole
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(out / SUMMARY_FILE, found.model_dump_json(by_alias=True, indent=1).encode())
+        for name, picture in pictures.items():
+            write_whole(out / name, picture)
+    except OSError as error:
+        raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
+    write_postoperative(found, frames, out)
+    if frames[0] == frames[1]:
+        console.tell("warning: both CTs claim one frame of reference; no registration object was written")
+
+
+def _print(found: PostoperativeCheck) -> None:
+    def text(value: float | None) -> str:
+        return "-" if value is None else f"{value:.2f}"
+
+    console.print_table(
+        f"skulls agree to {found.bone_agreement:.3f} over {found.bone_overlap:.0%} of the bone",
+        ["trajectory", "found", "entry mm", "target mm", "across mm", "depth mm", "angle deg"],
+        [
+            [
+                one.id,
+                one.kind.value,
+                text(one.entry_error_mm),
+                text(one.target_error_mm),
+                text(one.lateral_mm),
+                "-" if one.depth_error_mm is None else f"{one.depth_error_mm:+.2f}",
+                text(one.angle_deg),
+            ]
+            for one in found.trajectories
+        ],
+    )

@@ -1,0 +1,183 @@
+"""Two CTs of one head laid over each other on bone: Gauss-Newton on intensities, from coarse to fine.
+
+Bone is compared, and nothing else: HU are cut at soft tissue and at compact bone, so that skin that swells,
+air that came in and metal weigh little; what still differs is weighted down (Cauchy).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.postoperative.errors import HeadsDiffer, NoBone
+
+Array = NDArray[np.float64]
+
+SOFT_HU, COMPACT_HU = 0.0, 1500.0  # below is soft tissue or air, above compact bone or metal
+BONE_HU = 400.0
+LEVELS_MM = (4.0, 2.0, 1.0)  # distance of the points, and twice the blur's deviation
+MOST_POINTS = 40_000
+MOST_STEPS = 30
+STILL_MM, STILL_RAD = 1e-3, 1e-5  # a smaller step changes nothing that can be measured
+START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-25.0, 25.0)))  # tried about each axis
+LEAST_POINTS = 1_000  # of bone at the coarsest level: a skull has ten times as many
+LEAST_AGREEMENT = 0.9  # correlation of two scans of one skull
+LEAST_OVERLAP = 0.6  # of the bone, that both scans show
+
+
+@dataclass(frozen=True, eq=False)
+class BoneRegistration:
+    """The pose post <- pre of the head, patient coordinates in mm.
+
+    `agreement` is the correlation of the intensities at bone, 1 for equal skulls; `overlap` the share of the
+    first scan's bone that the second shows; `residual_hu` what is left between both, a robust deviation.
+    """
+
+    post_from_pre: RigidTransform
+    agreement: float
+    overlap: float
+    residual_hu: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """One scan, blurred and thinned; values are cut to bone."""
+
+    values: NDArray[np.float32]  # (slices, rows, columns)
+    geometry: VoxelGeometry
+
+    def at(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Values at patient positions (n, 3), by cubic splines, and which lie inside."""
+        indices = self.geometry.to_index(points_mm).T
+        last = np.array(self.geometry.shape)[:, None] - 1.0
+        inside = np.all((indices >= 0.0) & (indices <= last), axis=0)
+        return ndimage.map_coordinates(self.values, indices, order=3, mode="nearest", prefilter=False), inside
+
+
+def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
+    """Where the head of one scan lies in the other. Raises POST-001 (no bone), POST-002 (another head)."""
+    found: RigidTransform | None = None
+    middle = np.zeros(3)
+    for spacing_mm in LEVELS_MM:
+        fixed, moving = _level(pre, spacing_mm), _level(post, spacing_mm)
+        points, values = _bone_points(fixed, spacing_mm)
+        target = _Level(ndimage.spline_filter(moving.values, order=3, output=np.float32), moving.geometry)
+        if found is None:
+            middle = points.mean(axis=0)
+            there = _bone_points(moving, spacing_mm)[0].mean(axis=0)
+            few = slice(None, None, max(1, len(points) // LEAST_POINTS))
+            tried = [_descended(points[few], values[few], target, start) for start in _starts(middle, there)]
+            found = max(tried, key=lambda one: _judged(points, values, target, one)[0])
+            _require_one_skull(*_judged(points, values, target, found)[:2])
+        else:
+            found = _descended(points, values, target, found)
+    assert found is not None
+    agreement, overlap, residual_hu = _judged(points, values, target, found)
+    _require_one_skull(agreement, overlap)
+    return BoneRegistration(found, agreement, overlap, residual_hu)
+
+
+def _require_one_skull(agreement: float, overlap: float) -> None:
+    """Raises POST-002."""
+    if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
+        raise HeadsDiffer(
+            "the skulls of the two CTs do not fit each other",
+            expected=f"agreement of {LEAST_AGREEMENT:g} over {LEAST_OVERLAP:.0%} of the bone, or more",
+            got=f"{agreement:.2f} over {overlap:.0%}",
+        )
+
+
+def bone_at(volume: Volume, places_mm: Array) -> Array:
+    """HU of a scan at places (..., 3), cut to bone; soft tissue outside the scan."""
+    index = np.moveaxis(volume.geometry.to_index(places_mm), -1, 0)
+    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=SOFT_HU)
+    return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU), dtype=float)
+
+
+def _level(volume: Volume, spacing_mm: float) -> _Level:
+    """Cut to bone, blurred by half the spacing, and thinned to about that spacing."""
+    geometry = volume.geometry
+    strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
+    values = np.clip(volume.voxels, SOFT_HU, COMPACT_HU).astype(np.float32)
+    for axis, (stride, voxel_mm) in enumerate(zip(strides, geometry.spacing_mm, strict=True)):
+        if stride > 1:  # one axis after the other, thinned at once: less to blur
+            values = ndimage.gaussian_filter1d(values, 0.5 * spacing_mm / voxel_mm, axis=axis)
+            values = values[
+                tuple(slice(None, None, int(stride)) if k == axis else slice(None) for k in range(3))
+            ]
+    thinned = VoxelGeometry(values.shape, geometry.origin_mm, geometry.axes, geometry.spacing_mm * strides)
+    return _Level(values, thinned)
+
+
+def _bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
+    """Voxel centres (n, 3) mm on and around the largest piece of bone, and their values."""
+    labels, count = ndimage.label(level.values > BONE_HU)
+    sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
+    bone = labels == 1 + int(sizes.argmax())
+    around = ndimage.binary_dilation(bone) if count else bone
+    index = np.argwhere(around)
+    if sizes.max(initial=0) * (spacing_mm / LEVELS_MM[0]) ** 3 < LEAST_POINTS:
+        raise NoBone("the CT shows no skull", got=f"{sizes.max(initial=0)} voxels of bone in one piece")
+    index = index[:: max(1, len(index) // MOST_POINTS)]
+    return level.geometry.to_patient_mm(index), level.values[tuple(index.T)].astype(float)
+
+
+def _starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
+    for turns in product(START_TURNS_RAD, repeat=3):
+        if np.count_nonzero(turns) < 2:
+            rotation = Rotation.from_rotvec(turns)
+            yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
+
+
+def _descended(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
+    """Gauss-Newton over six parameters: turn about the points' middle, and shift."""
+    rotation, shift = start.rotation, start.translation
+    middle = points.mean(axis=0)
+    arms = points - middle
+    centre = rotation.apply(middle) + shift
+    for _ in range(MOST_STEPS):
+        turned = rotation.apply(arms)
+        gradient, there, inside = _sampled(target, turned + centre)
+        residuals = (there - values)[inside]
+        gradient, lever = gradient[inside], turned[inside]
+        scale = 1.4826 * float(np.median(np.abs(residuals))) + 1.0
+        weights = 1.0 / (1.0 + (residuals / (2.385 * scale)) ** 2)
+        jacobian = np.hstack([np.cross(lever, gradient), gradient])
+        weighted = jacobian * weights[:, None]
+        step = np.linalg.lstsq(weighted.T @ jacobian, -(weighted.T @ residuals), rcond=None)[0]
+        rotation = Rotation.from_rotvec(step[:3]) * rotation
+        centre = centre + step[3:]
+        if np.linalg.norm(step[3:]) < STILL_MM and np.linalg.norm(step[:3]) < STILL_RAD:
+            break
+    return RigidTransform.from_components(centre - rotation.apply(middle), rotation)
+
+
+def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Gradient (n, 3) in HU per mm, values (n,), and which are inside."""
+    there, inside = target.at(points_mm)
+    half_mm = 0.25 * float(target.geometry.spacing_mm.min())
+    gradient = np.column_stack(
+        [
+            (target.at(points_mm + offset)[0] - target.at(points_mm - offset)[0]) / (2.0 * half_mm)
+            for offset in half_mm * np.eye(3)
+        ]
+    )
+    return gradient, there, inside
+
+
+def _judged(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
+    """Correlation, overlap and robust residual of a pose."""
+    there, inside = target.at(pose.apply(points))
+    overlap = float(inside.mean())
+    if np.count_nonzero(inside) < LEAST_POINTS // 2:
+        return 0.0, overlap, float("inf")
+    correlation = float(np.corrcoef(there[inside], values[inside])[0, 1])
+    residual = 1.4826 * float(np.median(np.abs(there[inside] - values[inside])))
+    return correlation, overlap, residual

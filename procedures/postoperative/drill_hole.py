@@ -1,0 +1,79 @@
+"""Finds a drilled hole near a planned way: bone that the first scan shows and the second does not.
+
+A blurred cylinder is fitted to what became of the bone. A hole has an entry and a direction, but no tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import least_squares
+from scipy.spatial.transform import RigidTransform
+from scipy.special import erfc
+
+from procedures.imaging.volume import Volume
+from procedures.postoperative.bone_registration import BONE_HU, COMPACT_HU, SOFT_HU, bone_at
+from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
+
+Array = NDArray[np.float64]
+
+LOST_HU = 300.0  # by which bone is darker than before
+LEAST_VOLUME_MM3 = 8.0  # in one piece: a drill of 1.5 mm through 5 mm of bone
+AROUND_MM = 6.0
+BEFORE_MM, BEHIND_MM = 10.0, 25.0  # of the entry: a skull, cut at a slant
+FIRST_RADIUS_MM, FIRST_SPREAD_MM = 1.5, 0.6
+NOISE_HU = 60.0  # of both scans and of what the registration leaves
+
+
+@dataclass(frozen=True, eq=False)
+class FoundHole:
+    """A point (3,) on the axis of a hole where it is in the bone, unit vector outwards; patient mm."""
+
+    middle_mm: Array
+    outwards: Array
+    radius_mm: float
+
+
+def find_hole(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> FoundHole | None:
+    """The hole near a planned way of the first scan, in the second scan's coordinates; None without one."""
+    back = post_from_pre.inv()
+    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
+    seen = look_along(post, there, -BEFORE_MM, BEHIND_MM)
+    before = bone_at(pre, back.apply(there.to_patient_mm(seen.places_mm)))
+    lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
+    labels, count = ndimage.label(lost)
+    if not count:
+        return None
+    sizes = np.bincount(labels.ravel())[1:]
+    if sizes.max() * STEP_MM**3 < LEAST_VOLUME_MM3:
+        return None
+    piece = seen.places_mm[labels == 1 + int(sizes.argmax())]
+    return _fitted(pre, post, there, back, piece.mean(axis=0))
+
+
+def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole | None:
+    """A blurred cylinder through the middle of what is lost, fitted to the second scan's voxels."""
+    coarse = Way(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
+    local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
+    before = bone_at(pre, back.apply(coarse.to_patient_mm(local)))
+    bone = before > BONE_HU
+    local, before = local[bone], before[bone]
+    after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
+
+    def residuals(unknown: Array) -> Array:
+        u0, v0, du, dv, radius_mm, fluid, spread_mm = unknown
+        across = np.hypot(local[:, 1] - u0 - du * local[:, 0], local[:, 2] - v0 - dv * local[:, 0])
+        share = 0.5 * erfc((across - radius_mm) / (np.sqrt(2.0) * spread_mm))
+        return np.asarray(before + (fluid - before) * share - after)
+
+    start = np.array([0.0, 0.0, 0.0, 0.0, FIRST_RADIUS_MM, 20.0, FIRST_SPREAD_MM])
+    low = np.array([-3.0, -3.0, -0.5, -0.5, 0.4, SOFT_HU - 1.0, 0.2])
+    high = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
+    found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=NOISE_HU)
+    u0, v0, du, dv, radius_mm = found.x[:5]
+    middle_mm = coarse.to_patient_mm(np.array([0.0, u0, v0]))
+    inwards = coarse.axes @ np.array([1.0, du, dv])
+    return FoundHole(middle_mm, -inwards / np.linalg.norm(inwards), float(radius_mm))

@@ -1,0 +1,134 @@
+"""Finds the metal rod of an electrode or a needle near a planned way: its axis and its tip.
+
+A first look takes the longest bright piece along the way; then a blurred rod is fitted to the voxels around
+it. What a scanner stores ends at some value, so that the rod's own intensity is fitted, and cut as there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+from scipy.optimize import least_squares
+from scipy.spatial.transform import RigidTransform
+from scipy.special import chndtr, erfc
+
+from procedures.imaging.volume import Volume
+from procedures.postoperative.bone_registration import bone_at
+from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
+
+Array = NDArray[np.float64]
+
+METAL_HU = 1000.0  # by which metal is brighter than what was there before, compact bone included
+OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: where it is searched
+LEAST_LENGTH_MM = 15.0  # in one piece along the way: shorter is no instrument
+AROUND_MM = 3.5  # voxels within that of the axis are fitted
+RING_MM = (2.6, 3.5)  # what lies around it there, slab by slab
+BEYOND_TIP_MM = 6.0
+FITTED_LENGTH_MM = 60.0  # from the tip outwards: a longer one may be bent there
+FIRST_RADIUS_MM, FIRST_SPREAD_MM = 0.6, 0.45
+VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean over its box
+PROFILE_STEP_MM = 0.05
+SATURATED = 0.99  # of the largest value that is stored
+LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
+
+
+@dataclass(frozen=True)
+class FoundRod:
+    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head, how it fits."""
+
+    tip_mm: Array
+    outwards: Array
+    residual_hu: float
+
+
+def find_rod(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> FoundRod | None:
+    """The rod near a planned way of the first scan, in the second scan's coordinates; None without one."""
+    there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
+    seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
+    before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
+    labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
+    best: tuple[float, Array] | None = None
+    for number in range(1, count + 1):
+        places = seen.places_mm[labels == number]
+        length_mm = float(np.ptp(places[:, 0]))
+        if length_mm >= LEAST_LENGTH_MM and (best is None or length_mm > best[0]):
+            best = length_mm, places
+    if best is None:
+        return None
+    return _fitted(post, _coarse(there, best[1]))
+
+
+def _coarse(way: Way, places: Array) -> Way:
+    """The line through a bright piece; `places` (n, 3) are along the way and across it, mm."""
+    slope = np.polyfit(places[:, 0], places[:, 1:], 1)
+    ends = np.array([places[:, 0].min(), places[:, 0].max()])
+    line = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
+    outer, inner = way.to_patient_mm(line)
+    return Way(outer, inner)
+
+
+def _fitted(volume: Volume, coarse: Way) -> FoundRod:
+    """A blurred rod along a way whose target is the tip, fitted to the voxels themselves."""
+    outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
+    local, values = voxels_around(
+        volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
+    )
+    local[:, 0] -= coarse.length_mm  # from the coarse tip, inwards
+    background = _background(local, values)
+    ceiling = SATURATED * float(volume.voxels.max())
+    samples = local + _within_voxel(volume, coarse)[:, None, :]
+
+    def residuals(unknown: Array) -> Array:
+        shape = _blurred_rod(samples, unknown, outside_mm).mean(axis=0)
+        model = np.minimum(background + (unknown[5] - background) * shape, ceiling)
+        return np.asarray(model - np.minimum(values, ceiling))
+
+    # offsets at the tip and at the outer end, depth of the tip, intensity, radius, spread
+    start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * ceiling, FIRST_RADIUS_MM, FIRST_SPREAD_MM])
+    low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
+    high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
+    first = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=LEAST_SCALE_HU * 3)
+    scale = max(LEAST_SCALE_HU, 1.4826 * float(np.median(np.abs(residuals(first.x)))))
+    found = least_squares(residuals, first.x, bounds=(low, high), loss="soft_l1", f_scale=2.0 * scale)
+    tip_u, tip_v, end_u, end_v, depth_mm = found.x[:5]
+    share = depth_mm / outside_mm  # the line goes on beyond the coarse tip
+    at_tip = [coarse.length_mm + depth_mm, tip_u + share * (tip_u - end_u), tip_v + share * (tip_v - end_v)]
+    outer, tip = coarse.to_patient_mm(np.array([[coarse.length_mm - outside_mm, end_u, end_v], at_tip]))
+    outwards = (outer - tip) / np.linalg.norm(outer - tip)
+    return FoundRod(tip, outwards, 1.4826 * float(np.median(np.abs(residuals(found.x)))))
+
+
+def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
+    """Share of the rod at places (..., 3): a disc blurred by a Gaussian across, an edge blurred along."""
+    tip_u, tip_v, end_u, end_v, depth_mm, _, radius_mm, spread_mm = unknown
+    share = -local[..., 0] / length_mm  # 0 at the coarse tip, 1 at the outer end
+    u = local[..., 1] - tip_u - share * (end_u - tip_u)
+    v = local[..., 2] - tip_v - share * (end_v - tip_v)
+    distances = np.arange(0.0, AROUND_MM + 5.0, PROFILE_STEP_MM)
+    # what a Gaussian in the plane leaves within a circle is a noncentral chi-square with two degrees
+    profile = chndtr((radius_mm / spread_mm) ** 2, 2.0, (distances / spread_mm) ** 2)
+    across = np.interp(np.hypot(u, v), distances, profile)
+    return np.asarray(across * 0.5 * erfc((local[..., 0] - depth_mm) / (np.sqrt(2.0) * spread_mm)))
+
+
+def _within_voxel(volume: Volume, way: Way) -> Array:
+    """Places (n, 3) within a voxel from its centre, along and across the way, mm."""
+    geometry = volume.geometry
+    shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
+    grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
+    return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ way.axes)
+
+
+def _background(local: Array, values: Array) -> Array:
+    """HU around the rod at the height of each voxel: medians over a ring, slab by slab."""
+    radius = np.hypot(local[:, 1], local[:, 2])
+    ring = (radius > RING_MM[0]) & (radius < RING_MM[1])
+    slab = np.floor((local[:, 0] - local[:, 0].min()) / SLAB_MM).astype(int)
+    usual = float(np.median(values[ring])) if ring.any() else 0.0
+    levels = np.full(slab.max() + 1, usual)
+    for number in np.unique(slab[ring]):
+        levels[number] = np.median(values[ring & (slab == number)])
+    return np.asarray(levels[slab])

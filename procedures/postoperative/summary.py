@@ -1,0 +1,80 @@
+"""What a check after the operation found, as it is kept, printed for scripts, and shown in a report."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from procedures.imaging.volume import Volume
+from procedures.planning.plan import Plan
+from procedures.postoperative.comparison import FoundKind, Proof
+from ronna_hw.calibration import Numbers3, Numbers4, Strict
+
+
+class FoundTrajectory(Strict):
+    """One trajectory as planned and as it was done; points in LPS mm of the planned CT."""
+
+    id: str = Field(description="Its name in the plan.")
+    kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
+    planned_entry_mm: Numbers3 = Field(description="As planned.")
+    planned_target_mm: Numbers3 = Field(description="As planned.")
+    entry_mm: Numbers3 = Field(description="Where the axis that was found passes the planned entry.")
+    axis_at_target_mm: Numbers3 = Field(description="The tip, or where a hole's axis passes the target.")
+    tip_mm: Numbers3 | None = Field(description="Tip of the instrument.")
+    entry_error_mm: float = Field(description="From the planned entry to the axis, across the planned way.")
+    target_error_mm: float | None = Field(description="From the planned target to the tip.")
+    lateral_mm: float = Field(description="At the target, across the planned way.")
+    depth_error_mm: float | None = Field(description="Along the planned way; positive is too deep.")
+    angle_deg: float = Field(description="Between the planned and the found axis.")
+
+
+class PostoperativeCheck(Strict):
+    """A CT after the operation against the plan."""
+
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this form.")
+    pre_series_instance_uid: str = Field(description="The CT that was planned on.")
+    post_series_instance_uid: str = Field(description="The CT after the operation.")
+    post_from_pre: tuple[Numbers4, Numbers4, Numbers4, Numbers4] = Field(
+        description="Pose of the head, second CT <- first, mm."
+    )
+    bone_agreement: float = Field(description="Correlation of both CTs at bone; 1 for equal skulls.")
+    bone_overlap: float = Field(description="Share of the first CT's bone that the second shows.")
+    trajectories: tuple[FoundTrajectory, ...] = Field(description="In the order of the plan.")
+    warnings: tuple[str, ...] = Field(default=(), description="What limits the accuracy.")
+
+
+def summary_of(
+    proof: Proof, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
+) -> PostoperativeCheck:
+    """Plain values of a comparison."""
+    rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
+    first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
+    found = []
+    for one in proof.trajectories:
+        planned = plan.trajectory(one.identifier)
+        found.append(
+            FoundTrajectory(
+                id=one.identifier,
+                kind=one.kind,
+                planned_entry_mm=planned.entry_mm,
+                planned_target_mm=planned.target_mm,
+                entry_mm=one.entry_mm,
+                axis_at_target_mm=one.axis_at_target_mm,
+                tip_mm=one.tip_mm,
+                entry_error_mm=one.entry_error_mm,
+                target_error_mm=one.target_error_mm,
+                lateral_mm=one.lateral_mm,
+                depth_error_mm=one.depth_error_mm,
+                angle_deg=one.angle_deg,
+            )
+        )
+    return PostoperativeCheck(
+        pre_series_instance_uid=pre.series_instance_uid,
+        post_series_instance_uid=post.series_instance_uid,
+        post_from_pre=(first, second, third, last),
+        bone_agreement=proof.registration.agreement,
+        bone_overlap=proof.registration.overlap,
+        trajectories=tuple(found),
+        warnings=(*pre.warnings, *post.warnings, *warnings),
+    )

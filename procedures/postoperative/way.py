@@ -1,0 +1,99 @@
+"""The surroundings of a straight way into the head: coordinates along and across it, and the voxels there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+STEP_MM = 0.5  # of the first look
+SEARCH_MM = 10.0  # across the way: farther from its plan nothing is taken for the instrument
+SLAB_MM = 1.0  # along the way, for what is judged piece by piece
+
+
+@dataclass(frozen=True, eq=False)
+class Way:
+    """A way from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
+
+    entry_mm: Array
+    target_mm: Array
+
+    @property
+    def length_mm(self) -> float:
+        """From entry to target."""
+        return float(np.linalg.norm(self.target_mm - self.entry_mm))
+
+    @property
+    def inwards(self) -> Array:
+        """Unit vector (3,)."""
+        return np.asarray((self.target_mm - self.entry_mm) / self.length_mm)
+
+    @cached_property
+    def axes(self) -> Array:
+        """Columns: along the way, and two directions across it."""
+        along = self.inwards
+        helper = np.eye(3)[int(np.argmin(np.abs(along)))]
+        across = np.cross(along, helper)
+        across /= np.linalg.norm(across)
+        return np.column_stack([along, across, np.cross(along, across)])
+
+    def to_patient_mm(self, local_mm: Array) -> Array:
+        """Patient positions (..., 3) of positions along and across, mm from the entry."""
+        return np.asarray(self.entry_mm + local_mm @ self.axes.T)
+
+    def to_local_mm(self, points_mm: Array) -> Array:
+        """The other way round."""
+        return np.asarray((points_mm - self.entry_mm) @ self.axes)
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """HU on a grid of `STEP_MM` around a way, (along, across, across), and its places (..., 3) mm there.
+
+    -1000 HU outside the scan.
+    """
+
+    values: Array
+    places_mm: Array
+
+
+def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> Seen:
+    """HU around a way between two distances from its entry, linear between voxels."""
+    side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
+    along = np.arange(first_mm, last_mm, STEP_MM)
+    local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
+    index = np.moveaxis(volume.geometry.to_index(way.to_patient_mm(local)), -1, 0)
+    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=-1000.0)
+    return Seen(values, local)
+
+
+def voxels_around(
+    volume: Volume, way: Way, between_mm: tuple[float, float], radius_mm: float
+) -> tuple[Array, Array]:
+    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a way."""
+    geometry = volume.geometry
+    ends = geometry.to_index(
+        way.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))
+    )
+    room = radius_mm / geometry.spacing_mm + 1.0
+    shape = np.array(geometry.shape)
+    low = np.clip(np.floor(ends.min(axis=0) - room).astype(int), 0, shape)
+    high = np.clip(np.ceil(ends.max(axis=0) + room).astype(int) + 1, 0, shape)
+    index = np.stack(
+        np.meshgrid(*(np.arange(a, b) for a, b in zip(low, high, strict=True)), indexing="ij"), axis=-1
+    ).reshape(-1, 3)
+    local = way.to_local_mm(geometry.to_patient_mm(index))
+    near = (
+        (local[:, 0] >= between_mm[0])
+        & (local[:, 0] <= between_mm[1])
+        & (np.hypot(local[:, 1], local[:, 2]) <= radius_mm)
+    )
+    values = volume.voxels[tuple(index[near].T)].astype(float)
+    return local[near], values

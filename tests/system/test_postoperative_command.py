@@ -1,0 +1,128 @@
+"""`ronna-ct postoperative` as a user meets it: the wrong folders, and a case proven afterwards."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pydicom
+import pytest
+from painted_ct import Scan, write_series
+from spoiled_slices import every, setting
+from user_commands import Commands, in_this_process
+
+from procedures.cli.ct import app
+
+PLAN = """schema = 1
+series_instance_uid = "{uid}"
+patient_orientation = "HFS"
+implanted = 4
+fiducials = "free"
+tool = "guide"
+[[trajectories]]
+id = "T1"
+entry_mm = [20.0, 0.0, 40.0]
+target_mm = [20.0, 0.0, 20.0]
+margin_mm = 1.0
+"""
+
+
+def _series(folder: Path, uid: str, patient: str = "") -> Path:
+    """A scan of air under one name."""
+    scan = Scan(shape=(12, 16, 16), noise_hu=5.0)
+    edit = every(setting(SeriesInstanceUID=uid, PatientID=patient))
+    return write_series(folder, scan.voxels(), scan.spacing_mm, edit=edit)
+
+
+def _plan(folder: Path, uid: str) -> Path:
+    path = folder / "plan.toml"
+    path.write_text(PLAN.format(uid=uid))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("series", "planned", "code", "exit_code"),
+    [
+        (("1.2.1", "1.2.2"), "1.2.2", "POST-003", 1),  # exchanged
+        (("1.2.1", "1.2.1"), "1.2.1", "POST-004", 1),
+        (("1.2.1", "1.2.2"), "1.2.3", "PLAN-003", 1),
+        (("1.2.1", "1.2.2"), "1.2.1", "POST-001", 1),  # nothing but air
+    ],
+)
+def test_the_wrong_series_are_refused(
+    tmp_path: Path, series: tuple[str, str], planned: str, code: str, exit_code: int
+) -> None:
+    folders = [_series(tmp_path / name, uid) for name, uid in zip(("pre", "post"), series, strict=True)]
+    done = in_this_process(app, "postoperative", *folders, "--plan", _plan(tmp_path, planned))
+    assert (done.returncode, done.stdout) == (exit_code, "")
+    assert code in done.stderr
+
+
+@pytest.mark.hazard(43)
+def test_the_ct_of_another_patient_is_refused_without_naming_anybody(tmp_path: Path) -> None:
+    pre = _series(tmp_path / "pre", "1.2.1", "ALICE-1")
+    post = _series(tmp_path / "post", "1.2.2", "BOB-2")
+    done = in_this_process(app, "postoperative", pre, post, "--plan", _plan(tmp_path, "1.2.1"))
+    assert done.returncode == 3
+    assert "POST-005" in done.stderr
+    assert "ALICE" not in done.stderr + done.stdout
+    assert "BOB" not in done.stderr + done.stdout
+
+
+def test_what_is_no_ct_and_what_is_not_in_the_plan_are_refused(tmp_path: Path) -> None:
+    pre, plan = _series(tmp_path / "pre", "1.2.1"), _plan(tmp_path, "1.2.1")
+    scan = Scan(shape=(12, 16, 16), noise_hu=5.0)
+    edit = every(setting(SeriesInstanceUID="1.2.2", Modality="MR"))
+    post = write_series(tmp_path / "mr", scan.voxels(), scan.spacing_mm, edit=edit)
+    assert "CT-004" in in_this_process(app, "postoperative", pre, post, "--plan", plan).stderr
+    other = in_this_process(app, "postoperative", pre, post, "--plan", plan, "--only", "T9")
+    assert other.returncode == 2
+    assert "T9" in other.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(170)
+def test_a_case_is_proven_and_its_report_shows_it(commands: Commands, tmp_path: Path) -> None:
+    done = commands.run(
+        *("ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", "3"),
+        *("--out", str(tmp_path / "runs"), "--json"),
+    )
+    reached = json.loads(done.stdout)
+    run = tmp_path / "runs" / reached["run"]
+    commands.run("ronna-sim", "phantom", "--postoperative", str(run), "--out", str(tmp_path / "post"))
+    words = ("ronna-ct", "postoperative", str(run / "case/ct"), str(tmp_path / "post/ct"))
+    plan = ("--plan", str(run / "case/plan.toml"))
+    more = ("--run", str(run), "--out", str(tmp_path / "proof"), "--json")
+    done = commands.run(*words, *plan, *more)
+    assert done.returncode == 0, done.stderr
+    (found,) = json.loads(done.stdout)["trajectories"]
+    truth_mm = reached["targets"][0]["application_error_mm"]
+    assert found["target_error_mm"] == pytest.approx(truth_mm, abs=0.2)
+    assert found["angle_deg"] < 0.5
+    assert "After the operation" in (run / "report.html").read_text()
+    assert commands.run("ronna-procedure", "verify", str(run)).returncode == 0
+    assert commands.run("ronna-procedure", "report", str(run)).returncode == 0
+    assert "After the operation" in (run / "report.html").read_text()  # it was kept
+    registration = pydicom.dcmread(tmp_path / "proof" / "postoperative-registration.dcm")
+    points = pydicom.dcmread(tmp_path / "proof" / "postoperative-points.dcm")
+    assert registration.PatientID == points.PatientID == ""
+    assert len(registration.RegistrationSequence) == 2
+    assert len(points.FiducialSetSequence[0].FiducialSequence) == 4
+    other = tmp_path / "other"
+    shutil.copytree(run / "case/ct", other)
+    for path in other.glob("*.dcm"):
+        data = pydicom.dcmread(path)
+        data.SeriesInstanceUID = "1.2.7"
+        data.save_as(path)
+    edited = tmp_path / "plan.toml"
+    text = (run / "case/plan.toml").read_text()
+    edited.write_text(text.replace(reached_series(run), "1.2.7"))
+    done = commands.run(*words[:2], str(other), words[3], "--plan", str(edited), "--run", str(run))
+    assert "POST-008" in done.stderr
+
+
+def reached_series(run: Path) -> str:
+    """The series that a run's plan names."""
+    lines = (run / "case/plan.toml").read_text().splitlines()
+    return next(line.split('"')[1] for line in lines if line.startswith("series_instance_uid"))

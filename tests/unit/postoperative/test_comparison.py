@@ -1,0 +1,136 @@
+"""What was left in a head is found in the second scan, and what cannot be told is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from benchmarks.postoperative import after, before, errors_of, misplaced, plan_of
+from procedures.imaging.volume import Volume
+from procedures.planning.errors import WrongSeries
+from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
+from procedures.postoperative.comparison import FoundKind, compare, proof_by, require_series
+from procedures.postoperative.errors import (
+    HeadsDiffer,
+    InstrumentAmbiguous,
+    InstrumentMissing,
+    NoBone,
+    OneSeriesTwice,
+    SeriesSwapped,
+)
+from sim.phantom.postoperative.instruments import Instrument, Kind
+from sim.phantom.postoperative.scan import draw_scan
+from sim.theatre.scene.model import CtProtocol, Scene
+from sim.theatre.scene.named_scenes import named_scene
+
+COARSE = CtProtocol(pixel_mm=1.2, slice_mm=1.5, columns=200, rows=200, slices=134)
+SEED = 7
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return named_scene("default", seed=SEED, targets=2).model_copy(update={"ct": COARSE})
+
+
+@pytest.fixture(scope="module")
+def planned(scene: Scene) -> Volume:
+    return before(scene)
+
+
+def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegistration]:
+    """The second scan, and how it truly lies."""
+    scan = draw_scan(scene, left, SEED)
+    pose = RigidTransform.from_matrix(scan.pose.scan_from_head)
+    return after(scan), BoneRegistration(pose, 1.0, 1.0, 0.0)
+
+
+def test_electrodes_are_found_within_the_goal(scene: Scene, planned: Volume) -> None:
+    left = misplaced(scene, Kind.ELECTRODE, SEED)
+    post, _ = _after(scene, left)
+    proof = compare(plan_of(scene), planned, post)
+    assert [one.identifier for one in proof.trajectories] == ["T1", "T2"]
+    for truth, found in zip(left, proof.trajectories, strict=True):
+        tip_mm, entry_mm, angle_deg = errors_of(truth, found)
+        assert tip_mm < 0.2
+        assert entry_mm < 0.2
+        assert angle_deg < 0.3
+
+
+def test_errors_are_told_against_the_plan(scene: Scene, planned: Volume) -> None:
+    target = scene.head.targets[0]
+    deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
+    left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
+    post, truth = _after(scene, left)
+    (found,) = proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+    assert found.kind is FoundKind.INSTRUMENT
+    assert found.depth_error_mm == pytest.approx(1.5, abs=0.2)
+    assert found.target_error_mm == pytest.approx(1.5, abs=0.2)
+    assert found.lateral_mm < 0.1
+    assert found.entry_error_mm < 0.1
+    assert found.angle_deg < 0.2
+
+
+def test_a_drilled_hole_has_an_entry_and_a_direction_and_no_tip(scene: Scene, planned: Volume) -> None:
+    left = misplaced(scene, Kind.DRILL_HOLE, SEED)
+    post, truth = _after(scene, left)
+    for one, found in zip(left, proof_by(truth, plan_of(scene), planned, post).trajectories, strict=True):
+        assert found.kind is FoundKind.DRILL_HOLE
+        assert found.tip_mm is None
+        assert found.depth_error_mm is None
+        _, entry_mm, angle_deg = errors_of(one, found)
+        assert entry_mm < 0.2
+        assert angle_deg < 1.5  # of a skull 7 mm thick, in slices of 1.5 mm
+
+
+@pytest.mark.hazard(43)
+def test_a_trajectory_without_anything_is_named_and_so_is_what_was_found(
+    scene: Scene, planned: Volume
+) -> None:
+    post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
+    with pytest.raises(InstrumentMissing, match=r"lies along T2; .*found along T1"):
+        proof_by(truth, plan_of(scene), planned, post)
+    assert [
+        one.identifier for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+    ] == ["T1"]
+
+
+@pytest.mark.hazard(43)
+def test_one_instrument_is_not_counted_for_two_trajectories(scene: Scene, planned: Volume) -> None:
+    left = misplaced(scene, Kind.ELECTRODE, SEED)[:1]
+    post, truth = _after(scene, left)
+    first, second = plan_of(scene).trajectories
+    beside = second.model_copy(update={"entry_mm": first.entry_mm, "target_mm": first.target_mm})
+    plan = plan_of(scene).model_copy(update={"trajectories": (first, beside)})
+    with pytest.raises(InstrumentAmbiguous):
+        proof_by(truth, plan, planned, post)
+
+
+@pytest.mark.hazard(43)
+def test_another_skull_is_refused(scene: Scene, planned: Volume) -> None:
+    a, b, c = scene.head.semi_axes_mm
+    hardly = scene.head.model_copy(update={"semi_axes_mm": (a - 1.0, b - 1.0, c + 1.0)})
+    other = draw_scan(scene.model_copy(update={"head": hardly}), (), SEED)
+    with pytest.raises(HeadsDiffer):
+        register_on_bone(planned, after(other))
+
+
+def test_a_scan_without_bone_is_refused(planned: Volume) -> None:
+    air = np.full((40, 40, 40), -1000, dtype=np.int16)
+    nothing = Volume(air, replace(planned.geometry, shape=air.shape), "1.2.3", "1.2.4")
+    with pytest.raises(NoBone):
+        register_on_bone(nothing, planned)
+
+
+@pytest.mark.hazard(43)
+def test_the_plan_must_be_of_the_first_series_and_the_second_another(scene: Scene, planned: Volume) -> None:
+    plan, post = plan_of(scene), replace(planned, series_instance_uid="1.2.2")
+    require_series(plan, planned, post)
+    with pytest.raises(SeriesSwapped):
+        require_series(plan, post, planned)
+    with pytest.raises(OneSeriesTwice):
+        require_series(plan, planned, planned)
+    with pytest.raises(WrongSeries):
+        require_series(plan, replace(planned, series_instance_uid="1.2.8"), post)
