@@ -6,12 +6,13 @@ Sizes are those of an uncalibrated arm (parameter set S of the error study) unle
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration.arm.parameters import BACKLASH_RAD, SAG_RAD, TOOL_MM
-from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, error_columns
+from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, UNCALIBRATED_MM, error_columns
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from ronna_hw.arm.deviations import FLANK_SHARE, gravity_levers
 from ronna_hw.arm.links import Chain
@@ -23,6 +24,28 @@ SERVO_MM = 0.03  # 3-D rms of what the servo leaves
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
 HARMONIC_COLUMNS = slice(1, 5)
 SAGGING = (1, 2)  # joints, counted from 0
+
+
+@dataclass(frozen=True)
+class ErrorSizes:
+    """What is left of the errors of set S in an arm, as shares; the tool frame's in mm per axis.
+
+    `links` goes with the joint offsets, `joints` with harmonics and sag.
+    """
+
+    tool_mm: float = TOOL_MM
+    links: float = 1.0
+    joints: float = 1.0
+    backlash: float = 1.0
+
+    @classmethod
+    def stated(cls, arm_error_mm: float, tool_error_mm: float) -> Self:
+        """As a theatre file states them: in proportion to the error of the arm, up to all of set S."""
+        share = min(1.0, arm_error_mm / UNCALIBRATED_MM)
+        return cls(tool_error_mm, share, share)
+
+
+UNCALIBRATED = ErrorSizes()
 
 
 @dataclass(frozen=True)
@@ -38,27 +61,41 @@ class ArmPoses:
 
 
 def arm_sources(
-    chain: Chain, spheres: ArmPoses, target: ArmPoses, *, share: float = 1.0
+    chain: Chain, spheres: ArmPoses, target: ArmPoses, sizes: ErrorSizes = UNCALIBRATED
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Geometry, joints, backlash and what does not repeat, for one target and its `n` spheres.
 
-    `share` of the sizes of set S is left in this arm; backlash, which no calibration compensates, and what
-    does not repeat are the same in all.
+    What does not repeat is the same in all arms.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
-    columns = error_columns(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]))
-    by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
-    swings = by_joint[..., 0] / JOINT_OFFSET_RAD  # (p, 3, axes) mm per rad
-    geometry = share * np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(joints), 3, -1)
-    harmonics = share * by_joint[..., HARMONIC_COLUMNS].reshape(len(joints), 3, -1)
-    levers = gravity_levers(chain, joints)
-    sag = share * SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
+    moved = displacements(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]), sizes)
     return (
-        _shared("links and joint offsets", geometry),
-        _shared("harmonics and sag", np.concatenate([harmonics, sag], axis=2)),
-        _backlash(swings, spheres.sides, target.sides),
+        _shared("links and joint offsets", moved.links_mm),
+        _shared("harmonics and sag", moved.joints_mm),
+        _backlash(sizes.backlash * moved.swings_mm, spheres.sides, target.sides),
         _at_rest(len(spheres.joints_rad)),
     )
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """How far each error of one standard deviation displaces a tool at `p` poses."""
+
+    links_mm: Array  # (p, 3, k)
+    joints_mm: Array  # (p, 3, m)
+    swings_mm: Array  # (p, 3, axes) by each joint, mm per rad
+
+
+def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Displacements:
+    """At joints (p, axes) with the tool origins at points (p, 3) mm in the robot frame."""
+    columns = error_columns(chain, joints_rad, points_mm)
+    by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
+    swings = by_joint[..., 0] / JOINT_OFFSET_RAD
+    links = np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(columns), 3, -1)
+    harmonics = by_joint[..., HARMONIC_COLUMNS].reshape(len(columns), 3, -1)
+    levers = gravity_levers(chain, joints_rad)
+    sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
+    return Displacements(sizes.links * links, sizes.joints * np.concatenate([harmonics, sag], axis=2), swings)
 
 
 def tool_frame(at_spheres: Array, at_target: Array, tool_mm: float = TOOL_MM) -> SharedErrors:

@@ -15,6 +15,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
+    from procedures.calibration.arm_sources import ErrorSizes
     from procedures.imaging import Volume
     from procedures.planning.check import PlanCheck
     from procedures.planning.motions import PreviewedMotion
@@ -74,7 +75,7 @@ def check(
     strategy: Annotated[
         str,
         typer.Option(
-            metavar="ocs|thesis-ocs|nos|jdms",
+            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
             help="How the stereo head is held at the markers; with --config and --markers.",
         ),
     ] = "ocs",
@@ -248,6 +249,7 @@ def _theatre(
         ),
         start_rad=start_rad,
         approach_mm=theatre.procedure.standoff_mm,
+        sizes=ErrorSizes.stated(theatre.procedure.arm_error_mm, theatre.procedure.tool_error_mm),
     )
     return Theatre(arm, theatre.cell, StereoSight.of(theatre.calibration.stereo_head))
 

@@ -61,7 +61,8 @@ TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajecto
 StrategyOption = Annotated[
     str,
     typer.Option(
-        metavar="ocs|thesis-ocs|nos|jdms", help="How the tool is held while the spheres are localized."
+        metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+        help="How the tool is held while the spheres are localized.",
     ),
 ]
 SpeedOption = Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")]

@@ -16,7 +16,7 @@ from procedures.strategies.free_turns import OUTWARDS_RAD
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
 
-BY_ACCURACY = ("ocs", "jdms", "nos")  # on an arm that is not calibrated, as the thesis measured
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an arm that is not calibrated
 
 
 def alternatives(

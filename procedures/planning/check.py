@@ -167,6 +167,7 @@ def _driven(
     plan: Plan, fiducials_mm: ArrayLike | None, arm: ArmSetting, sight: StereoSight | None
 ) -> tuple[list[RonnaError], tuple[PreviewedMotion, ...], tuple[tuple[str, float], ...]]:
     """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
+    from procedures.planning.best_choice import with_best_chosen
     from procedures.planning.free_angle import TurnedPaths, choose_free_angles
     from procedures.planning.motions import previews_of
     from procedures.planning.reach import check_paths
@@ -179,6 +180,7 @@ def _driven(
         own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
         turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
     else:
+        arm = with_best_chosen(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
         unmet: list[RonnaError] = [NotReachable(f"{one.pose}: {one.reason}") for one in turned.check.unmet]

@@ -13,6 +13,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.planning.errors import NotReachable
 from procedures.planning.planning_scene import PlanningScene
 from procedures.strategies.arm_in_branch import ArmInBranch
@@ -122,7 +123,7 @@ class ArmSetting:
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (by design the same; None takes the guide's). With a `scene`, every motion must
-    also be clear of what is in it.
+    also be clear of what is in it. `sizes` are those of the errors that are left in the arm.
     """
 
     kinematics: Kinematics
@@ -134,6 +135,7 @@ class ArmSetting:
     limits: MotionLimits | None = None
     approach_mm: float = APPROACH_MM
     scene: PlanningScene | None = None
+    sizes: ErrorSizes = UNCALIBRATED
 
     def __post_init__(self) -> None:
         """Raises FRM-001 when a transform maps between other frames."""
@@ -150,6 +152,7 @@ class ArmSetting:
             flange_from_stereo=self.flange_from_stereo or self.flange_from_tool,
             branch=branch,
             near_rad=self.start_rad,
+            sizes=self.sizes,
         )
 
 

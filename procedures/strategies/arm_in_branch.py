@@ -1,9 +1,10 @@
-"""The arm as a strategy needs it: its kinematics, what it carries, and the branch it works in."""
+"""The arm as a strategy needs it: kinematics, what it carries, the branch it works in, its errors."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.strategies.orientation import require_frames
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.pose import Pose
@@ -14,13 +15,17 @@ Joints = tuple[float, float, float, float, float, float]  # rad
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; where whole turns are counted from."""
+    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; where whole turns are counted from.
+
+    `sizes` are those of the errors that are left in the arm.
+    """
 
     kinematics: Kinematics
     flange_from_guide: Transform
     flange_from_stereo: Transform
     branch: Branch
     near_rad: Joints
+    sizes: ErrorSizes = UNCALIBRATED
 
     def __post_init__(self) -> None:
         """Raises FRM-001 when a tool is not FLANGE <- TOOL."""
@@ -30,6 +35,11 @@ class ArmInBranch:
     def guide_at(self, pose: Transform) -> Joints:
         """Joints that bring the guide to a pose ROBOT <- TOOL; raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
+        return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
+
+    def stereo_at(self, pose: Transform) -> Joints:
+        """The same for the stereo head."""
+        flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
     def stereo_pose(self, joints_rad: Joints) -> Transform:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from procedures.strategies.errors import StrategyNotYet, UnknownStrategy
+from procedures.strategies.best import BestOfEach
+from procedures.strategies.errors import UnknownStrategy
+from procedures.strategies.improved import ImprovedDisplacementMinimization
 from procedures.strategies.jdms import JointDisplacementMinimization
 from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.ocs import OrientationCorrection
@@ -13,18 +15,14 @@ STRATEGIES: tuple[Strategy, ...] = (
     OrientationCorrection(name="thesis-ocs", controls_approach=False),
     NeutralOrientation(),
     JointDisplacementMinimization(),
+    ImprovedDisplacementMinimization(),
+    BestOfEach(),
 )
-NOT_YET = {
-    "improved": "joint displacement minimization on a calibrated arm",
-    "best": "the best of all strategies",
-}
 
 
 def strategy_named(name: str) -> Strategy:
-    """The strategy with this name. Raises STR-001 for one that is not built yet, STR-002 for an unknown."""
+    """The strategy with this name. Raises STR-002 for an unknown one."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy
-    if name in NOT_YET:
-        raise StrategyNotYet(f"the strategy {name} ({NOT_YET[name]}) is not yet available")
     raise UnknownStrategy(f"there is no strategy {name!r}")

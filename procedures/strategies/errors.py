@@ -1,22 +1,15 @@
-"""What can go wrong when the arm's orientations are chosen, STR-001 to STR-004."""
+"""What can go wrong when the arm's orientations are chosen, STR-002 to STR-004."""
 
 from __future__ import annotations
 
 from ronna_hw.errors import ConfigurationError, DataError, LimitError
 
 
-class StrategyNotYet(ConfigurationError):
-    """The strategy is planned but not implemented yet."""
-
-    code = "STR-001"
-    action = "Use one of: ocs, thesis-ocs, nos, jdms."
-
-
 class UnknownStrategy(ConfigurationError):
     """No strategy has this name."""
 
     code = "STR-002"
-    action = "Use one of: ocs, thesis-ocs, nos, jdms."
+    action = "Use one of: ocs, thesis-ocs, nos, jdms, improved, best."
 
 
 class BadTrajectory(DataError):

@@ -49,7 +49,7 @@ class JointDisplacementMinimization:
         Raises ARM-001 to ARM-003 when the branch does not reach the target, STR-004 when no joints near it
         reach a fiducial.
         """
-        _, at_fiducials = _joints(along, fiducials_mm, robot_from_ct, arm)
+        _, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
         return tuple(arm.stereo_pose(joints) for joints in at_fiducials)
 
     def turns_rad(
@@ -60,14 +60,14 @@ class JointDisplacementMinimization:
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
             try:
-                at_target, at_fiducials = _joints(turned, fiducials_mm, robot_from_ct, arm)
+                at_target, at_fiducials = joints_of(turned, fiducials_mm, robot_from_ct, arm)
             except (LimitError, NoNearbyJoints):
                 continue
             ranked.append((sum(math.dist(at_target, one) ** 2 for one in at_fiducials), turn))
         return tuple(turn for _, turn in sorted(ranked, key=lambda one: one[0]))
 
 
-def _joints(
+def joints_of(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
     """Joints at the target, and at each fiducial."""

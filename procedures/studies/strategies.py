@@ -14,14 +14,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from procedures.studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
-from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
 from procedures.studies.accuracy.scene import DIGITS, Scene
 from procedures.studies.accuracy.trials import Sizes
 from procedures.studies.unit import Sums, Unit, blocks
 
-STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms")
+STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
+ALONE = STRATEGIES[:-1]  # have poses of their own
 PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
 BLOCK_ARMS = 125
@@ -31,6 +31,7 @@ ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000
 FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
 TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
 BIN_MM = 0.005  # of the histograms
+OF_ARM = "arm "  # before its number, where a sum is of one arm
 SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
 TILTED_ALIKE = "trajectories tilted alike"
 READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE, TILTED_ALIKE)
@@ -85,7 +86,7 @@ def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
     """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
-    for strategy in STRATEGIES:
+    for strategy in ALONE:
         planned = scene.planned(strategy)
         for source in Source:
             errors = scene.errors_mm(drawn.only(source), planned, chance, Sizes().only(source))
@@ -101,12 +102,12 @@ def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
     """Predicted and actual: strategy|spheres|targets, inside, actual2, predicted2."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
-    for strategy in STRATEGIES:
+    for strategy in ALONE:
         planned = scene.planned(strategy)
         errors = scene.errors_mm(drawn, planned, chance, Sizes())
+        predicted = scene.predicted(planned)
         for place_of_count, count in enumerate(scene.counts):
-            predicted = predictions(planned, scene.phantom, scene.robot_from_ct, count)
-            for target, one in enumerate(predicted):
+            for target, one in enumerate(predicted[place_of_count]):
                 actual = errors[:, target, place_of_count]
                 sums[f"{strategy}|{count}|targets"] += len(arms)
                 sums[f"{strategy}|{count}|inside"] += int(one.holds(actual).sum())
@@ -116,17 +117,18 @@ def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Histogram and sum of the errors: scenario|strategy|spheres|bin, and with `sum` for the bin."""
+    """Histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
-    for strategy in STRATEGIES:
-        planned = scene.planned(strategy)
-        for one in SCENARIOS:
-            lengths = np.linalg.norm(scene.errors_mm(one.of(drawn), planned, chance, one.sizes), axis=-1)
+    for one in SCENARIOS:
+        errors = scene.all_errors_mm(STRATEGIES, one.of(drawn), chance, one.sizes, one.left)
+        for strategy, vectors in errors.items():
+            lengths = np.linalg.norm(vectors, axis=-1).round(DIGITS)
             for place_of_count, count in enumerate(scene.counts):
-                of_count = lengths[:, :, place_of_count].round(DIGITS)
+                of_count = lengths[:, :, place_of_count]
                 key = f"{one.name}|{strategy}|{count}"
-                found[f"{key}|sum"] = float(of_count.sum())
+                for arm, sum_mm in zip(arms, of_count.sum(axis=1).tolist(), strict=True):
+                    found[f"{key}|{OF_ARM}{arm}"] = round(sum_mm, DIGITS)
                 for number in (of_count.ravel() / BIN_MM).astype(int).tolist():
                     found[f"{key}|{number}"] += 1.0
     return dict(found)

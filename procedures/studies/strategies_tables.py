@@ -15,6 +15,7 @@ from procedures.studies.accuracy.scene import DIGITS
 from procedures.studies.plots import boxes
 from procedures.studies.strategies import (
     BIN_MM,
+    OF_ARM,
     PREDICTION,
     READ_AGAIN,
     READINGS,
@@ -24,6 +25,7 @@ from procedures.studies.strategies import (
     TARGETS,
     TRIALS,
 )
+from procedures.studies.strategies_pairs import pairs
 from procedures.studies.table import Cell, Table
 from procedures.studies.thesis_tables import TABLE_4, StrategyRow
 from procedures.studies.unit import Sums
@@ -47,6 +49,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         _sources(sums),
         _more_spheres(sums),
         _scenarios(sums),
+        pairs(sums),
         _prediction(sums),
     ]
 
@@ -257,11 +260,12 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
             row[what] += value
     rows: list[list[Cell]] = []
     for (scenario, strategy, spheres), one in total.items():
-        bins = sorted(int(key) for key in one if key != "sum")
+        bins = sorted(int(key) for key in one if not key.startswith(OF_ARM))
         numbers = np.array([one[str(number)] for number in bins])
         upto = np.cumsum(numbers) / numbers.sum()
         p99_mm = round(BIN_MM * (bins[int(np.searchsorted(upto, HIGHEST))] + 1), DIGITS)
-        rows.append([scenario, strategy, spheres, one["sum"] / float(numbers.sum()), p99_mm])
+        sum_mm = sum(value for key, value in one.items() if key.startswith(OF_ARM))
+        rows.append([scenario, strategy, spheres, sum_mm / float(numbers.sum()), p99_mm])
     return Table(
         "Calibrated arms and a fine CT",
         ("scenario", "strategy", "spheres", "mean mm", "99 % below mm"),

@@ -1,8 +1,12 @@
-"""The KR 6 R900 as strategies see it in tests, with guide and stereo head alike."""
+"""The KR 6 R900 as strategies see it in tests, with guide and stereo head alike; a head for it."""
 
 from __future__ import annotations
 
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
 from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.frames import Frame, Transform
@@ -11,3 +15,13 @@ HOME_RAD = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0))
 KR6 = kr6_r900(ArmVariant.SIXX)
 ARM = ArmInBranch(KR6, TOOL, TOOL, KR6.branch_of(HOME_RAD), HOME_RAD)
+FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]])
+# CT left towards robot y, anterior up, superior towards the robot.
+ROOM = Transform(
+    Frame.ROBOT,
+    Frame.CT,
+    RigidTransform.from_components(
+        [640.0, 0.0, 250.0], Rotation.from_matrix([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    ),
+)
+LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))

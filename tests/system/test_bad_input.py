@@ -160,7 +160,6 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
     ("code", "option"),
     [
         ("PRO-012", ("--fiducials", "xframe")),
-        ("STR-001", ("--strategy", "best")),
     ],
 )
 def test_what_is_not_built_yet_says_so(tmp_path: Path, code: str, option: tuple[str, ...]) -> None:

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_geometry import UNCALIBRATED_MM
-from procedures.calibration.arm_sources import ArmPoses, arm_sources
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -25,7 +24,7 @@ def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, tip_mm: Array
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Of localizations of spheres (n, 3) mm and the tip (3,) mm at a target, robot frame, as planned."""
-    paths = context.result(CheckedPaths)
+    paths, settings = context.result(CheckedPaths), context.setting.settings
     kinematics = context.workcell.arm.kinematics
     planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
     looks = [planned[index] for index in fiducials]
@@ -42,5 +41,5 @@ def arm_errors(
             tip_mm[None],
             np.array([at_target.approach_signs], dtype=float),
         ),
-        share=min(1.0, context.setting.settings.arm_error_mm / UNCALIBRATED_MM),
+        ErrorSizes.stated(settings.arm_error_mm, settings.tool_error_mm),
     )

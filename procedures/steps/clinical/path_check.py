@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from pydantic import Field
 
+from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -23,6 +24,7 @@ from procedures.steps.clinical.path_search import PathSearch
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.approach import arrival_signs
+from procedures.strategies.best import BestOfEach
 from procedures.workcell import MountedTool
 from ronna_hw.arm.kinematics import Branch
 
@@ -52,6 +54,9 @@ class CheckedPaths(StepResult, kind="path_check"):
     replaced: dict[str, str] = Field(
         default={}, description="Trajectories with another strategy that the operator agreed to, and which."
     )
+    chosen: dict[str, str] = Field(
+        default={}, description="With the strategy `best`: which it chose, by trajectory."
+    )
     free_angle_turns_rad: dict[str, float] = Field(
         description="Turn of each trajectory about its axis; and of the neutral orientation, if there is one."
     )
@@ -70,7 +75,7 @@ class CheckedPaths(StepResult, kind="path_check"):
 
     def strategy_of(self, trajectory: str) -> str:
         """Name of the strategy of one trajectory."""
-        return self.replaced.get(trajectory, self.strategy)
+        return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
         """The localizations that serve a trajectory; for None the one set of a strategy that localizes once.
@@ -90,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     localization = context.result(LocalizedFiducials)
     plan = context.result(CheckedPlan)
     matched = [pair[0] for pair in correspondence.pairs]
-    workcell = context.workcell
+    workcell, settings = context.workcell, context.setting.settings
     scene = planning_scene_of(context)
     setting = ArmSetting(
         kinematics=workcell.arm.kinematics,
@@ -99,8 +104,9 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         strategy=context.clinical.strategy,
         flange_from_stereo=workcell.flange_from(MountedTool.STEREO_HEAD),
         start_rad=context.result(CheckedSetUp).home_rad,
-        approach_mm=context.setting.settings.standoff_mm,
+        approach_mm=settings.standoff_mm,
         scene=scene,
+        sizes=ErrorSizes.stated(settings.arm_error_mm, settings.tool_error_mm),
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(
@@ -113,10 +119,13 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     check = turned.check
     motions = previews_of(setting, scene, check, turned.axes.targeted)
     replaced = {name: one.name for name, one in search.replaced.items()}
+    best = search.setting.strategy
+    chosen = {name: one.name for name, one in best.others.items()} if isinstance(best, BestOfEach) else {}
     return Outcome(
         CheckedPaths(
             strategy=context.clinical.strategy.name,
             replaced=replaced,
+            chosen=chosen,
             free_angle_turns_rad=dict(turned.turns_rad),
             branch=check.branch,
             joint_ranges_rad=check.joint_ranges_rad,
@@ -129,7 +138,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         summary=f"{len(check.reached)} poses in one branch"
         + _closest(motions)
         + _turns(turned)
-        + "".join(f"; {name} by {strategy}" for name, strategy in replaced.items())
+        + "".join(f"; {name} by {strategy}" for name, strategy in (chosen | replaced).items())
         + "".join(f"; without {name}" for name in search.left_out),
     )
 

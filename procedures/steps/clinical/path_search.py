@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 from procedures.engine.context import StepContext
 from procedures.engine.operator import words
 from procedures.planning.alternatives import alternatives
+from procedures.planning.best_choice import with_best_chosen
 from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
+from procedures.strategies.best import CANDIDATES, BestOfEach
 from procedures.strategies.by_trajectory import StrategyByTrajectory
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
@@ -43,6 +45,7 @@ class PathSearch:
 
     def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
         """The paths of what remains; raises PLAN-007 for what cannot be reached when nothing is agreed."""
+        self.setting = with_best_chosen(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
             remain = [one for one in trajectories if one.identifier not in self.left_out]
             turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)
@@ -104,6 +107,8 @@ class PathSearch:
 
     def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
         tried = {self.setting.strategy.name, *self._tried.get(trajectory.identifier, ())}
+        if isinstance(self.setting.strategy, BestOfEach):
+            tried |= {one.name for one in CANDIDATES}
         return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.planning.wrist import LEAST_BEND_RAD
 from procedures.strategies.approach import arrival_signs
 from procedures.strategies.arm_in_branch import ArmInBranch
@@ -50,9 +51,11 @@ class Postures:
         return target if self.sets > 1 else 0
 
 
-def postures(strategy: Strategy, phantom: Phantom, robot_from_ct: Transform) -> Postures:
+def postures(
+    strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
+) -> Postures:
     """Plan all poses of a strategy; raises STU-010 when the arm cannot serve the phantom there."""
-    arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad)
+    arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
     served = strategy.localizes_per_trajectory
     turned = [_turned(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]

@@ -1,10 +1,17 @@
-"""What the joint-level prediction says of a strategy's targets, for arms of parameter set S."""
+"""What the joint-level prediction says of a strategy's targets, for what is left of parameter set S."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors, tool_frame
+from procedures.calibration.arm_sources import (
+    UNCALIBRATED,
+    ArmPoses,
+    ErrorSizes,
+    arm_sources,
+    ct_errors,
+    tool_frame,
+)
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.studies.accuracy.phantom import Phantom
 from procedures.studies.accuracy.postures import ARM, Postures
@@ -13,7 +20,12 @@ from ronna_hw.frames import Transform
 
 
 def predictions(
-    planned: Postures, phantom: Phantom, robot_from_ct: Transform, count: int
+    planned: Postures,
+    phantom: Phantom,
+    robot_from_ct: Transform,
+    count: int,
+    left: ErrorSizes = UNCALIBRATED,
+    ct_mm: float = CT_FLE_MM,
 ) -> list[TargetPrediction]:
     """One for each target, with the first `count` spheres; the fit does not weight them."""
     spheres = robot_from_ct.apply(phantom.spheres_mm)
@@ -32,10 +44,12 @@ def predictions(
             target[None],
             planned.target_arrival[[number]],
         )
-        ct = np.tile(np.eye(AXES) * CT_FLE_MM**2 / AXES, (count, 1, 1))
+        ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
         sources = [
-            tool_frame(planned.localizations.rotations[looks], planned.targets.rotations[number]),
-            *arm_sources(ARM.chain, at_spheres, at_target),
+            tool_frame(
+                planned.localizations.rotations[looks], planned.targets.rotations[number], left.tool_mm
+            ),
+            *arm_sources(ARM.chain, at_spheres, at_target, left),
             ct_errors(ct),
         ]
         found.append(predict_target_error(spheres[:count], target, sources))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
 from sim.theatre.scene.arm_truth import JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
@@ -34,6 +35,13 @@ class Scenario:
     def sizes(self) -> Sizes:
         """The errors that are not the arm's."""
         return Sizes(ct_mm=self.ct_mm)
+
+    @property
+    def left(self) -> ErrorSizes:
+        """What is left of the arm's errors."""
+        if not self.kinematics:
+            return replace(UNCALIBRATED, tool_mm=CALIBRATED_TOOL_MM if self.tool else TOOL_ERROR_MM)
+        return ErrorSizes(CALIBRATED_TOOL_MM, links=CALIBRATED_RAD / LINK_ROTATION_RAD)
 
     def of(self, arms: RandomArms) -> RandomArms:
         """The same arms, calibrated: their errors scaled down to what remains."""

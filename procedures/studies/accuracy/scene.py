@@ -9,17 +9,22 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
+from procedures.registration.target_prediction import TargetPrediction
+from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
 from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, place
 from procedures.studies.accuracy.postures import Postures, postures
+from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms
-from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
+from procedures.studies.accuracy.trials import CT_FLE_MM, Chance, Sizes, target_errors
 from procedures.studies.unit import Sums
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
 DIGITS = 6  # of an error in mm
+BEST = "best"  # chosen for each target and number of spheres among the errors of the others
 
 
 @dataclass(frozen=True)
@@ -38,9 +43,18 @@ class Scene:
         """With all numbers of spheres that these markers allow."""
         return cls(seed, markers, number, phantom, place(number), counts_of(markers))
 
-    def planned(self, strategy: str) -> Postures:
-        """The poses of a strategy here. Raises STU-010."""
-        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct)
+    def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
+        """The poses of a strategy here, for arms with such errors left. Raises STU-010."""
+        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct, left)
+
+    def predicted(
+        self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
+    ) -> list[list[TargetPrediction]]:
+        """By number of spheres, then by target."""
+        return [
+            predictions(planned, self.phantom, self.robot_from_ct, count, left, ct_mm)
+            for count in self.counts
+        ]
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
         """What is drawn for arms with these numbers."""
@@ -61,6 +75,36 @@ class Scene:
             arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
         )
 
+    def all_errors_mm(
+        self,
+        strategies: Sequence[str],
+        arms: RandomArms,
+        chance: Chance,
+        sizes: Sizes,
+        left: ErrorSizes = UNCALIBRATED,
+        *,
+        any_side: bool = False,
+    ) -> dict[str, Array]:
+        """The same by strategy; `left` says what is predicted, and planned, for such arms."""
+        best = [one.name for one in CANDIDATES] if BEST in strategies else []
+        single = dict.fromkeys((*best, *(one for one in strategies if one != BEST)))
+        planned = {one: self.planned(one, left) for one in single}
+        errors = {
+            one: self.errors_mm(arms, poses, chance, sizes, any_side=any_side)
+            for one, poses in planned.items()
+        }
+        if best:
+            rms_mm = np.array(
+                [
+                    [[each.rms_mm for each in row] for row in self.predicted(planned[one], left, sizes.ct_mm)]
+                    for one in best
+                ]
+            )  # (candidates, counts, targets)
+            chosen = rms_mm.argmin(axis=0).T[None, None, :, :, None]
+            of_each = np.stack([errors[one] for one in best])
+            errors[BEST] = np.take_along_axis(of_each, chosen, axis=0)[0]
+        return {one: errors[one] for one in strategies}
+
     def trials(
         self,
         arms: Sequence[int],
@@ -73,10 +117,8 @@ class Scene:
         """Length of every error in mm: strategy|spheres|arm|target."""
         drawn, chance = RandomArms.draw(self.seed, arms), self.chance(arms, scan_again=scan_again)
         found: Sums = {}
-        for strategy in strategies:
-            errors = self.errors_mm(
-                drawn, self.planned(strategy), chance, sizes or Sizes(), any_side=any_side
-            )
+        by_strategy = self.all_errors_mm(strategies, drawn, chance, sizes or Sizes(), any_side=any_side)
+        for strategy, errors in by_strategy.items():
             lengths = np.linalg.norm(errors, axis=-1)
             for (arm, target, count), length in np.ndenumerate(lengths):
                 key = f"{strategy}|{self.counts[count]}|{arms[arm]}|{target + 1}"

@@ -1,17 +1,24 @@
-"""Strategies are found by name; later ones say so."""
+"""Strategies are found by name."""
 
 from __future__ import annotations
 
 import pytest
 
 from procedures.strategies.catalogue import strategy_named
-from procedures.strategies.errors import StrategyNotYet, UnknownStrategy
+from procedures.strategies.errors import UnknownStrategy
 from ronna_hw.errors import EXIT_USAGE
 
 
 @pytest.mark.parametrize(
     ("name", "per_trajectory", "approach"),
-    [("ocs", True, True), ("thesis-ocs", True, False), ("nos", False, False), ("jdms", True, True)],
+    [
+        ("ocs", True, True),
+        ("thesis-ocs", True, False),
+        ("nos", False, False),
+        ("jdms", True, True),
+        ("improved", True, True),
+        ("best", True, True),
+    ],
 )
 def test_a_strategy_says_how_often_it_localizes_and_whether_it_controls_the_approach(
     name, per_trajectory, approach
@@ -20,13 +27,6 @@ def test_a_strategy_says_how_often_it_localizes_and_whether_it_controls_the_appr
     assert strategy.name == name
     assert strategy.localizes_per_trajectory is per_trajectory
     assert strategy.controls_approach is approach
-
-
-@pytest.mark.parametrize("name", ["improved", "best"])
-def test_later_strategies_answer_not_yet(name):
-    with pytest.raises(StrategyNotYet, match=r"STR-001.*not yet") as caught:
-        strategy_named(name)
-    assert caught.value.exit_code == EXIT_USAGE
 
 
 def test_an_unknown_strategy_is_named():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 from scipy.spatial.transform import RigidTransform, Rotation
-from strategy_arms import ARM
+from strategy_arms import ARM, FIDUCIALS, LEANING, ROOM
 from ur5 import Ur5
 
 from procedures.strategies.arm_in_branch import ArmInBranch, Joints
@@ -24,16 +24,6 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Frame, Transform
 
 JDMS = JointDisplacementMinimization()
-FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0]])
-# CT left towards robot y, anterior up, superior towards the robot.
-ROOM = Transform(
-    Frame.ROBOT,
-    Frame.CT,
-    RigidTransform.from_components(
-        [640.0, 0.0, 250.0], Rotation.from_matrix([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-    ),
-)
-LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
 OFFSET_WRIST = ArmInBranch(
     Ur5(), ARM.flange_from_guide, ARM.flange_from_stereo, Ur5().branch_of(Ur5().home_rad), Ur5().home_rad
 )

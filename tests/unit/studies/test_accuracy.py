@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
 from procedures.studies import application_error
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
+from procedures.studies.accuracy.scene import Scene
 from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
 from procedures.studies.application_error import ApplicationErrorStudy
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
@@ -99,8 +101,22 @@ def test_the_study_stands_beside_table_4() -> None:
     assert len(beside) == 8
     assert len(found["Means per trajectory"].rows) == 8 + 12
     assert len(found["Other readings of the protocol"].rows) == 2 * (1 + 1 + 4)
-    assert len(found["Predicted and actual error"].rows) == 4 * (3 + 2)
+    assert len(found["Predicted and actual error"].rows) == 5 * (3 + 2)
     assert plots(sums)["strategies.png"].startswith(b"\x89PNG")
+
+
+def test_best_has_at_each_target_the_errors_of_the_strategy_with_the_least_predicted_one() -> None:
+    scene = Scene.of(1, SMALL, Markers.FREE, 1)
+    numbers = range(3)
+    names = [one.name for one in CANDIDATES]
+    errors = scene.all_errors_mm(
+        [*names, "best"], RandomArms.draw(1, numbers), scene.chance(numbers), Sizes()
+    )
+    predicted = {name: scene.predicted(scene.planned(name)) for name in names}
+    for count in range(len(scene.counts)):
+        for target in range(len(SMALL.trajectories)):
+            least = min(names, key=lambda name: predicted[name][count][target].rms_mm)
+            np.testing.assert_array_equal(errors["best"][:, target, count], errors[least][:, target, count])
 
 
 def test_an_arm_that_does_not_settle_is_refused() -> None:

@@ -1,0 +1,62 @@
+"""The improved JDMS errs at each fiducial as nearly as it can as at the target; best has one of each."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from strategy_arms import ARM, FIDUCIALS, LEANING, ROOM
+
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, tool_frame
+from procedures.registration.target_prediction import predict_target_error
+from procedures.strategies.best import BestOfEach
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.target import target_pose
+
+CALIBRATED = ErrorSizes(tool_mm=0.1, links=0.16)
+
+
+def predicted_mm(name: str, sizes: ErrorSizes) -> float:
+    """Rms of what the arm's errors leave at the target; joints rest on the same side everywhere."""
+    arm = replace(ARM, sizes=sizes)
+    at_target = target_pose(LEANING, ROOM)
+    poses = strategy_named(name).localization_poses(LEANING, FIDUCIALS, ROOM, arm)
+    spheres, tip = ROOM.apply(FIDUCIALS), np.asarray(at_target.translation_mm)
+    looks = np.array([arm.stereo_at(pose) for pose in poses])
+    sources = [
+        tool_frame(
+            np.array([pose.rotation_matrix for pose in poses]), at_target.rotation_matrix, sizes.tool_mm
+        ),
+        *arm_sources(
+            arm.kinematics.chain,
+            ArmPoses(looks, spheres, np.ones((len(looks), 6))),
+            ArmPoses(np.array([arm.guide_at(at_target)]), tip[None], np.ones((1, 6))),
+            sizes,
+        ),
+    ]
+    return predict_target_error(spheres, tip, sources).rms_mm
+
+
+@pytest.mark.parametrize("sizes", [ErrorSizes(), CALIBRATED], ids=["set S", "calibrated"])
+def test_less_error_is_predicted_than_for_what_it_improves_on(sizes: ErrorSizes) -> None:
+    assert predicted_mm("improved", sizes) < min(predicted_mm("jdms", sizes), predicted_mm("ocs", sizes))
+
+
+def test_with_an_error_of_the_tool_frame_alone_the_orientation_is_the_targets() -> None:
+    arm = replace(ARM, sizes=ErrorSizes(tool_mm=2.0, links=0.0, joints=0.0, backlash=0.0))
+    wanted = target_pose(LEANING, ROOM).rotation_matrix
+    for pose, fiducial in zip(
+        strategy_named("improved").localization_poses(LEANING, FIDUCIALS, ROOM, arm), FIDUCIALS, strict=True
+    ):
+        np.testing.assert_allclose(pose.rotation_matrix, wanted, atol=1e-4)
+        np.testing.assert_allclose(pose.translation_mm, ROOM.apply(fiducial), atol=1e-6)
+
+
+def test_best_looks_as_the_strategy_that_was_chosen_for_a_trajectory() -> None:
+    best = BestOfEach(others={LEANING.identifier: strategy_named("ocs")})
+    other = replace(LEANING, identifier="T2")
+    for along, name in ((LEANING, "ocs"), (other, "improved")):
+        expected = strategy_named(name).localization_poses(along, FIDUCIALS, ROOM, ARM)
+        for pose, wanted in zip(best.localization_poses(along, FIDUCIALS, ROOM, ARM), expected, strict=True):
+            np.testing.assert_array_equal(pose.rotation_matrix, wanted.rotation_matrix)
