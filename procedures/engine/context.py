@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, TypeVar
 from procedures.engine.case import Case
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
-from procedures.engine.events import Happening, Progress
+from procedures.engine.events import Evidence, Happening, Progress
 from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
@@ -206,9 +206,13 @@ class StepContext:
         value: str,
         trajectory: str | None = None,
         read_back: ReadBack | None = None,
+        evidence: tuple[Evidence, ...] = (),
     ) -> None:
         """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
-        if self.choose(Question(topic, subject, value, trajectory=trajectory, read_back=read_back)) != YES:
+        question = Question(
+            topic, subject, value, trajectory=trajectory, read_back=read_back, evidence=evidence
+        )
+        if self.choose(question) != YES:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def choose(self, question: Question) -> str:

@@ -7,11 +7,13 @@ from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Self
 
+from procedures.engine.body_view import BodyView
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, Stamp
 
-PERIOD_S = 0.2  # host time between two looks: as often as a person can follow
+PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
+SEEN_MOVING_S = 0.05  # where an arm is drawn
 
 
 class DeviceWatch:
@@ -26,8 +28,13 @@ class DeviceWatch:
         events: EventStream,
         now_s: Callable[[], float],
         period_s: float = PERIOD_S,
+        bodies: BodyView | None = None,
     ) -> None:
-        """`devices` by role; `now_s` is the theatre's time, `period_s` the host's."""
+        """`devices` by role; `now_s` is the theatre's time, `period_s` the host's.
+
+        With `bodies` every pose says where the moving bodies are.
+        """
+        self._bodies = bodies
         self._devices = devices
         self._events = events
         self._now_s = now_s
@@ -52,7 +59,11 @@ class DeviceWatch:
             age_s = max(0.0, self._now_s() - stamp.theatre_time_s)
             self._events.publish(DeviceAge(device=role, age_s=age_s))
             if isinstance(seen.reading, ArmReading):
-                self._events.publish(Pose(arm=role, joints_rad=seen.reading.joints_rad, age_s=age_s))
+                joints_rad = seen.reading.joints_rad
+                bodies_mm = () if self._bodies is None else self._bodies.at(joints_rad)
+                self._events.publish(Pose(arm=role, joints_rad=joints_rad, age_s=age_s, bodies_mm=bodies_mm))
+        if self._bodies is not None:
+            self._bodies.publish(self._events)
 
     def __enter__(self) -> Self:
         self._thread.start()

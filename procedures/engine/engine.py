@@ -268,6 +268,10 @@ class Engine:
         self.events.publish(Finding(text=text))
         _log.warning("finding", text=self._logged(text))
 
+    def seated(self, session: str, name: str) -> None:
+        """Record who operates from a console; without a name nobody does any more."""
+        self._write(Entry.SEAT, session=session, by=name)
+
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
         """Record what was read again and compared after a restart."""
         self._write(Entry.FOUND, findings=list(findings), differences=list(differences))

@@ -149,3 +149,11 @@ class BadRequestFile(RonnaError):
     code = "PRO-034"
     action = "Give the folder of a run, which begins with request.json."
     exit_code = EXIT_USAGE
+
+
+class ConsoleMissing(RonnaError):
+    """The browser console is not installed."""
+
+    code = "PRO-040"
+    action = "Install ronna-hw[console], or run without --console."
+    exit_code = EXIT_USAGE

@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Protocol
 
+from procedures.engine.events import Evidence
+
 YES, NO = "yes", "no"
 
 
@@ -42,6 +44,22 @@ class Topic(StrEnum):
     UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
 
 
+DELIBERATE = frozenset(
+    {
+        Topic.RESUME,
+        Topic.FIRST_MOTION,
+        Topic.REGISTRATION,
+        Topic.REGISTRATION_KEPT,
+        Topic.APPROACH,
+        Topic.AT_TARGET,
+        Topic.RETREAT,
+        Topic.PARK,
+        Topic.MOVE_FOLLOWED,
+        Topic.UNVERIFIED,
+    }
+)
+
+
 @dataclass(frozen=True)
 class ReadBack:
     """What a person types after the answer that goes on: nobody who did not look knows it.
@@ -65,11 +83,25 @@ def _unrecorded() -> None:
 
 
 @dataclass(frozen=True)
+class Signature:
+    """Who answered at a console, and of what: the digest of what was shown."""
+
+    by: str
+    session: str
+    shown: str
+
+
+def _unsigned(_signature: Signature) -> None:
+    """Nobody keeps it."""
+
+
+@dataclass(frozen=True)
 class Question:
     """What is asked. The first of `answers` goes on, the last is what silence means.
 
     `timeout_s` is host time; None stands until somebody answers. The operator calls `misread` each time that
-    something else was read back.
+    something else was read back, and `signed` once before it returns an answer that somebody stands for.
+    `number` counts the questions of a run; `evidence` is shown beside the value.
     """
 
     topic: Topic
@@ -80,11 +112,19 @@ class Question:
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
     misread: Callable[[], None] = field(default=_unrecorded, compare=False, repr=False)
+    signed: Callable[[Signature], None] = field(default=_unsigned, compare=False, repr=False)
+    number: int = 0
+    evidence: tuple[Evidence, ...] = ()
 
     @property
     def name(self) -> str:
         """Its stable name, as answer files have it: the topic, and the trajectory if it belongs to one."""
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
+
+    @property
+    def deliberate(self) -> bool:
+        """Whether the answer that goes on moves the arm, or lets it go by a result: no slip may give it."""
+        return self.topic in DELIBERATE
 
     @property
     def silence(self) -> str:

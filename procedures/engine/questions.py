@@ -3,11 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.engine.journal import Entry, Journal
-from procedures.engine.operator import Operator, Question
+from procedures.engine.operator import Operator, Question, Signature
+
+
+def as_shown(question: Question, number: int) -> Questioned:
+    """A question as whoever follows the case is shown it."""
+    return Questioned(
+        question=number,
+        topic=question.name,
+        subject=question.subject,
+        value=question.value,
+        answers=question.answers,
+        timeout_s=question.timeout_s,
+        evidence=question.evidence,
+        read_back=None if question.read_back is None else question.read_back.what,
+        deliberate=question.deliberate,
+    )
 
 
 class Questions:
@@ -26,20 +41,20 @@ class Questions:
     def ask(self, question: Question) -> str:
         """The operator's answer; anything that is none of the question's answers counts as silence."""
         self._count += 1
-        self._events.publish(
-            Questioned(
-                question=self._count,
-                topic=question.name,
-                subject=question.subject,
-                value=question.value,
-                answers=question.answers,
-                timeout_s=question.timeout_s,
+        self._events.publish(as_shown(question, self._count))
+        signatures: list[Signature] = []
+        answer = self._operator.ask(
+            replace(
+                question,
+                number=self._count,
+                misread=lambda: self._misread(question),
+                signed=signatures.append,
             )
         )
-        answer = self._operator.ask(replace(question, misread=lambda: self._misread(question)))
         if answer not in question.answers:
             answer = question.silence
-        self._events.publish(Answered(question=self._count, answer=answer))
+        signed = asdict(signatures[-1]) if signatures else {}
+        self._events.publish(Answered(question=self._count, answer=answer, by=signed.get("by", "")))
         self._journal.write(
             Entry.CONFIRMATION,
             self._now_s(),
@@ -47,6 +62,7 @@ class Questions:
             subject=question.subject,
             value=question.value,
             answer=answer,
+            **signed,
         )
         return answer
 

@@ -69,6 +69,7 @@ class Workcell:
         self._withdrawn_from: str | None = None
         self._home_rad: JointVector | None = None
         self._exposure_share = 1.0  # of the configured one
+        self.surroundings: Surroundings | None = None  # as the arm was last told
 
     @property
     def arm(self) -> ArmView:
@@ -202,7 +203,8 @@ class Workcell:
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
         near_rad = self._home_rad or self.arm.kinematics.home_rad
-        self._arm.surround(self._calibrated.as_controller_sees(surroundings, near_rad))
+        self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
+        self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
@@ -348,12 +350,11 @@ class Workcell:
         self._theatre.close()
 
     def _go(self, joints_rad: JointVector) -> ArmReading:
-        arm = self._arm
         try:
-            return arm.move_joints(joints_rad)
+            return self._arm.move_joints(joints_rad)
         except NotClear:  # raised before anything moved
-            arm.move_joints(self.home_rad)
-            return arm.move_joints(joints_rad)
+            self._arm.move_joints(self.home_rad)
+            return self._arm.move_joints(joints_rad)
 
     def _along_axis(
         self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float

@@ -41,6 +41,7 @@ class Entry(StrEnum):
     RESTED = "rested"  # paused, or suspended by a guard; with the reason
     RESUMED = "resumed"  # goes on after a rest
     DOUBTED = "doubted"  # the arm was in fault: where the head is must be confirmed before it is used
+    SEAT = "seat"  # somebody took the operator's seat at a console, or it became free
     ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
     HOME = "home"  # the intent to leave the head and park, outside the steps
     RESTARTED = "restarted"  # a program took up a run that had ended or broken off

@@ -37,12 +37,17 @@ class ChildProcess:
     """One child. `ready` holds what its READY line says."""
 
     def __init__(
-        self, name: str, arguments: Sequence[str], *, timeout_s: float | None = READY_TIMEOUT_S
+        self,
+        name: str,
+        arguments: Sequence[str],
+        *,
+        timeout_s: float | None = READY_TIMEOUT_S,
+        inherited: Sequence[int] = (),
     ) -> None:
         """Start the process and wait until it is ready; raises PRC-001.
 
-        With `timeout_s` None it is not waited for, so that several become ready side by side: `await_ready`
-        must follow.
+        `inherited` are descriptors that it gets. With `timeout_s` None it is not waited for, so that several
+        become ready side by side: `await_ready` must follow.
         """
         self.name = name
         self._log = logger(process=name)
@@ -58,6 +63,7 @@ class ChildProcess:
             text=True,
             # Ctrl-C reaches the whole foreground group: the parent decides what ends, and when.
             start_new_session=True,
+            pass_fds=inherited,
         )
         self._log.debug("started", pid=self.process.pid)
         self._readers = [

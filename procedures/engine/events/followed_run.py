@@ -31,13 +31,17 @@ class FollowedRun:
         self._offset = self._lines = 0
         self.closed = False  # whether the run came to its own end
 
-    def batches(self) -> Iterator[Sequence[Event]]:
-        """First what holds at present, then what happens. Raises PRO-018."""
-        present = Present()
+    def batches(self, *, whole: bool = False) -> Iterator[Sequence[Event]]:
+        """First what holds at present, or the `whole` course so far, then what happens. Raises PRO-018."""
         over = self._nobody_writes()
-        for event in self._read():
-            present.take_in(event)
-        yield present.events
+        course = self._read()
+        if whole:
+            yield sorted(course, key=lambda event: event.number)  # signals are written late
+        else:
+            present = Present()
+            for event in course:
+                present.take_in(event)
+            yield present.events
         while not over:
             self._sleep(LOOK_AGAIN_S)
             over = self._nobody_writes()  # before the last look

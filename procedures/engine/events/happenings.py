@@ -53,6 +53,16 @@ class Progress(_Happening):
     text: str
 
 
+class Evidence(BaseModel):
+    """A table that a question is decided by, as it is shown: text, with its units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
 class Questioned(_Happening):
     """A question stands."""
 
@@ -63,6 +73,9 @@ class Questioned(_Happening):
     value: str = Field(description="What is being confirmed, with its numbers.")
     answers: tuple[str, ...] = Field(description="The words that answer it; silence means the last one.")
     timeout_s: float | None = Field(description="Host time until silence answers; none: it waits.")
+    evidence: tuple[Evidence, ...] = Field(default=(), description="What it is decided by.")
+    read_back: str | None = Field(default=None, description="What is to be typed with the first answer.")
+    deliberate: bool = Field(default=False, description="Whether the first answer moves the arm or lets it.")
 
 
 class Answered(_Happening):
@@ -71,6 +84,41 @@ class Answered(_Happening):
     kind: Literal["answer"] = "answer"
     question: int
     answer: str
+    by: str = Field(default="", description="Who answered at a console; empty: terminal or script.")
+
+
+class Seat(_Happening):
+    """Somebody took the operator's seat at a console, or left it."""
+
+    kind: Literal["seat"] = "seat"
+    holder: str = Field(description="Name as it was given; empty: the seat is free.")
+    reason: str = Field(default="", description="Why it is free.")
+
+
+class OrderedStep(BaseModel):
+    """A step in the order of a case."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    step: str = Field(description="Such as `registration:T1`.")
+    title: str
+    phase: str
+    moves: bool
+
+
+class Order(_Happening):
+    """The steps of the case in their order."""
+
+    kind: Literal["order"] = "order"
+    steps: tuple[OrderedStep, ...]
+
+
+class Waiting(_Happening):
+    """The engine waits between steps for whoever operates it."""
+
+    kind: Literal["waiting"] = "waiting"
+    upcoming: str | None = Field(description="The step that comes next; none: the case is finished.")
+    unmet: tuple[str, ...] = Field(default=(), description="Why it may not begin.")
 
 
 class DeviceState(_Happening):
@@ -107,6 +155,46 @@ class Pose(_Happening):
     @property
     def about(self) -> str:
         return self.arm
+
+    bodies_mm: tuple[tuple[float, ...], ...] = Field(
+        default=(), description="Both ends of the axis of each moving body, in the frame of the robot."
+    )
+
+
+class Body(BaseModel):
+    """A capsule that motions are checked against; of a moving one the ends come with each pose."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    radius_mm: float
+    ends_mm: tuple[float, ...] = Field(default=(), description="Of a fixed one, in the frame of the robot.")
+    is_head: bool = False
+
+
+class Bodies(_Happening):
+    """What is checked against what before and while the arm moves, since its surroundings were last told."""
+
+    kind: Literal["bodies"] = "bodies"
+    moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
+    fixed: tuple[Body, ...]
+    pairs: tuple[tuple[int, int], ...] = Field(
+        description="Moving body, and the other one: a fixed one, or -1 - k for the moving body k. "
+        "Without the head and what may enter it."
+    )
+
+
+class LinkHealth(_Happening):
+    """Health of the robot link since the arm was last activated; times in host time."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["link"] = "link"
+    cycles: int
+    late: int
+    lost: int
+    rejected: int
+    turnaround_median_us: float
+    turnaround_p99_us: float
 
 
 class Finding(_Happening):
@@ -146,9 +234,14 @@ Happening = Annotated[
     | Progress
     | Questioned
     | Answered
+    | Seat
+    | Order
+    | Waiting
     | DeviceState
     | DeviceAge
     | Pose
+    | Bodies
+    | LinkHealth
     | Finding
     | Refusal
     | Fault

@@ -5,11 +5,18 @@ from __future__ import annotations
 from procedures.engine.events.event import Event
 from procedures.engine.events.happenings import (
     Answered,
+    Bodies,
     CaseState,
     DeviceState,
+    JournalLine,
+    Order,
     Questioned,
+    Seat,
     StepState,
+    Waiting,
 )
+
+BEGINNINGS = ("opened", "restarted")  # lines of the journal that say in which theatre, with which banner
 
 
 class Present:
@@ -44,8 +51,10 @@ def _key(event: Event) -> str | None:
             return f"step {step}"
         case DeviceState(device=device):
             return f"device {device}"
-        case CaseState():
-            return "case"
+        case CaseState() | Order() | Waiting() | Seat() | Bodies():
+            return event.what.kind
+        case JournalLine(line=line) if line.get("entry") in BEGINNINGS:
+            return "opened"
         case what if what.signal:
             return event.subject
         case _:

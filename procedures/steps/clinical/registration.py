@@ -35,6 +35,7 @@ from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, 
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.relocalization import LeftOutSphere, Relocalization
 from procedures.steps.clinical.tool_frame_error import displaced_spheres_mm, shared_with_target
@@ -175,6 +176,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _beyond_margin(context, trajectories, predictions)
+    two_way = _two_way(context, fit, pairs)
     for predicted in predictions:
         if predicted.target not in left_out:
             context.confirm(
@@ -183,6 +185,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
                 f"predicted target error {predicted.rms_mm:.2f} mm rms, "
                 f"{predicted.limit_mm:.2f} mm at {predicted.confidence:.0%}",
                 predicted.target,
+                evidence=(budget_table(predicted), two_way_table(two_way)),
             )
     worst = max(predictions, key=lambda one: one.rms_mm)
     return Outcome(
@@ -193,7 +196,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
             residuals_mm=fit.residuals_mm.tolist(),
             leave_one_out_mm=tuple(fit.leave_one_out_mm),
             predictions=predictions,
-            two_way=_two_way(context, fit, pairs),
+            two_way=two_way,
             left_out_spheres=left_out_spheres,
             followed=None if move is None else move.record,
             left_out=left_out,

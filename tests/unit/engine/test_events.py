@@ -1,6 +1,14 @@
 import pytest
 
-from procedures.engine.events import Answered, CaseState, EventStream, Pose, Questioned, StepState
+from procedures.engine.events import (
+    Answered,
+    CaseState,
+    EventStream,
+    JournalLine,
+    Pose,
+    Questioned,
+    StepState,
+)
 
 
 def pose(joint_rad: float, arm: str = "master") -> Pose:
@@ -67,3 +75,11 @@ def test_a_reader_is_told_of_the_end(late: bool) -> None:
     reader = None if late else stream.subscribe()
     stream.end()
     assert (reader or stream.subscribe()).read().ended
+
+
+def test_a_newcomer_is_told_which_theatre_it_is_whenever_he_comes() -> None:
+    stream = EventStream()
+    opened = JournalLine(line={"entry": "opened", "banner": "SIMULATED THEATRE"})
+    for line in (opened, JournalLine(line={"entry": "intent"})):
+        stream.publish(line)
+    assert [event.what for event in stream.subscribe().read(0).events] == [opened]

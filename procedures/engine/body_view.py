@@ -1,0 +1,96 @@
+"""The arm and what is around it as the bodies that motions are checked against, for whoever shows them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from procedures.engine.events import Bodies as BodiesEvent
+from procedures.engine.events import Body, EventStream, LinkHealth
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.live_watch import body_segments
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.links import COLUMN_NAME
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.workcell import Workcell
+
+DECIMALS = 1  # of a millimetre: finer than anybody sees
+LINK_EVERY = 20  # looks from one report of the link to the next
+
+
+class BodyView:
+    """What the workcell's arm was last told, and where its bodies are. Asks no device."""
+
+    def __init__(self, workcell: Workcell) -> None:
+        self._workcell = workcell
+        self._told: Surroundings | None = None
+        self._bodies: Bodies | None = None
+        self._published: Bodies | None = None
+        self._looks = 0
+
+    def at(self, joints_rad: JointVector) -> tuple[tuple[float, ...], ...]:
+        """Both ends of each moving body's axis, mm in the frame of the robot."""
+        bodies = self._current()
+        return tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
+
+    def publish(self, events: EventStream) -> None:
+        """Publish the bodies if they are others than before, and now and then the health of the link."""
+        if self._current() is not self._published:
+            self._published = self._current()
+            events.publish(_as_event(self._published))
+        self._looks += 1
+        if self._looks % LINK_EVERY == 0:
+            self._publish_link(events)
+
+    def _current(self) -> Bodies:
+        told = self._workcell.surroundings
+        if self._bodies is None or told is not self._told:
+            self._told = told
+            self._bodies = Bodies(self._workcell.arm.kinematics, told or Surroundings())
+        return self._bodies
+
+    def _publish_link(self, events: EventStream) -> None:
+        if not self._workcell.streaming:
+            return
+        try:
+            link = self._workcell.link_statistics()
+        except RonnaError:  # its session has just ended
+            return
+        events.publish(
+            LinkHealth(
+                cycles=link.cycles,
+                late=link.late_cycles,
+                lost=link.lost_cycles,
+                rejected=link.rejected_telegrams,
+                turnaround_median_us=link.turnaround_median_us,
+                turnaround_p99_us=link.turnaround_p99_us,
+            )
+        )
+
+
+def _as_event(bodies: Bodies) -> BodiesEvent:
+    names = (COLUMN_NAME, *(one.name for one in bodies.surroundings.obstacles))
+    heads = (False, *(one.is_head for one in bodies.surroundings.obstacles))
+    moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
+    return BodiesEvent(
+        moving=tuple(Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
+        fixed=tuple(
+            _fixed(name, capsule, is_head)
+            for name, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
+        ),
+        pairs=tuple(
+            (pair.moving, pair.other) for pair in bodies.pairs if not (pair.enters_head and pair.is_head)
+        ),
+    )
+
+
+def _fixed(name: str, capsule: Capsule, is_head: bool) -> Body:
+    ends_mm = _rounded(capsule.start_mm, capsule.end_mm)
+    return Body(name=name, radius_mm=capsule.radius_mm, ends_mm=ends_mm, is_head=is_head)
+
+
+def _rounded(*points: tuple[float, float, float]) -> tuple[float, ...]:
+    return tuple(round(value, DECIMALS) for point in points for value in point)

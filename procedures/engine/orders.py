@@ -1,0 +1,123 @@
+"""What an operator may ask of a running case: the same for a page's buttons, a script and a test.
+
+An order says which session gives it and what that session saw when it did. What it saw is past: nothing is
+done. Only to stop needs nothing. Each order has a nonce of its own and is carried out once.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+
+from ronna_hw.bounded_input import check_json
+
+LONGEST_BYTES = 65_536  # of one order
+Short = Annotated[str, Field(max_length=200)]
+Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")]
+Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
+
+
+class _Order(BaseModel):
+    """One order."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    quotes: ClassVar[bool] = False  # whether it says which step the session saw as the next
+
+    nonce: Nonce
+    session: Annotated[str, Field(min_length=8, max_length=64)]
+
+
+class Claim(_Order):
+    """Take the free seat under a name."""
+
+    kind: Literal["claim"] = "claim"
+    name: Name
+
+
+class Renew(_Order):
+    """Stay in the seat."""
+
+    kind: Literal["renew"] = "renew"
+
+
+class Release(_Order):
+    """Leave the seat."""
+
+    kind: Literal["release"] = "release"
+
+
+class Next(_Order):
+    """Do the next step."""
+
+    kind: Literal["next"] = "next"
+    upcoming: Short = Field(description="The step that was shown as the next.")
+
+
+class RunTo(_Order):
+    """Do the steps up to and including one."""
+
+    kind: Literal["run_to"] = "run_to"
+    upcoming: Short = Field(description="The step that was shown as the next.")
+    step: Short
+
+
+class Pause(_Order):
+    """Rest at the next safe point."""
+
+    kind: Literal["pause"] = "pause"
+
+
+class Resume(_Order):
+    """Go on to the end of the case, or where it is paused."""
+
+    kind: Literal["resume"] = "resume"
+
+
+class Stop(_Order):
+    """Bring the arm to rest now, as well as the link allows; then rest."""
+
+    kind: Literal["stop"] = "stop"
+
+
+class Abort(_Order):
+    """Retreat, park, and end the case."""
+
+    kind: Literal["abort"] = "abort"
+
+
+class Acknowledge(_Order):
+    """Recover the devices that are in fault; moves nothing."""
+
+    kind: Literal["acknowledge"] = "acknowledge"
+
+
+class Answer(_Order):
+    """Answer the question that stands."""
+
+    kind: Literal["answer"] = "answer"
+    question: int
+    answer: Short
+    shown: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(description="Digest of what was shown.")
+    typed: Short | None = Field(default=None, description="What was read back.")
+
+
+AnyOrder = Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | Answer
+_ORDERS: TypeAdapter[AnyOrder] = TypeAdapter(Annotated[AnyOrder, Field(discriminator="kind")])
+
+
+def read_order(line: bytes | str) -> AnyOrder:
+    """An order of JSON. Raises ValueError for anything else."""
+    content = line.encode() if isinstance(line, str) else line
+    if len(content) > LONGEST_BYTES:
+        raise ValueError(f"an order of {len(content)} bytes")
+    return _ORDERS.validate_json(check_json(content))
+
+
+class Reply(BaseModel):
+    """What came of an order."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    nonce: str
+    refused: str = ""  # why; empty: it is being carried out

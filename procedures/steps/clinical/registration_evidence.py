@@ -1,0 +1,52 @@
+"""What a registration is accepted by, as tables beside the question: the error budget, and both ways."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from procedures.engine.events import Evidence
+from procedures.registration import TwoWayTable
+
+if TYPE_CHECKING:
+    from procedures.steps.clinical.registration import Prediction
+
+NOTHING = "-"
+
+
+def budget_table(predicted: Prediction) -> Evidence:
+    """What the predicted error is made of, largest first."""
+    shares = sorted(predicted.budget, key=lambda share: -share.rms_mm)
+    return Evidence(
+        title=f"Predicted error at {predicted.target}",
+        head=("source", "mm rms"),
+        rows=(
+            *((share.source, f"{share.rms_mm:.3f}") for share in shares),
+            ("all together", f"{predicted.rms_mm:.3f}"),
+        ),
+    )
+
+
+def two_way_table(table: TwoWayTable) -> Evidence:
+    """Every sphere of the CT and what the room says about it; distances in mm."""
+    return Evidence(
+        title="CT to room and room to CT"
+        + ("" if table.agrees_both_ways else ": the two ways do NOT agree")
+        + "".join(f"; sphere {one + 1} is confirmed by nothing" for one in table.unmatched_ct)
+        + (f"; {len(table.unmatched_room)} readings are no sphere" if table.unmatched_room else ""),
+        head=("sphere", "CT mm", "tracker mm", "stereo mm", "without it mm", "nearest"),
+        rows=tuple(
+            (
+                str(row.fiducial + 1),
+                _mm(row.ct_disagreement_mm),
+                _mm(row.tracker_residual_mm),
+                _mm(row.stereo_residual_mm),
+                _mm(row.leave_one_out_mm),
+                {True: "yes", False: "NO", None: NOTHING}[row.partner_is_nearest],
+            )
+            for row in table.ct_to_room
+        ),
+    )
+
+
+def _mm(value: float | None) -> str:
+    return NOTHING if value is None else f"{value:.3f}"

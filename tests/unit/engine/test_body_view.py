@@ -1,0 +1,43 @@
+"""The arm as the bodies that are checked, for whoever draws it."""
+
+from __future__ import annotations
+
+import pytest
+from recording_cell import HOME, RecordingCell
+
+from procedures.engine.body_view import BodyView
+from procedures.engine.events import Bodies, EventStream
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
+
+AROUND = Surroundings(
+    tool=(Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 100.0), 3.0)),),
+    obstacles=(Obstacle("head", Capsule((800.0, 0.0, 0.0), (800.0, 0.0, 100.0), 90.0), True),),
+)
+
+
+def test_bodies_are_told_when_the_arm_is_told_other_surroundings_and_only_then(cell: RecordingCell) -> None:
+    view, events = BodyView(cell.workcell), EventStream()
+    reader = events.subscribe()
+    for _ in range(3):
+        view.at(HOME)
+        view.publish(events)
+    cell.workcell.surround(AROUND)
+    for _ in range(3):
+        view.at(HOME)
+        view.publish(events)
+    told = [event.what for event in reader.read(0.0).events]
+    bare, tooled = (one for one in told if isinstance(one, Bodies))
+    assert len(told) == 2
+    assert [body.name for body in tooled.moving[-1:]] == ["needle"]
+    assert len(tooled.moving) == len(bare.moving) + 1
+    assert [body.name for body in tooled.fixed if body.is_head] == ["head"]
+    assert all(first < len(tooled.moving) and second < len(tooled.fixed) for first, second in tooled.pairs)
+
+
+def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
+    cell.workcell.surround(AROUND)
+    places = BodyView(cell.workcell).at(HOME)
+    flange = cell.workcell.arm.kinematics.flange_pose(HOME)
+    assert places[-1][:3] == pytest.approx(flange.translation_mm, abs=0.06)
+    assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)

@@ -1,0 +1,54 @@
+"""Orders as they come over a socket or in a request, and the digest that an answer quotes."""
+
+from __future__ import annotations
+
+import pytest
+
+from procedures.engine.events import Evidence, Questioned
+from procedures.engine.events.shown import shown_digest
+from procedures.engine.orders import LONGEST_BYTES, Stop, read_order
+
+GOOD = '"nonce":"nonce-0001","session":"session-1"'
+
+
+def test_an_order_is_read_as_what_it_is() -> None:
+    assert read_order(f'{{"kind":"stop",{GOOD}}}') == Stop(nonce="nonce-0001", session="session-1")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[]",
+        f'{{"kind":"jog",{GOOD}}}',
+        f'{{"kind":"stop","more":1,{GOOD}}}',
+        '{"kind":"stop","session":"session-1"}',
+        f'{{"kind":"answer","question":"1","answer":"yes","shown":"{"0" * 64}",{GOOD}}}',
+        f'{{"kind":"answer","question":1,"answer":"yes","shown":"short",{GOOD}}}',
+        f'{{"kind":"claim","name":"{"a" * LONGEST_BYTES}",{GOOD}}}',
+        "[" * 5000,
+    ],
+)
+def test_anything_else_is_no_order(text: str) -> None:
+    with pytest.raises(ValueError):  # noqa: PT011
+        read_order(text)
+
+
+def test_the_digest_changes_with_everything_that_is_decided_on_and_with_nothing_else() -> None:
+    table = Evidence(title="budget", head=("source", "mm"), rows=(("CT", "0.01"),))
+    asked = Questioned(
+        question=1, topic="park", subject="park", value="12 mm", answers=("yes", "no"), timeout_s=60.0
+    )
+    changed = [
+        asked.model_copy(update=one)
+        for one in (
+            {"question": 2},
+            {"subject": "parks"},
+            {"value": "13 mm"},
+            {"answers": ("no", "yes")},
+            {"evidence": (table,)},
+            {"read_back": "how many"},
+        )
+    ]
+    assert len({shown_digest(one) for one in (asked, *changed)}) == len(changed) + 1
+    assert shown_digest(asked.model_copy(update={"timeout_s": 1.0})) == shown_digest(asked)
