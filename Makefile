@@ -7,12 +7,12 @@ STAMP := $(VENV)/.installed
 # takes over from the others.
 PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 
-.PHONY: setup demo test test-all soak lint bench docs lock clean
+.PHONY: setup demo test test-all test-browser soak lint bench docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
-test test-all soak: export OPENBLAS_NUM_THREADS := 1
-test test-all soak: export PYTHONDONTWRITEBYTECODE :=
+test test-all test-browser soak: export OPENBLAS_NUM_THREADS := 1
+test test-all test-browser soak: export PYTHONDONTWRITEBYTECODE :=
 
 setup: $(STAMP)
 
@@ -28,13 +28,17 @@ demo: setup
 	@$(BIN)/ronna-procedure run --sim --seed 7 --out runs
 
 test: setup
-	@$(PYTEST) -m "not slow and not soak"
+	@$(PYTEST) -m "not slow and not soak and not browser"
 
 test-all: setup
-	@$(PYTEST) -m "not soak" --every-hazard
+	@$(PYTEST) -m "not soak and not browser" --every-hazard
 
 soak: setup
 	@$(PYTEST) -m soak
+
+# One after the other and never beside the others: a browser takes the processor from the robot's link.
+test-browser: setup
+	@$(BIN)/python -m pytest -p no:xdist -m browser tests/browser
 
 lint: setup
 	@$(BIN)/ruff check .

@@ -44,10 +44,11 @@ MEASUREMENTS = {
     "registration": "registration",
     "mini-case": "mini_case",
     "recording": "recording",
+    "console": "console_page",
 }
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",
-    "pydicom", "ruckig",
+    "pydicom", "ruckig", "nicegui",
 )  # fmt: skip
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)

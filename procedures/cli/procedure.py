@@ -27,6 +27,7 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.request import CaseRequest
+    from procedures.cli.console.attaching import ConsoleRequest
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -78,6 +79,12 @@ CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.
 AnswersOption = Annotated[
     Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
 ]
+ConsoleOption = Annotated[
+    bool, typer.Option("--console", help="Serve a page on this computer that shows and operates the case.")
+]
+ConsolePortOption = Annotated[
+    int, typer.Option(min=0, max=65535, help="Port of the page of --console; 0: any free one.")
+]
 OutOption = Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")]
 
 
@@ -104,6 +111,8 @@ def run_command(
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
     answers: AnswersOption = None,
+    console: ConsoleOption = False,
+    console_port: ConsolePortOption = 0,
     out: OutOption = Path("runs"),
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
@@ -127,7 +136,7 @@ def run_command(
         answers=answers,
         out=out,
     )
-    follow_case(request, as_json=as_json)
+    follow_case(request, as_json=as_json, console=_console(console, console_port))
 
 
 @app.command("step")
@@ -143,6 +152,8 @@ def step_command(
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
     answers: AnswersOption = None,
+    console: ConsoleOption = False,
+    console_port: ConsolePortOption = 0,
     out: OutOption = Path("runs"),
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
@@ -162,7 +173,8 @@ def step_command(
             faults=faults,
             answers=answers,
             out=out,
-        )
+        ),
+        _console(console, console_port),
     )
 
 
@@ -286,6 +298,17 @@ def _request(
         config=config,
         case=case,
     )
+
+
+def _console(wanted: bool, port: int) -> ConsoleRequest | None:
+    if not wanted:
+        if port:
+            raise UsageMistake("--console-port goes with --console")
+        return None
+    from procedures.cli.console.attaching import ConsoleRequest, check_console
+
+    check_console()
+    return ConsoleRequest(port)
 
 
 def _answers(path: Path | None) -> Answers | None:

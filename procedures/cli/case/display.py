@@ -28,6 +28,7 @@ from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
 
 if TYPE_CHECKING:
+    from procedures.cli.console.attaching import ConsoleRequest
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
 
@@ -118,16 +119,20 @@ def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
         sys.stdout.write(f"report {outcome.report}\n")
 
 
-def follow_case(request: CaseRequest, *, as_json: bool) -> None:
+def follow_case(request: CaseRequest, *, as_json: bool, console: ConsoleRequest | None = None) -> None:
     """Run a case and show it; with JSON one object also for a run that did not end."""
     check_request(request)
     with run_folder(request) as folder, held_run(folder):
-        follow(
-            request,
-            folder,
-            lambda watcher: run_case(request, folder, watcher),
-            as_json=as_json,
-        )
+
+        def run(watcher: Watcher) -> FinishedRun:
+            if console is None:
+                return run_case(request, folder, watcher)
+            from procedures.cli.console.attaching import with_console
+
+            with with_console(watcher, folder, console, waits=request.config is not None) as operated:
+                return run_case(request, folder, operated)
+
+        follow(request, folder, run, as_json=as_json)
 
 
 def follow(

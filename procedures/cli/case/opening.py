@@ -36,6 +36,7 @@ from ronna_hw.log_output import keep_log
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.prompt import Prompt
+    from procedures.cli.console.pilot import Pilot
     from procedures.engine.context import ClinicalInput
     from procedures.engine.engine import Engine
     from procedures.engine.left_run import LeftRun
@@ -59,6 +60,7 @@ class Watcher:
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
     held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
     at_pause: Operator | None = None  # who answers a pause, if another than who answers the rest
+    pilot: Pilot | None = None  # of a console that operates the case
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,9 @@ def opened_engine(
     `procedure` is called with the theatre, before its devices are connected; a simulated patient is made in
     the folder `phantom`. With `resumption` the folder is that of a run that is taken up again.
     """
-    from procedures.engine.device_watch import DeviceWatch
+    from procedures.engine.body_view import BodyView
+    from procedures.engine.device_watch import PERIOD_S, SEEN_MOVING_S, DeviceWatch
+    from procedures.engine.outlook import publish_order
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 
@@ -105,6 +109,8 @@ def opened_engine(
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         file = request.config
         operator = operator_of(request, watcher, answers, resumption)
+        if watcher.pilot is not None:
+            operator = watcher.pilot.operator(operator)
         if file is not None:
             room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
         else:
@@ -122,9 +128,18 @@ def opened_engine(
             room = SimulatedRoom(simulated.theatre.control)
         engine = _make_engine(request, folder, file, procedure, operator, room, stack, resumption)
         outcome, ended_by = "failed", None
+        publish_order(engine)
         watcher.opened(engine)
+        workcell = engine.setting.workcell
+        watch = DeviceWatch(
+            workcell.devices,
+            engine.events,
+            engine.setting.clock.now_s,
+            PERIOD_S if watcher.pilot is None else SEEN_MOVING_S,
+            BodyView(workcell),
+        )
         try:
-            with DeviceWatch(engine.setting.workcell.devices, engine.events, engine.setting.clock.now_s):
+            with watch:
                 yield engine
             outcome = "done" if engine.upcoming is None else "left"
         except BaseException as problem:  # also an interruption: nothing may cut the way to rest short

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import error_of
 from procedures.cli.case.opening import Resumption, Watcher, opened_case
-from procedures.cli.case.prompt import HELD, Prompt, leave_head_if_agreed
+from procedures.cli.case.prompt import HELD, leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.engine.errors import OperatorAborted
@@ -37,7 +38,7 @@ def run_case(
             from procedures.recovery import recover
 
             recover(engine, resumption.left)
-        _run(engine, watcher.held)
+        _run(engine, watcher)
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
     before_s = 0.0 if resumption is None else wall_time_s(resumption.left.run.journal)
     wall_s = before_s + time.monotonic() - began_s
@@ -56,11 +57,13 @@ def wall_time_s(journal: Sequence[Line]) -> float:
     return total_s + ((last - began).total_seconds() if began is not None and last is not None else 0.0)
 
 
-def _run(engine: Engine, held: Prompt | None) -> None:
+def _run(engine: Engine, watcher: Watcher) -> None:
     """Run to the end; a step that fails is put before the person at the terminal, if there is one."""
+    held = watcher.held
+    run = engine.run_to if watcher.pilot is None else partial(watcher.pilot.run_to_end, engine)
     while True:
         try:
-            engine.run_to()
+            run()
             return
         except OperatorAborted:
             if held is not None:

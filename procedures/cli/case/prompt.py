@@ -39,9 +39,11 @@ class Prompt:
         asking: Callable[[], AbstractContextManager[None]] = nullcontext,
         after: Callable[[], object] = lambda: None,
         resumes: bool = False,
+        meanwhile: Callable[[Engine], None] | None = None,
     ) -> None:
         """`words` is shown on a terminal; `after` is called when a command is done.
 
+        `meanwhile` returns when something can be read; until then the case may be operated from elsewhere.
         With `resumes`, `resume` leaves the prompt and the case goes on.
         """
         self._resumes = resumes
@@ -49,7 +51,9 @@ class Prompt:
         self._say = say
         self._asking = asking
         self._after = after
+        self._meanwhile = meanwhile
         self._engine: Engine | None = None
+        self.input_ended = False
 
     def attach(self, engine: Engine) -> None:
         """From now on a pause is about this engine."""
@@ -61,7 +65,7 @@ class Prompt:
         What goes wrong is shown and leaves the case held. Raises what ended the case.
         """
         self.attach(engine)
-        while (line := self._line(self._words)) is not None:
+        while (line := self._command(engine)) is not None:
             name, _, argument = line.strip().partition(" ")
             if _too_much(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
@@ -115,12 +119,23 @@ class Prompt:
                 self._say(HELD)
         self._after()
 
+    def _command(self, engine: Engine) -> str | None:
+        if self._meanwhile is None:
+            return self._line(self._words)
+        if on_terminal(sys.stdin):
+            sys.stderr.write(self._words)
+            sys.stderr.flush()
+        self._meanwhile(engine)
+        return self._line("")
+
     def _line(self, words: str) -> str | None:
         with self._asking():
             if on_terminal(sys.stdin):
                 sys.stderr.write(words)
                 sys.stderr.flush()
-            return sys.stdin.readline() or None
+            line = sys.stdin.readline()
+            self.input_ended = not line
+            return line or None
 
 
 def _too_much(name: str, argument: str) -> bool:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.commands import COMMANDS
@@ -16,9 +18,16 @@ from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import say, tell
 
+if TYPE_CHECKING:
+    from procedures.cli.console.attaching import ConsoleRequest
+    from procedures.cli.console.pilot import Pilot
 
-def step_through(request: CaseRequest) -> None:
-    """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held."""
+
+def step_through(request: CaseRequest, console: ConsoleRequest | None = None) -> None:
+    """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held.
+
+    With a console the case is also operated from there, and goes on from there when the input has ended.
+    """
     check_request(request)
     with (
         run_folder(request) as folder,
@@ -32,13 +41,41 @@ def step_through(request: CaseRequest) -> None:
             for follower in followers:
                 follower.catch_up()
 
-        prompt = Prompt("step> ", say, asking=interrupts.asking, after=catch_up)
-        watcher = Watcher(room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt)
-        with opened_case(request, folder, watcher) as engine:
+        pilot = None if console is None else _pilot(request)
+        prompt = Prompt(
+            "step> ",
+            say,
+            asking=interrupts.asking,
+            after=catch_up,
+            meanwhile=None if pilot is None else pilot.follow_until_typed,
+        )
+        watcher = Watcher(
+            room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt, pilot=pilot
+        )
+        with contextlib.ExitStack() as stack:
+            if pilot is not None and console is not None:
+                from procedures.cli.console.attaching import attached
+
+                link = stack.enter_context(attached(pilot, folder, console.port))
+            engine = stack.enter_context(opened_case(request, folder, watcher))
             followers.append(EventFollower(engine.events, _say_lines))
             followers[0].start()
             say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
+            if pilot is None:
+                prompt.follow(engine)
+                return
+            pilot.attach(engine)
+            link.follow(engine.events)
             prompt.follow(engine)
+            if prompt.input_ended:
+                pilot.run_to_end(engine)
+
+
+def _pilot(request: CaseRequest) -> Pilot:
+    from procedures.cli.console.desk import Desk
+    from procedures.cli.console.pilot import Pilot
+
+    return Pilot(Desk(waits=request.config is not None), runs=False)
 
 
 def _say_lines(events: Sequence[Event]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
-PACKAGES = ("ronna_hw", "drivers", "sim", "procedures")
+PACKAGES = ("ronna_hw", "drivers", "sim", "procedures", "console")
 MODULES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 LONGEST_LINES = 400
 LARGEST_MEDIAN_LINES = 130

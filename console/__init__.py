@@ -1,0 +1,1 @@
+"""What an operator sees in a browser: a case while it runs, and afterwards."""

@@ -1,0 +1,42 @@
+"""`ronna-console`: looks at a case in a browser, while it runs or afterwards."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ronna_hw.command_line.console import LogLevelOption, VerboseOption, run, set_up_logging
+
+app = typer.Typer(
+    name="ronna-console",
+    help="Look at a case in a browser, while it runs or afterwards; it changes nothing.",
+    epilog="Example: ronna-console runs/20261121T081309-s3-72ab",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@app.command()
+def review(
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    verbose: VerboseOption = False,
+    log_level: LogLevelOption = None,
+) -> None:
+    """Serve a page with the whole course of a run, until Ctrl-C. Its address holds a key."""
+    set_up_logging(verbose)
+    from console.reviewing import review
+
+    review(folder, port)
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""`fold`: what holds after an event, out of what held before. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from console.feed.view import CaseView, DeviceRow, Notice, StepRow, StoodPose
+from procedures.engine.events import (
+    Answered,
+    Bodies,
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Event,
+    Fault,
+    Finding,
+    Happening,
+    JournalLine,
+    LinkHealth,
+    Order,
+    Pose,
+    Progress,
+    Questioned,
+    Refusal,
+    Seat,
+    StepState,
+    Waiting,
+)
+
+NOTICES_KEPT = 40
+JOURNAL_KEPT = 200
+OPENED, CLOSED = "opened", "closed"
+
+
+def fold(view: CaseView, event: Event) -> CaseView:
+    """The view after one event more."""
+    changed = replace(
+        view,
+        number=event.number,
+        fact=view.fact if event.what.signal else event.number,
+        theatre_time_s=event.theatre_time_s,
+        host_time=event.host_time.isoformat(timespec="milliseconds"),
+    )
+    return replace(changed, **_changes(changed, event.what))
+
+
+def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
+    match what:
+        case CaseState(state=state, reason=reason):
+            return {"state": state, "reason": reason}
+        case StepState() as step:
+            return _step(view, step)
+        case Progress(share=share, text=text):
+            return {"share": share, "doing": text}
+        case Questioned():
+            return {"question": what, "asked_at": view.host_time}
+        case Answered(question=number):
+            stands = view.question is not None and view.question.question != number
+            return {} if stands else {"question": None}
+        case Seat():
+            return {"seat": what if what.holder else None}
+        case Order(steps=steps):
+            return {"steps": tuple(StepRow(one.step, one.title, one.phase, one.moves) for one in steps)}
+        case Waiting():
+            return {"waiting": what}
+        case Bodies():
+            return {"bodies": what}
+        case LinkHealth():
+            return {"link": what}
+        case Pose():
+            return {"pose": StoodPose(what, view.theatre_time_s)}
+        case DeviceState(device=device) | DeviceAge(device=device):
+            return _device(view, device, what)
+        case JournalLine(line=line):
+            return _journal(view, line)
+        case Fault() | Refusal() | Finding():
+            return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
+
+
+def _step(view: CaseView, step: StepState) -> dict[str, Any]:
+    if step.state == "superseded":
+        gone = step.record
+        rows = tuple(replace(row, state="superseded") if row.record == gone else row for row in view.steps)
+        return {"steps": rows, "results": view.results + 1}
+    rows = tuple(
+        replace(row, state=step.state, summary=step.summary, record=step.record or row.record)
+        if row.step == step.step
+        else row
+        for row in view.steps
+    )
+    begun = step.state == "begun"
+    return {
+        "steps": rows,
+        "running": step.step if begun else "",
+        "share": 0.0,
+        "doing": "",
+        "waiting": None,
+        "results": view.results + (step.state == "done"),
+    }
+
+
+def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
+    known = view.devices.get(device)
+    if isinstance(what, DeviceState):
+        row = DeviceRow(what, known.age_s if known else None)
+    elif known is None:
+        return {}
+    else:
+        row = DeviceRow(known.seen, what.age_s)
+    return {"devices": {**view.devices, device: row}}
+
+
+def _notice(view: CaseView, what: Fault | Refusal | Finding) -> Notice:
+    match what:
+        case Fault(code=code, what=text, advice=advice):
+            text = text.removesuffix(advice).rstrip()
+            return Notice("fault", view.theatre_time_s, text.removeprefix(f"{code}: "), advice, code)
+        case Refusal(step=step, unmet=unmet):
+            return Notice("refused", view.theatre_time_s, f"{step} may not begin: {'; '.join(unmet)}")
+        case Finding(text=text):
+            return Notice("finding", view.theatre_time_s, text)
+
+
+def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
+    entry = str(line.get("entry"))
+    about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
+    changes: dict[str, Any] = {
+        "journal": (*view.journal, f"{line.get('sequence')} {entry} {about}".rstrip())[-JOURNAL_KEPT:]
+    }
+    if entry == OPENED or (entry == "restarted" and view.banner is None):
+        changes |= {
+            "run": str(line.get("run") or ""),
+            "theatre": str(line.get("theatre") or ""),
+            "banner": str(line.get("banner") or ""),
+            "strategy": str(line.get("strategy") or ""),
+        }
+    elif entry == CLOSED:
+        changes["outcome"] = str(line.get("outcome") or "")
+    return changes

@@ -1,0 +1,97 @@
+"""What holds in a case at one moment: everything that the page shows, and nothing that it has to ask for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from procedures.engine.events import (
+    Bodies,
+    DeviceState,
+    Evidence,
+    LinkHealth,
+    Pose,
+    Questioned,
+    Seat,
+    Waiting,
+)
+
+__all__ = ["CaseView", "DeviceRow", "Evidence", "Notice", "StepRow", "StoodPose"]
+
+
+@dataclass(frozen=True)
+class StepRow:
+    """A step in the order of the case, and what came of it."""
+
+    step: str
+    title: str
+    phase: str
+    moves: bool
+    state: str = ""  # begun, done, failed, interrupted, superseded; empty: not yet
+    summary: str = ""
+    record: str | None = None
+
+
+@dataclass(frozen=True)
+class DeviceRow:
+    """A device as it was last seen."""
+
+    seen: DeviceState
+    age_s: float | None = None  # of its newest reading, theatre time
+
+
+@dataclass(frozen=True)
+class StoodPose:
+    """Where an arm was, and when that was said, in the theatre's time."""
+
+    pose: Pose
+    said_s: float
+
+
+@dataclass(frozen=True)
+class Notice:
+    """A fault, a refusal or a finding: what happened, and what to do."""
+
+    kind: str
+    theatre_time_s: float
+    what: str
+    advice: str = ""
+    code: str = ""
+
+
+@dataclass(frozen=True)
+class CaseView:
+    """The case after event `number`; `fact` is the last one that is no signal."""
+
+    number: int = 0
+    fact: int = 0
+    theatre_time_s: float = 0.0
+    host_time: str = ""
+    run: str = ""
+    theatre: str = ""
+    banner: str | None = None  # None: not said yet; empty: hardware
+    strategy: str = ""
+    state: str = "opening"
+    reason: str = ""
+    steps: tuple[StepRow, ...] = ()
+    running: str = ""
+    share: float = 0.0
+    doing: str = ""
+    waiting: Waiting | None = None
+    question: Questioned | None = None
+    asked_at: str = ""  # host time
+    seat: Seat | None = None
+    devices: dict[str, DeviceRow] = field(default_factory=dict)
+    link: LinkHealth | None = None
+    bodies: Bodies | None = None
+    pose: StoodPose | None = None
+    notices: tuple[Notice, ...] = ()
+    journal: tuple[str, ...] = ()
+    results: int = 0  # how many results have come to stand, or fallen
+    outcome: str = ""  # of a run that was closed
+
+    @property
+    def upcoming(self) -> str:
+        """The step that comes next, as far as the events tell."""
+        if self.waiting is not None:
+            return self.waiting.upcoming or ""
+        return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")

@@ -1,0 +1,106 @@
+"""What a run has measured, read again whenever a result comes to stand or falls, and its pictures."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from typing import Any
+
+from starlette.requests import Request
+from starlette.responses import FileResponse, PlainTextResponse, Response
+
+from console.feed.view import CaseView
+from console.hub import Hub
+from console.pictures.head import head_stl, series_of
+from procedures.reporting.case_figures import CaseFigures, read_case_figures
+from ronna_hw.errors import RonnaError
+
+
+def as_of(figures: CaseFigures | None, view: CaseView) -> CaseFigures | None:
+    """Without what had not been measured yet at the moment of a view."""
+    if figures is None:
+        return None
+    done = {row.step for row in view.steps if row.state == "done"}
+    names = {step.partition(":")[0] for step in done}
+    matched, tracked = "correspondence" in names, "global_localization" in names
+    localized = "relocalization" in names
+
+    def registered(target: str) -> bool:
+        return not done.isdisjoint({"registration", f"registration:{target}"})
+
+    return replace(
+        figures,
+        robot_from_ct=figures.robot_from_ct if matched else None,
+        robot_from_tracker=figures.robot_from_tracker if tracked else None,
+        spheres=tuple(
+            replace(
+                one,
+                ct_mm=one.ct_mm if matched else None,
+                tracker_mm=one.tracker_mm if tracked else None,
+                stereo_mm=one.stereo_mm if localized else None,
+            )
+            for one in figures.spheres
+        ),
+        trajectories=figures.trajectories if matched else (),
+        predictions=tuple(one for one in figures.predictions if registered(one.target)),
+        tables=figures.tables if "registration" in names else (),
+        pictures=figures.pictures if localized else (),
+    )
+
+
+class Figures:
+    """The latest of them; reading goes on in a thread, beside the pages."""
+
+    def __init__(self, hub: Hub) -> None:
+        self._hub = hub
+        self._read_for = -1
+        self._reading = False
+        self.latest: CaseFigures | None = None
+        self.count = 0  # how often they were read
+        self.heads = 0  # how often the surface of the head was made
+        self._head = b""
+        self._tried = False
+
+    def key(self, view: CaseView) -> object:
+        """Changes when they do; has them read again when a result is new."""
+        if view.results != self._read_for and not self._reading:
+            self._reading = True
+            self._task = asyncio.get_running_loop().create_task(self._read(view.results))
+        return self.count
+
+    async def _read(self, results: int) -> None:
+        try:
+            self.latest = await asyncio.to_thread(read_case_figures, self._hub.folder)
+        finally:
+            self._read_for, self._reading = results, False
+            self.count += 1
+            self._hub.tell()
+        if self.latest is not None and self.latest.robot_from_ct is not None and not self._tried:
+            self._tried = True
+            await self._make_head()
+
+    async def _make_head(self) -> None:
+        series = series_of(self._hub.folder)
+        if series is None:
+            return
+        try:
+            self._head = await asyncio.to_thread(head_stl, series)
+        except (OSError, ValueError, RonnaError):  # the step that imports the CT says what is wrong with it
+            return
+        self.heads += 1
+        self._hub.tell()
+
+    def add_routes(self, app: Any) -> None:
+        """Serve the pictures, by the names that are known and no other."""
+
+        async def head(_request: Request) -> Response:
+            return Response(self._head, media_type="model/stl") if self._head else PlainTextResponse("", 404)
+
+        async def picture(request: Request) -> Response:
+            name = request.path_params["name"]
+            if self.latest is None or name not in self.latest.pictures:
+                return PlainTextResponse("There is no such picture.", 404)
+            return FileResponse(self._hub.folder / "pictures" / name, media_type="image/png")
+
+        app.add_route("/picture/head.stl", head, methods=["GET"])
+        app.add_route("/picture/{name}", picture, methods=["GET"])

@@ -1,0 +1,177 @@
+"""Stands before everything that the console serves, and refuses first.
+
+A loopback address is no authentication: other users and every page in the same browser reach it. Whoever
+comes needs the right Host, the right Origin where something may change, and a session that a token opened.
+"""
+
+from __future__ import annotations
+
+import http.cookies
+from collections.abc import Awaitable, Callable, MutableMapping
+from typing import Any
+from urllib.parse import parse_qs
+
+from console.sessions import Session, Sessions
+
+Scope = MutableMapping[str, Any]
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+App = Callable[[Scope, Receive, Send], Awaitable[None]]
+
+MOST_CLIENTS = 9  # open pages: the operator's and eight viewers'
+LARGEST_BODY_BYTES = 65_536
+MOST_FIELDS = 8  # of a query
+SESSION = "ronna.session"  # where the session of a request stands in its scope
+READING = ("GET", "HEAD")
+SOCKET_PATH = "/_nicegui_ws/"
+HEADERS = {
+    # The page library assembles its page by inline scripts and compiles its templates: both must be allowed.
+    "content-security-policy": "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
+    "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
+    "connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    "referrer-policy": "no-referrer",
+    "permissions-policy": "camera=(), microphone=(), geolocation=(), usb=(), serial=()",
+    "cache-control": "no-store",
+}
+
+
+class Guard:
+    """An ASGI application around another one."""
+
+    def __init__(self, app: App, sessions: Sessions, port: int) -> None:
+        self._app = app
+        self._sessions = sessions
+        self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
+        self._cookie = f"ronna_console_{port}"  # browsers do not keep ports apart
+        self.clients = 0  # open sockets
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http":
+            await self._http(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await self._websocket(scope, receive, send)
+        else:
+            await self._app(scope, receive, send)
+
+    async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _headers(scope)
+        host = headers.get("host", "")
+        if host not in self._hosts:
+            await _refuse(send, 421, "This is not the address of the console.")
+            return
+        if scope["method"] not in READING and headers.get("origin") != f"http://{host}":
+            await _refuse(send, 403, "Not from a page of the console.")
+            return
+        if scope["path"] == "/" and scope["method"] == "GET" and (token := _token(scope)) is not None:
+            await self._enter(token, send)
+            return
+        session = self._session(headers)
+        if session is None:
+            await _refuse(send, 401, "Open the address that the command printed: it holds the key.")
+            return
+        if scope["path"].startswith(SOCKET_PATH):
+            await _refuse(send, 400, "Only by WebSocket.")
+            return
+        if not headers.get("content-length", "0").isdigit() or (
+            int(headers.get("content-length", "0")) > LARGEST_BODY_BYTES
+        ):
+            await _refuse(send, 413, "Too much.")
+            return
+        scope[SESSION] = session
+        await self._app(scope, _bounded(receive), _with_headers(send))
+
+    async def _enter(self, token: str, send: Send) -> None:
+        cookie = self._sessions.open(token)
+        if cookie is None:
+            await _refuse(send, 401, "This key is of another run, or was cut short.")
+            return
+        kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
+        await _answer(send, 303, b"", {"location": "/", "set-cookie": kept})
+
+    async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _headers(scope)
+        host = headers.get("host", "")
+        session = self._session(headers)
+        allowed = host in self._hosts and headers.get("origin") == f"http://{host}" and session is not None
+        if not allowed or self.clients >= MOST_CLIENTS:
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: an answer of 403
+            return
+        scope[SESSION] = session
+        self.clients += 1
+        try:
+            await self._app(scope, receive, send)
+        finally:
+            self.clients -= 1
+
+    def _session(self, headers: dict[str, str]) -> Session | None:
+        cookies: http.cookies.SimpleCookie = http.cookies.SimpleCookie()
+        try:
+            cookies.load(headers.get("cookie", ""))
+        except http.cookies.CookieError:
+            return None
+        kept = cookies.get(self._cookie)
+        return self._sessions.find(None if kept is None else kept.value)
+
+
+def _headers(scope: Scope) -> dict[str, str]:
+    """By name in lower case; of a header that comes twice none counts."""
+    found: dict[str, str] = {}
+    twice = set()
+    for name, value in scope["headers"]:
+        key = name.decode("latin-1").lower()
+        twice |= {key} & found.keys()
+        found[key] = value.decode("latin-1")
+    return {name: value for name, value in found.items() if name not in twice}
+
+
+def _token(scope: Scope) -> str | None:
+    try:
+        given = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=MOST_FIELDS).get("token")
+    except ValueError:
+        return ""
+    return given[0] if given else None
+
+
+def _bounded(receive: Receive) -> Receive:
+    """A body that goes beyond its bound ends as if its sender had gone."""
+    left = LARGEST_BODY_BYTES
+
+    async def bounded() -> Message:
+        nonlocal left
+        message = await receive()
+        left -= len(message.get("body", b""))
+        return message if left >= 0 else {"type": "http.disconnect"}
+
+    return bounded
+
+
+def _with_headers(send: Send) -> Send:
+    async def with_headers(message: Message) -> None:
+        if message["type"] == "http.response.start":
+            ours = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+            kept = [
+                one for one in message.get("headers", []) if one[0].decode("latin-1").lower() not in HEADERS
+            ]
+            message = {**message, "headers": [*kept, *ours]}
+        await send(message)
+
+    return with_headers
+
+
+async def _refuse(send: Send, status: int, why: str) -> None:
+    await _answer(send, status, why.encode(), {"content-type": "text/plain; charset=utf-8"})
+
+
+async def _answer(send: Send, status: int, body: bytes, headers: dict[str, str]) -> None:
+    told = {**headers, "content-length": str(len(body))}
+    named = [(name.encode(), value.encode("latin-1")) for name, value in told.items()]
+    guarded = _with_headers(send)
+    await guarded({"type": "http.response.start", "status": status, "headers": named})
+    await guarded({"type": "http.response.body", "body": body})

@@ -1,0 +1,145 @@
+"""One case for all pages: what holds in it, who waits to be told, and the way of orders to its engine."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import time
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from console.feed.fold import fold
+from console.feed.recorded import RecordedCase
+from console.feed.view import CaseView
+from console.sessions import Role, Session
+from procedures.engine.events import Event
+from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
+
+SILENT_S = 1.0  # host time without a line from the engine, which sends one each quarter of a second
+REPLY_S = 3.0  # host time
+NOT_RUNNING = "this case is not running: it can only be looked at"
+
+SendOrder = Callable[[AnyOrder], Awaitable[None]]
+
+
+class Hub:
+    """Holds the view; pages subscribe with an event that is set when it changes."""
+
+    def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
+        self.folder = folder
+        self.view = CaseView()
+        self.ended = False  # the engine has closed its end
+        self.live = False  # fed by a running engine
+        self.review: RecordedCase | None = None  # of a case that this console does not operate
+        self.seated = ""  # session that sits in the operator's seat
+        self._now_s = now_s
+        self._heard_s = now_s()
+        self._waiting: set[asyncio.Event] = set()
+        self._send: SendOrder | None = None
+        self._replies: dict[str, asyncio.Future[str]] = {}
+
+    # What holds
+
+    def take(self, event: Event) -> None:
+        """Let an event change the view."""
+        self.show(fold(self.view, event))
+
+    def show(self, view: CaseView) -> None:
+        """Show another view: of the next moment, or of one that was looked for."""
+        if self.view.seat is not None and view.seat is None:
+            self.seated = ""
+        self.view = view
+        self.tell()
+
+    def heard(self) -> None:
+        """The engine gave a sign of life."""
+        self._heard_s = self._now_s()
+
+    @property
+    def silent_s(self) -> float:
+        """Host time since the engine was last heard of, where it ought to be heard; else 0."""
+        return self._now_s() - self._heard_s if self.live else 0.0
+
+    @property
+    def frozen(self) -> str:
+        """Why what is shown does not move; empty while it does."""
+        if self.view.outcome:
+            return ""
+        if self.ended:
+            return "THE ENGINE HAS ENDED. What is shown is the past; the arm may stand anywhere on its way."
+        if self.live and self.silent_s > SILENT_S:
+            return f"NOTHING HEARD FROM THE ENGINE FOR {self.silent_s:.0f} s. What is shown is the past."
+        return ""
+
+    def end(self) -> None:
+        """The engine will say nothing more."""
+        self.ended = True
+        for reply in self._replies.values():
+            if not reply.done():
+                reply.set_result("the engine has ended")
+        self.tell()
+
+    def subscribe(self) -> asyncio.Event:
+        """An event that is set whenever something changes."""
+        event = asyncio.Event()
+        self._waiting.add(event)
+        return event
+
+    def unsubscribe(self, event: asyncio.Event) -> None:
+        """Nobody waits for it any more."""
+        self._waiting.discard(event)
+
+    def tell(self) -> None:
+        """Wake whoever waits."""
+        for event in self._waiting:
+            event.set()
+
+    # Orders
+
+    def connect(self, send: SendOrder) -> None:
+        """From now on orders go this way."""
+        self._send = send
+        self.live = True
+        self.heard()
+
+    def reply(self, reply: Reply) -> None:
+        """The engine's reply to an order."""
+        waiting = self._replies.pop(reply.nonce, None)
+        if waiting is not None and not waiting.done():
+            waiting.set_result(reply.refused)
+
+    async def order(self, session: Session, content: dict[str, Any]) -> str:
+        """Give an order in the name of a session; returns why it is refused, or nothing.
+
+        Raises ValueError for what is no order.
+        """
+        import json
+
+        order = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
+        if session.role is not Role.OPERATOR:
+            return "viewers give no orders"
+        if self._send is None or self.ended:
+            return NOT_RUNNING if self._send is None else "the engine has ended"
+        if not isinstance(order, Renew | Stop) and not session.may_order(self._now_s()):
+            return "too many orders in one second"
+        reply: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+        if order.nonce in self._replies:
+            return "this order was given before"
+        self._replies[order.nonce] = reply
+        try:
+            await self._send(order)
+            refused = await asyncio.wait_for(reply, REPLY_S)
+        except (TimeoutError, OSError):
+            refused = "the engine does not answer"
+        finally:
+            self._replies.pop(order.nonce, None)
+        if order.kind == "claim" and not refused:
+            self.seated = session.identifier
+            self.tell()
+        return refused
+
+
+def new_nonce() -> str:
+    """For one order."""
+    return secrets.token_urlsafe(12)

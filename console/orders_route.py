@@ -1,0 +1,64 @@
+"""`GET /state` and `POST /orders`: what the page's buttons do, for scripts; the same checks and words."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse
+
+from console.guard import SESSION
+from console.hub import Hub
+from console.sessions import Role
+from procedures.engine.events.shown import shown_digest
+
+
+def add_order_routes(app: Any, hub: Hub) -> None:
+    """Add both routes to a Starlette application."""
+
+    async def state(_request: Request) -> JSONResponse:
+        return JSONResponse(_state(hub))
+
+    async def orders(request: Request) -> JSONResponse:
+        session = request.scope[SESSION]
+        if session.role is not Role.OPERATOR:
+            return JSONResponse({"refused": "viewers give no orders"}, 403)
+        try:
+            content = json.loads(await request.body())
+            refused = await hub.order(session, dict(content))
+        except (ValueError, TypeError, RecursionError, ClientDisconnect):
+            return JSONResponse({"refused": "that is no order"}, 400)
+        return JSONResponse({"refused": refused}, 409 if refused else 200)
+
+    app.add_route("/state", state, methods=["GET"])
+    app.add_route("/orders", orders, methods=["POST"])
+
+
+def _state(hub: Hub) -> dict[str, Any]:
+    view = hub.view
+    question = view.question
+    return {
+        "number": view.number,
+        "run": view.run,
+        "banner": view.banner,
+        "state": view.state,
+        "running": view.running,
+        "waiting": view.waiting is not None,
+        "upcoming": view.upcoming,
+        "steps": {row.step: row.state for row in view.steps},
+        "seat": view.seat.holder if view.seat else "",
+        "question": None
+        if question is None
+        else {
+            "question": question.question,
+            "topic": question.topic,
+            "subject": question.subject,
+            "value": question.value,
+            "answers": question.answers,
+            "read_back": question.read_back,
+            "shown": shown_digest(question),
+        },
+        "frozen": hub.frozen,
+        "outcome": view.outcome,
+    }

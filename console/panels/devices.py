@@ -1,0 +1,50 @@
+"""The devices: state, age of the newest reading, fault; the health of the robot link."""
+
+from __future__ import annotations
+
+from console.feed.view import CaseView, DeviceRow
+from console.panels.html import table_of, tag, text
+
+OLD_S = 2.0  # theatre time after which a reading is shown as old
+SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
+
+
+def devices(view: CaseView) -> str:
+    """A row for each device."""
+    if not view.devices:
+        return tag("p", "No device is connected yet.", class_="dim")
+    head = tag("tr", "".join(tag("th", one, scope="col") for one in ("device", "state", "reading", "fault")))
+    body = "".join(_row(name, row) for name, row in view.devices.items())
+    return table_of(head, body) + _link(view)
+
+
+def devices_key(view: CaseView) -> object:
+    """What the table shows."""
+    return tuple((name, row.seen, _age(row)) for name, row in view.devices.items()), view.link
+
+
+def _row(name: str, row: DeviceRow) -> str:
+    sign, kind = SIGNS.get(row.seen.state, ("◐", ""))
+    state = tag("td", f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}', class_=kind)
+    old = row.age_s is not None and row.age_s > OLD_S
+    age = tag("td", _age(row) + (" old" if old else ""), class_="num warn" if old else "num")
+    fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
+    return tag("tr", tag("th", text(name), scope="row") + state + age + fault, data_device=name)
+
+
+def _age(row: DeviceRow) -> str:
+    return "-" if row.age_s is None else f"{row.age_s:.1f} s"
+
+
+def _link(view: CaseView) -> str:
+    link = view.link
+    if link is None:
+        return tag("p", "The robot link has not streamed yet.", class_="dim")
+    late = "bad" if link.late or link.lost or link.rejected else ""
+    counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
+    return tag(
+        "p",
+        f"Robot link: {link.cycles} cycles, "
+        + tag("span", counts, class_=late)
+        + f"; turnaround {link.turnaround_median_us:.0f} µs median, {link.turnaround_p99_us:.0f} µs p99",
+    )

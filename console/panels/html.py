@@ -1,0 +1,42 @@
+"""HTML for text that somebody else wrote: everything is escaped, and nothing but these tags is made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+from procedures.engine.events import Evidence
+from ronna_hw.text.printable import printable
+
+
+def text(words: object) -> str:
+    """Plain text as it may stand in a page."""
+    return escape(printable(str(words)))
+
+
+def tag(name: str, content: str, **attributes: str) -> str:
+    """An element around HTML; `class_` is its class, underscores stand for hyphens."""
+    shown = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
+        for key, value in attributes.items()
+        if value
+    )
+    return f"<{name}{shown}>{content}</{name}>"
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
+    """A table of plain text."""
+    columns = tag("tr", "".join(tag("th", text(one), scope="col") for one in head))
+    body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
+    return table_of(columns, body, caption)
+
+
+def table_of(head: str, body: str, caption: str = "") -> str:
+    """A table of HTML rows."""
+    title = tag("caption", text(caption)) if caption else ""
+    return tag("div", tag("table", f"{title}<thead>{head}</thead><tbody>{body}</tbody>"), class_="wide")
+
+
+def evidence_table(evidence: Evidence) -> str:
+    """A table that a question is decided by."""
+    return table(evidence.head, evidence.rows, evidence.title)

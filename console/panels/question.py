@@ -1,0 +1,148 @@
+"""The question that stands, docked: what is asked, by what it is decided, and the answers.
+
+An answer that moves the arm, or lets it go by a result, is held for a second, and counts only when the panel
+has been there for a moment: neither a slip nor Enter gives it.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Awaitable, Callable
+from datetime import UTC, datetime
+from typing import Any
+
+from nicegui import ui
+
+from console.feed.view import CaseView
+from console.panels.html import evidence_table, tag, text
+from procedures.engine.events import Questioned
+from procedures.engine.events.shown import shown_digest
+
+HOLD_S = 1.0  # host time for which an answer is held
+ARMED_S = 0.7  # host time from its appearing until it can be given
+DIGEST_SHOWN = 12  # characters; the whole one is in the journal
+
+Give = Callable[[dict[str, Any]], Awaitable[None]]
+
+
+class HeldButton:
+    """A button that acts when it has been held by pointer or space bar for a second."""
+
+    def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
+        self._act = act
+        self._tell = tell
+        self._appeared_s = time.monotonic()
+        self._down_s: float | None = None
+        self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
+        self.button.tooltip("hold for one second; by keyboard hold the space bar")
+        self.button.on("pointerdown", self._down)
+        self.button.on("pointerup", self._up)
+        for gone in ("pointerleave", "pointercancel", "blur"):
+            self.button.on(gone, self._leave)
+        self.button.on("keydown", self._key_down, args=["key", "repeat"])
+        self.button.on("keyup", self._key_up, args=["key"])
+
+    def _down(self) -> None:
+        now_s = time.monotonic()
+        self._down_s = now_s if now_s - self._appeared_s >= ARMED_S else None
+
+    async def _up(self) -> None:
+        down_s, self._down_s = self._down_s, None
+        if down_s is None:
+            return
+        if time.monotonic() - down_s < HOLD_S:
+            self._tell("Hold the button for one second.")
+            return
+        await self._act()
+
+    def _leave(self) -> None:
+        self._down_s = None
+
+    def _key_down(self, event: Any) -> None:
+        if event.args.get("key") == " " and not event.args.get("repeat"):
+            self._down()
+
+    async def _key_up(self, event: Any) -> None:
+        if event.args.get("key") == " ":
+            await self._up()
+
+
+class QuestionPanel:
+    """Rebuilt for each question, and when the seat changes hands."""
+
+    def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
+        self._give = give
+        self._tell = tell
+        self._shown: object = ()
+        self._left: ui.html | None = None
+        self._place = (
+            ui.element("section").classes("question").props('aria-label="Question" aria-live=polite')
+        )
+
+    def show(self, view: CaseView, *, is_mine: bool, has_seat: bool) -> None:
+        """Show the question that stands, if one does."""
+        question = view.question
+        key = None if question is None else (question.question, shown_digest(question), is_mine, has_seat)
+        if key != self._shown:
+            self._shown, self._left = key, None
+            self._place.clear()
+            self._place.set_visibility(question is not None)
+            if question is not None:
+                with self._place:
+                    self._build(question, view, is_mine=is_mine)
+        if self._left is not None and question is not None:
+            self._left.set_content(_left(question, view))
+
+    def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
+        digest = shown_digest(question)
+        ui.html(
+            tag("h2", text(question.subject))
+            + tag("p", text(question.value), class_="value")
+            + "".join(map(evidence_table, question.evidence)),
+            sanitize=False,
+        )
+        self._left = ui.html("", sanitize=False)
+        if not is_mine:
+            who = f"{view.seat.holder} answers" if view.seat else "nobody is in the operator's seat"
+            ui.html(
+                tag("p", text(f"Answers: {', '.join(question.answers)}; {who}."), class_="dim"),
+                sanitize=False,
+            )
+            return
+        typed = None
+        if question.read_back is not None:
+            label = f"Read back: {question.read_back}"
+            typed = ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
+        with ui.element("div").classes("answers"):
+            for answer in question.answers:
+                self._answer_button(question, answer, digest, typed)
+        ui.html(tag("p", f"shown: {digest[:DIGEST_SHOWN]}", class_="digest"), sanitize=False)
+
+    def _answer_button(self, question: Questioned, answer: str, digest: str, typed: ui.input | None) -> None:
+        goes_on = answer == question.answers[0]
+
+        async def act() -> None:
+            order: dict[str, Any] = {
+                "kind": "answer",
+                "question": question.question,
+                "answer": answer,
+                "shown": digest,
+            }
+            if typed is not None and goes_on:
+                order["typed"] = str(typed.value or "")
+            await self._give(order)
+
+        if goes_on and question.deliberate:
+            held = HeldButton(f"{answer} (hold)", act, self._tell)
+            held.button.classes("go").props(f'data-answer="{answer}"')
+        else:
+            button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
+            button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')
+
+
+def _left(question: Questioned, view: CaseView) -> str:
+    if question.timeout_s is None:
+        return tag("p", "It waits until it is answered.", class_="dim")
+    asked = datetime.fromisoformat(view.asked_at)
+    left_s = max(0.0, question.timeout_s - (datetime.now(UTC) - asked).total_seconds())
+    return tag("p", f"{left_s:.0f} s left; silence means “{text(question.answers[-1])}”.", class_="dim num")

@@ -1,0 +1,50 @@
+"""Shows a case that is over, or that another program runs: the same page, with a slider through its time."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from pathlib import Path
+
+from console.app import serve_hub
+from console.errors import NothingToShow
+from console.feed.recorded import RecordedCase
+from console.hub import Hub
+from procedures.engine.events import Event
+from procedures.engine.events.followed_run import FollowedRun
+from ronna_hw.command_line.messages import tell
+from ronna_hw.errors import RonnaError
+
+
+def review(folder: Path, port: int) -> None:
+    """Serve until the command is ended. Raises CON-001, CON-002, PRO-018."""
+    import json
+
+    try:
+        followed = FollowedRun(folder)
+    except RonnaError as error:
+        raise NothingToShow(f"{folder} holds no run that can be shown: {error.what}") from error
+    batches = followed.batches(whole=True)
+    recorded, hub = RecordedCase(), Hub(folder)
+    recorded.extend(next(batches))
+    if not len(recorded):
+        raise NothingToShow(f"nothing has happened in {folder}")
+    hub.review = recorded
+    hub.show(recorded.latest)
+
+    async def work() -> None:
+        loop = asyncio.get_running_loop()
+
+        def take(events: list[Event]) -> None:
+            recorded.extend(events)
+            hub.show(recorded.latest)
+
+        def follow() -> None:
+            for events in batches:
+                loop.call_soon_threadsafe(take, list(events))
+            recorded.over = True
+
+        threading.Thread(target=follow, name="follow the run", daemon=True).start()
+        await asyncio.Event().wait()
+
+    serve_hub(hub, port, work, lambda ready: tell(f"CONSOLE {json.dumps(ready)}"))

@@ -1,0 +1,1 @@
+"""The theatre in three dimensions, posed here: the page multiplies nothing out."""

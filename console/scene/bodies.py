@@ -1,0 +1,98 @@
+"""Where capsules stand, and which two that are checked against each other come closest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from procedures.engine.events import Bodies, Pose
+from ronna_hw.arm.clearance.capsule import segment_distance_mm
+
+Point = tuple[float, float, float]
+Rows = list[list[float]]
+METRES = 0.001  # per millimetre
+CLOSE_MM = 500.0  # farther apart nobody wants to know it
+
+
+@dataclass(frozen=True)
+class Closest:
+    """The pair with the least clearance, and that clearance."""
+
+    first: str
+    second: str
+    distance_mm: float
+    from_mm: Point
+    to_mm: Point
+
+
+def ends(values: tuple[float, ...]) -> tuple[Point, Point]:
+    """Both ends of an axis."""
+    a, b, c, d, e, f = values
+    return (a, b, c), (d, e, f)
+
+
+def upright(start: Point, end: Point) -> Rows:
+    """A rotation, by rows, that turns z into the direction from start to end."""
+    length = math.dist(start, end)
+    if length == 0.0:
+        return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    z = tuple((e - s) / length for s, e in zip(start, end, strict=True))
+    helper = (1.0, 0.0, 0.0) if abs(z[0]) < abs(z[2]) else (0.0, 0.0, 1.0)
+    x = _unit(_cross(helper, z))
+    y = _cross(z, x)
+    return [[x[row], y[row], z[row]] for row in range(3)]
+
+
+def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
+    """Of all pairs that the arm's motion is checked for; None when nothing is near."""
+    if len(pose.bodies_mm) != len(bodies.moving):
+        return None  # of an arm with other tools: the bodies of one moment, the pose of another
+    moving = [ends(one) for one in pose.bodies_mm]
+    fixed = [ends(one.ends_mm) for one in bodies.fixed]
+    best: Closest | None = None
+    for first, second in bodies.pairs:
+        a, b = moving[first]
+        other = bodies.fixed[second] if second >= 0 else bodies.moving[-1 - second]
+        c, d = fixed[second] if second >= 0 else moving[-1 - second]
+        gap = segment_distance_mm(a, b, c, d) - bodies.moving[first].radius_mm - other.radius_mm
+        if gap < (best.distance_mm if best else CLOSE_MM):
+            near, far = _closest_points(a, b, c, d)
+            best = Closest(bodies.moving[first].name, other.name, gap, near, far)
+    return best
+
+
+def _closest_points(a: Point, b: Point, c: Point, d: Point) -> tuple[Point, Point]:
+    """On both axes, found by narrowing: exact enough to draw a line between them."""
+    low_s, high_s = 0.0, 1.0
+    for _ in range(40):  # the distance of a point to a segment is convex along the other
+        third = (high_s - low_s) / 3.0
+        one, two = _along(a, b, low_s + third), _along(a, b, high_s - third)
+        if segment_distance_mm(one, one, c, d) < segment_distance_mm(two, two, c, d):
+            high_s -= third
+        else:
+            low_s += third
+    near = _along(a, b, (low_s + high_s) / 2.0)
+    return near, _nearest_on(c, d, near)
+
+
+def _nearest_on(c: Point, d: Point, point: Point) -> Point:
+    direction = tuple(e - s for s, e in zip(c, d, strict=True))
+    squared = sum(value * value for value in direction)
+    if squared == 0.0:
+        return c
+    share = sum((p - s) * v for p, s, v in zip(point, c, direction, strict=True)) / squared
+    return _along(c, d, min(max(share, 0.0), 1.0))
+
+
+def _along(start: Point, end: Point, share: float) -> Point:
+    x, y, z = (s + share * (e - s) for s, e in zip(start, end, strict=True))
+    return (x, y, z)
+
+
+def _cross(a: tuple[float, ...], b: tuple[float, ...]) -> Point:
+    return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def _unit(a: Point) -> Point:
+    length = math.hypot(*a)
+    return (a[0] / length, a[1] / length, a[2] / length)

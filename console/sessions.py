@@ -1,0 +1,68 @@
+"""Who may look and who may operate: two tokens of a run, each exchanged once per browser for a session."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections import OrderedDict, deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+TOKEN_BYTES = 32
+MOST_SESSIONS = 64  # the oldest makes room
+ORDERS_PER_SECOND = 10
+
+
+class Role(StrEnum):
+    """What a session may do."""
+
+    OPERATOR = "operator"
+    VIEWER = "viewer"
+
+
+@dataclass
+class Session:
+    """One browser. `identifier` may be told and recorded; what its cookie holds may not."""
+
+    role: Role
+    identifier: str
+    orders_s: deque[float] = field(default_factory=lambda: deque(maxlen=ORDERS_PER_SECOND))
+
+    def may_order(self, now_s: float) -> bool:
+        """Whether it has not given too many orders in the last second; counts this one."""
+        full = len(self.orders_s) == ORDERS_PER_SECOND
+        if full and now_s - self.orders_s[0] < 1.0:
+            return False
+        self.orders_s.append(now_s)
+        return True
+
+
+class Sessions:
+    """The tokens of a run and the sessions that they opened."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        self.now_s = now_s
+        self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
+        self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
+        self._sessions: OrderedDict[str, Session] = OrderedDict()
+
+    def open(self, token: str) -> str | None:
+        """The cookie of a new session for a token; None for one that is none of ours."""
+        roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
+        given = token.encode()
+        role = None
+        for known, candidate in roles.items():  # both are always compared
+            if secrets.compare_digest(known.encode(), given):
+                role = candidate
+        if role is None:
+            return None
+        cookie = secrets.token_urlsafe(TOKEN_BYTES)
+        self._sessions[cookie] = Session(role, secrets.token_hex(6))
+        while len(self._sessions) > MOST_SESSIONS:
+            self._sessions.popitem(last=False)
+        return cookie
+
+    def find(self, cookie: str | None) -> Session | None:
+        """The session of a cookie."""
+        return None if cookie is None else self._sessions.get(cookie)

@@ -1,0 +1,208 @@
+"""The page: its places, what fills them, and the loop that keeps them fresh."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from fastapi import FastAPI, Request
+from nicegui import app as page_app
+from nicegui import core, ui
+
+from console.feed.view import CaseView
+from console.figures import Figures, as_of
+from console.guard import SESSION
+from console.hub import Hub
+from console.panels import bar
+from console.panels.accuracy import accuracy
+from console.panels.chart import chart, chart_key
+from console.panels.devices import devices, devices_key
+from console.panels.moment import MomentPanel
+from console.panels.notices import journal, notices
+from console.panels.orders import OrderPanel, SeatPanel, stop_button
+from console.panels.pictures import pictures
+from console.panels.question import QuestionPanel
+from console.scene.panel import ScenePanel
+from console.sessions import Role, Session
+from console.web.sockets import bind_sockets, own_page
+from procedures.reporting.case_figures import CaseFigures
+
+TITLE = "RONNA console"  # of every case alike: titles are seen in lists of windows
+HERE = Path(__file__).parent
+OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
+VIEWER_PERIOD_S = 0.1
+BEAT_S = 0.4  # host time between two updates when nothing happens: ages grow
+RECONNECT_S = 3.0
+SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as numbers
+RESENT_MESSAGES = 50  # after a short break; a longer one reloads the page
+
+
+def add_page(app: FastAPI, hub: Hub) -> None:
+    """Serve the page at `/` of an application."""
+    figures = Figures(hub)
+    figures.add_routes(app)
+    style = (HERE / "style.css").read_text(encoding="utf-8")
+    script = (HERE / "fresh.js").read_text(encoding="utf-8")
+
+    @ui.page("/")
+    async def page(request: Request) -> None:
+        ui.add_head_html(f"<style>{style}</style><script>{script}</script>")
+        session: Session = request.scope[SESSION]
+        own_page(ui.context.client, session.identifier)
+        CasePage(hub, figures, session, low="low" in request.query_params).build()
+
+    ui.run_with(
+        app,
+        title=TITLE,
+        dark=None,
+        tailwind=False,
+        favicon=str(HERE / "icon.svg"),
+        reconnect_timeout=RECONNECT_S,
+        message_history_length=RESENT_MESSAGES,
+        show_welcome_message=False,
+        gzip_middleware_factory=None,
+    )
+    page_app.config.socket_io_js_transports = ["websocket"]
+    bind_sockets(core.sio)
+
+
+class CasePage:
+    """One open page of one session."""
+
+    def __init__(self, hub: Hub, figures: Figures, session: Session, *, low: bool) -> None:
+        self._hub = hub
+        self._figures = figures
+        self._session = session
+        self._low = low
+        self._panels: list[
+            tuple[ui.html, Callable[[CaseView], str], Callable[[CaseView], object], list[object]]
+        ] = []
+        self._beat = 0
+        self._slow = 0
+        self._figures_key: object = None
+        self._figures_then: CaseFigures | None = None
+
+    @property
+    def _is_mine(self) -> bool:
+        return self._hub.seated == self._session.identifier and self._hub.view.seat is not None
+
+    def build(self) -> None:
+        """Make the places and begin to fill them."""
+        may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
+        with ui.element("header").classes("head"):
+            self._add(bar.banner, lambda view: view.banner)
+            self._add(bar.case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
+            self._clock = ui.html("", sanitize=False)
+            self._seat = SeatPanel(self._give, may_operate=may_operate)
+            if may_operate:
+                stop_button(self._give)
+        self._frozen = ui.html("", sanitize=False).classes("frozenbox")
+        ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
+        self._words = ui.html("", sanitize=False).classes("words")
+        self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.tell)
+        self._orders: OrderPanel | None = None
+        with ui.element("main").classes("places"):
+            with ui.element("div").classes("left"):
+                if may_operate:
+                    self._orders = OrderPanel(self._give, self._say)
+                self._section("Course of the case", chart, chart_key, "chart")
+            with ui.element("div").classes("middle"):
+                self._question = QuestionPanel(self._give, self._say)
+                self._scene = ScenePanel(low=self._low)
+            with ui.element("div").classes("right"):
+                self._section(
+                    "Accuracy", lambda _view: accuracy(self._figures_then), self._measured, "accuracy"
+                )
+                self._section("Faults, refusals, notes", notices, lambda view: view.notices, "noticebox")
+            with ui.element("div").classes("bottom"):
+                self._section("Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox")
+                self._section(
+                    "Stereo pictures",
+                    lambda _view: pictures(self._figures_then),
+                    self._measured,
+                    "picturebox",
+                )
+                self._section("Journal", journal, lambda view: view.journal, "journalbox")
+        client = ui.context.client
+        ui.on("alive", self._alive)
+        changed = self._hub.subscribe()
+        task = asyncio.create_task(self._keep_fresh(client, changed))
+
+        def gone() -> None:
+            self._hub.unsubscribe(changed)
+            task.cancel()
+
+        client.on_delete(gone)
+
+    def _add(self, render: Callable[[CaseView], str], key: Callable[[CaseView], object]) -> ui.html:
+        place = ui.html("", sanitize=False)
+        self._panels.append((place, render, key, [object()]))
+        return place
+
+    def _section(
+        self, title: str, render: Callable[[CaseView], str], key: Callable[[CaseView], object], name: str
+    ) -> None:
+        with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
+            ui.html(f"<h2>{title}</h2>", sanitize=False)
+            self._add(render, key).classes("body")
+
+    def _measured(self, view: CaseView) -> object:
+        """Changes with what had been measured at that moment."""
+        key = self._figures.key(view), view.steps
+        if key != self._figures_key:
+            self._figures_key = key
+            self._figures_then = as_of(self._figures.latest, view)
+        return key
+
+    async def _give(self, order: dict[str, Any]) -> None:
+        """Give an order and show what the engine says to it."""
+        try:
+            refused = await self._hub.order(self._session, order)
+        except ValueError:
+            refused = (
+                "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "that is no order"
+            )
+        self._say(f"Refused: {refused}." if refused else "")
+
+    def _say(self, words: str) -> None:
+        from console.panels.html import tag, text
+
+        self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")
+
+    async def _alive(self) -> None:
+        if self._is_mine:
+            await self._hub.order(self._session, {"kind": "renew"})
+
+    async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
+        loop = asyncio.get_running_loop()
+        while True:
+            if client.has_socket_connection:
+                with client:
+                    self._show(loop.time())
+            period_s = OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
+            await asyncio.sleep(period_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(changed.wait(), BEAT_S)
+            changed.clear()
+
+    def _show(self, now_s: float) -> None:
+        view = self._hub.view if self._moment is None else self._moment.view(self._hub.view)
+        self._slow = int(now_s / SLOW_KEYS_S)
+        for place, render, key, shown in self._panels:
+            current = key(view)
+            if current != shown[0]:
+                shown[0] = current
+                place.set_content(render(view))
+        mine, frozen = self._is_mine, self._hub.frozen
+        self._question.show(view, is_mine=mine and not frozen, has_seat=view.seat is not None)
+        self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
+        if self._orders is not None:
+            self._orders.show(view, is_mine=mine and not frozen)
+        self._measured(view)
+        self._scene.show(view, self._figures_then, self._figures.heads)
+        self._frozen.set_content(f'<div class="frozen" role="alert">{frozen}</div>' if frozen else "")
+        self._beat += 1
+        self._clock.set_content(bar.clock(view, self._beat))

@@ -1,0 +1,66 @@
+"""Gives a case a browser console for as long as it lasts."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.opening import Watcher
+from procedures.cli.console.desk import Desk
+from procedures.cli.console.link import ConsoleLink
+from procedures.cli.console.pilot import Pilot
+from procedures.engine.errors import ConsoleMissing
+from ronna_hw.command_line.messages import tell
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+NEEDED = ("nicegui", "skimage")  # of the extra `console`
+
+
+@dataclass(frozen=True)
+class ConsoleRequest:
+    """A console at a port of the loopback address; 0 is any free one."""
+
+    port: int = 0
+
+
+def check_console() -> None:
+    """Raise PRO-040 where the console's libraries are not installed."""
+    if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
+        raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
+
+
+@contextlib.contextmanager
+def attached(
+    pilot: Pilot, folder: Path, port: int, say: Callable[[str], None] = tell
+) -> Iterator[ConsoleLink]:
+    """Serve the console of a run while the block runs; `say` says its address."""
+    link = ConsoleLink(folder, pilot.desk, port, say)
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@contextlib.contextmanager
+def with_console(
+    watcher: Watcher, folder: Path, console: ConsoleRequest, *, waits: bool
+) -> Iterator[Watcher]:
+    """The watcher of a case that runs to its end, with a console.
+
+    With `waits` nothing is done before somebody has taken the operator's seat.
+    """
+    pilot = Pilot(Desk(waits=waits), runs=True)
+    with attached(pilot, folder, console.port, watcher.room_open) as link:
+
+        def opened(engine: Engine) -> None:
+            watcher.opened(engine)
+            pilot.attach(engine)
+            link.follow(engine.events)
+
+        yield replace(watcher, opened=opened, pilot=pilot)

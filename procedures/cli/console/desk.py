@@ -1,0 +1,279 @@
+"""Where orders from the console meet the engine: taken by one thread, carried out by the engine's own.
+
+Only a stop reaches the arm from here; everything else waits until the engine asks for it between steps, at a
+checkpoint or with a question.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.cli.console.seat import Seat
+from procedures.engine.checkpoint import ABORT, GO_ON
+from procedures.engine.events import Seat as SeatEvent
+from procedures.engine.events.shown import shown_digest
+from procedures.engine.operator import Question, Signature, Topic
+from procedures.engine.orders import (
+    Abort,
+    Acknowledge,
+    Answer,
+    AnyOrder,
+    Claim,
+    Next,
+    Pause,
+    Release,
+    Renew,
+    Resume,
+    RunTo,
+    Stop,
+)
+from procedures.engine.questions import as_shown
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
+NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What to do between steps: `abort`, `acknowledge`, `next`, `to` a step, or run to the `end`."""
+
+    what: str
+    step: str = ""
+    by: str = ""
+
+
+@dataclass
+class _Standing:
+    """The question that stands."""
+
+    question: Question
+    shown: str
+    answer: str | None = None
+    signature: Signature | None = None
+    misread: int = 0  # how often, not yet in the journal
+
+
+class Desk:
+    """The operator at the console as the engine sees him. Every method is safe for threads."""
+
+    def __init__(self, *, waits: bool, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`waits` where nothing is done and nothing answered before somebody has taken the seat."""
+        self._changed = threading.Condition()
+        self._now_s = now_s
+        self._seat = Seat(now_s)
+        self._waits = waits
+        self._engine: Engine | None = None
+        self._waiting_for: str | None = None  # the upcoming step, while the engine waits between steps
+        self._wish: Wish | None = None
+        self._standing: _Standing | None = None
+        self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
+        self._taken: deque[tuple[str, str]] = deque()  # changes of the seat, for the journal: session, name
+        self._gone = False
+
+    def attach(self, engine: Engine) -> None:
+        """From now on orders are about this engine."""
+        with self._changed:
+            self._engine = engine
+            if name := self._seat.holder:  # taken while the theatre was being opened
+                engine.events.publish(SeatEvent(holder=name))
+
+    def leave(self) -> None:
+        """The console is gone: whoever else there is goes on."""
+        with self._changed:
+            self._gone = True
+            self._seat.free()
+            self._changed.notify_all()
+
+    @property
+    def in_charge(self) -> bool:
+        """Whether the case is operated from the console: it lives, and somebody has taken its seat."""
+        with self._changed:
+            return not self._gone and (self._waits or self._seat.ever_taken)
+
+    @property
+    def gone(self) -> bool:
+        """Whether the console has ended."""
+        with self._changed:
+            return self._gone
+
+    def changes_of_seat(self) -> list[tuple[str, str]]:
+        """Session and name of whoever took the seat since this was last asked; no name: it became free."""
+        with self._changed:
+            self._notice_lapse()
+            changes = list(self._taken)
+            self._taken.clear()
+            return changes
+
+    # The thread that reads orders
+
+    def take(self, order: AnyOrder) -> str:
+        """Take an order; returns why it is refused, or nothing."""
+        with self._changed:
+            if order.nonce in self._nonces:
+                return "this order was given before"
+            self._nonces.append(order.nonce)
+            self._notice_lapse()
+            refused = self._refused(order)
+            self._changed.notify_all()
+            return refused
+
+    def _refused(self, order: AnyOrder) -> str:
+        match order:
+            case Claim(session=session, name=name):
+                if refused := self._seat.claim(session, name.strip()):
+                    return refused
+                self._tell_seat(session, name.strip())
+                return ""
+            case Renew(session=session):
+                self._seat.renew(session)
+                return ""
+            case Stop():
+                return self._stop()
+        if not self._seat.held_by(order.session):
+            return "you are not in the operator's seat"
+        if isinstance(order, Release):
+            self._seat.free()
+            self._tell_seat("", "", "the operator left it")
+            return ""
+        if self._engine is None:
+            return "the theatre is not open yet"
+        if isinstance(order, Answer):
+            return self._answer(order)
+        return self._steer(order, self._engine)
+
+    def _steer(self, order: AnyOrder, engine: Engine) -> str:
+        name = self._seat.holder
+        paused = self._standing is not None and self._standing.question.topic is Topic.PAUSE
+        match order:
+            case Pause():
+                if self._waiting_for is not None:
+                    return "no step is running"
+                engine.checkpoint.pause(f"{name} asked for a pause")
+            case Resume() if paused:
+                self._settle(GO_ON, order.session)
+            case Abort() if paused:
+                self._settle(ABORT, order.session)
+            case Abort():
+                if self._waiting_for is None:
+                    engine.checkpoint.abort()
+                    if self._standing is not None:
+                        self._settle(self._standing.question.silence, order.session)
+                self._wish = Wish("abort", by=name)
+            case _ if self._waiting_for is None:
+                return "the engine is not waiting for this: a step is running, or a question stands"
+            case Next(upcoming=seen) | RunTo(upcoming=seen) if seen != self._waiting_for:
+                return f"that is past: the next step is {self._waiting_for}"
+            case Next():
+                self._wish = Wish("next", by=name)
+            case RunTo(step=step):
+                if step not in map(str, engine.order.sequence):
+                    return f"there is no step {step!r}"
+                self._wish = Wish("to", step, by=name)
+            case Resume():
+                self._wish = Wish("end", by=name)
+            case Acknowledge():
+                self._wish = Wish("acknowledge", by=name)
+        return ""
+
+    def _stop(self) -> str:
+        engine = self._engine
+        if engine is None:
+            return "the theatre is not open yet: nothing moves"
+        engine.checkpoint.pause(f"{self._seat.holder or 'somebody at the console'} stopped the arm")
+        threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
+        return ""
+
+    def _answer(self, order: Answer) -> str:
+        standing = self._standing
+        if standing is None or standing.question.number != order.question or standing.answer is not None:
+            return "that question does not stand any more"
+        question = standing.question
+        if order.shown != standing.shown:
+            return "what was shown is not what is asked"
+        if order.answer not in question.answers:
+            return f"{order.answer!r} is not an answer"
+        read_back = question.read_back
+        if read_back is not None and order.answer == question.answers[0]:
+            if not order.typed:
+                return f"type {read_back.what}"
+            if not read_back.fits(order.typed):
+                standing.misread += 1
+                return f"what was typed {read_back.wrong}"
+        self._settle(order.answer, order.session)
+        return ""
+
+    def _settle(self, answer: str, session: str) -> None:
+        if self._standing is not None and self._standing.answer is None:
+            self._standing.answer = answer
+            self._standing.signature = Signature(self._seat.holder, session, self._standing.shown)
+
+    def _notice_lapse(self) -> None:
+        if self._seat.lapsed:
+            self._seat.free()
+            self._tell_seat("", "", "the operator's page was not heard of for 10 s")
+
+    def _tell_seat(self, session: str, name: str, reason: str = "") -> None:
+        self._taken.append((session, name))
+        if self._engine is not None:
+            self._engine.events.publish(SeatEvent(holder=name, reason=reason))
+
+    # The engine's own thread
+
+    def ask(self, question: Question) -> str | None:
+        """The answer from the console; silence in time, and None when the console has ended."""
+        ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
+        with self._changed:
+            self._standing = standing = _Standing(question, shown_digest(as_shown(question, question.number)))
+            try:
+                while standing.answer is None and not self._gone:
+                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    if left_s <= 0.0:
+                        return question.silence
+                    self._changed.wait(left_s)
+                    self._notice_lapse()
+                    while standing.misread:
+                        standing.misread -= 1
+                        question.misread()
+            finally:
+                self._standing = None
+        if standing.signature is not None:
+            question.signed(standing.signature)
+        return standing.answer
+
+    def wish(self, upcoming: str, timeout_s: float | None = None) -> Wish | None:
+        """Wait between steps for what is wished; None when nothing is in time, or the console has ended."""
+        ends_s = None if timeout_s is None else self._now_s() + timeout_s
+        with self._changed:
+            self._waiting_for = upcoming
+            try:
+                while self._wish is None and not self._gone:
+                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    if left_s <= 0.0:
+                        return None
+                    self._changed.wait(left_s)
+                    self._notice_lapse()
+                wish, self._wish = self._wish, None
+                return wish
+            finally:
+                self._waiting_for = None
+
+    @property
+    def aborting(self) -> bool:
+        """Whether the end of the case was asked for."""
+        with self._changed:
+            return self._wish is not None and self._wish.what == "abort"
+
+    @property
+    def occupied(self) -> bool:
+        """Whether somebody is in the seat."""
+        with self._changed:
+            self._notice_lapse()
+            return bool(self._seat.holder)

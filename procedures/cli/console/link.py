@@ -1,0 +1,118 @@
+"""The console's process, fed with events and heard for orders; whatever becomes of it, the case goes on."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from procedures.cli.console.desk import Desk
+from procedures.engine.events import EventStream
+from procedures.engine.orders import LONGEST_BYTES, Reply, read_order
+from ronna_hw.command_line.messages import tell
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.child_process import ChildProcess, command
+
+READY_S = 15.0  # host time; heavy imports on a busy computer
+STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
+BEAT_S = 0.25  # host time between two signs of life when nothing happens
+BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
+
+
+class ConsoleLink:
+    """One console for one run. Two threads of its own; neither holds up the engine."""
+
+    def __init__(self, folder: Path, desk: Desk, port: int, say: Callable[[str], None] = tell) -> None:
+        """Starts the process and does not wait for it; `port` 0 is any free one, `say` says its address."""
+        self._desk = desk
+        self._say = say
+        self._ending = False
+        self._writing = threading.Lock()
+        self._feed: threading.Thread | None = None
+        self._socket, theirs = socket.socketpair()
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
+        with theirs:
+            arguments = ("--feed", str(theirs.fileno()), "--port", str(port), str(folder.resolve()))
+            self._child = ChildProcess(
+                "console",
+                command("console.serving", *arguments),
+                timeout_s=None,
+                inherited=(theirs.fileno(),),
+            )
+        self._start(self._await_ready, "console ready")
+
+    def follow(self, events: EventStream) -> None:
+        """Send everything that happens from now on."""
+        self._feed = self._start(lambda: self._send_all(events), "console feed")
+
+    def close(self) -> None:
+        """The run has ended: let the console say so, and end it. Never raises."""
+        self._ending = True
+        if self._feed is not None:
+            self._feed.join(STALLED_S)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(Exception):
+            self._child.process.wait(timeout=STALLED_S)
+        self._child.stop()
+        self._socket.close()
+
+    def _start(self, work: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def _await_ready(self) -> None:
+        try:
+            ready = self._child.await_ready(READY_S)
+        except (RonnaError, ValueError) as error:
+            if not self._ending:
+                self._say(f"no console: {error}")
+            self._gone()
+            return
+        self._say(f"CONSOLE {json.dumps(ready)}")
+        self._hear()
+
+    def _hear(self) -> None:
+        """Take orders until the console ends."""
+        with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
+            while line := lines.readline(LONGEST_BYTES + 1):
+                try:
+                    order = read_order(line)
+                except ValueError:
+                    continue  # the console's own side has refused it
+                self._send(Reply(nonce=order.nonce, refused=self._desk.take(order)).model_dump_json())
+        self._gone()
+
+    def _send_all(self, events: EventStream) -> None:
+        reader, ended = events.subscribe(), False
+        while not ended:
+            reader.wait(BEAT_S)
+            batch = reader.read(0.0)
+            ended = batch.ended
+            lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]
+            if not self._send("\n".join(lines or ['{"beat":1}'])):
+                return
+            if all(event.what.signal for event in batch.events):
+                time.sleep(BETWEEN_SIGNALS_S)
+
+    def _send(self, text: str) -> bool:
+        try:
+            with self._writing:
+                self._socket.sendall(text.encode() + b"\n")
+        except OSError:
+            if not self._ending:
+                self._child.process.kill()  # it takes nothing: better none than one that shows the past
+            return False
+        return True
+
+    def _gone(self) -> None:
+        if not self._desk.gone:
+            self._desk.leave()
+            if not self._ending:
+                self._say("the console has ended; the case goes on, and this terminal operates it")

@@ -1,0 +1,168 @@
+"""Runs a case as the operator at the console orders it: step by step, up to a step, or to its end."""
+
+from __future__ import annotations
+
+import select
+import sys
+from typing import TYPE_CHECKING
+
+from procedures.cli.case.commands import leave_head
+from procedures.cli.console.desk import Desk, Wish
+from procedures.engine.checkpoint import ABORT
+from procedures.engine.errors import OperatorAborted
+from procedures.engine.operator import Operator, Question
+from procedures.engine.outlook import publish_waiting
+from ronna_hw.command_line.messages import fail_with, tell
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+HELD = "the case is held, the arm rests; the operator at the console says how it goes on"
+LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
+
+
+class ConsoleOperator:
+    """Asks at the console while it operates the case, and otherwise whoever would be asked without it."""
+
+    def __init__(self, desk: Desk, otherwise: Operator, pilot: Pilot) -> None:
+        self._desk = desk
+        self._otherwise = otherwise
+        self._pilot = pilot
+
+    def ask(self, question: Question) -> str:
+        """The answer; of a console that ends meanwhile, that of whoever takes its place."""
+        self._pilot.note_seat()
+        answer = self._desk.ask(question) if self._desk.in_charge else None
+        self._pilot.note_seat()
+        return self._otherwise.ask(question) if answer is None else answer
+
+
+class Pilot:
+    """Carries out orders between steps, on the engine's own thread."""
+
+    def __init__(self, desk: Desk, *, runs: bool) -> None:
+        """`runs` where the case goes on by itself until the operator says otherwise."""
+        self.desk = desk
+        self._runs = runs
+        self._going = runs and not desk.in_charge
+        self._until: str | None = None  # the last step that was ordered; None: all
+        self._engine: Engine | None = None
+
+    @property
+    def in_charge(self) -> bool:
+        """As `Desk.in_charge`."""
+        return self.desk.in_charge
+
+    def operator(self, otherwise: Operator) -> Operator:
+        """Who answers the questions of the case."""
+        return ConsoleOperator(self.desk, otherwise, self)
+
+    def attach(self, engine: Engine) -> None:
+        """From now on orders are about this engine."""
+        self._engine = engine
+        self.desk.attach(engine)
+
+    def note_seat(self) -> None:
+        """Write into the journal who has taken the seat, or left it, since this was last done."""
+        for session, name in self.desk.changes_of_seat():
+            if self._engine is not None:
+                self._engine.seated(session, name)
+
+    def run_to_end(self, engine: Engine) -> None:
+        """Run the case as ordered. Raises OperatorAborted, and what a step raises while nobody operates.
+
+        Where the case does not go on by itself it is left when the console ends.
+        """
+        while (key := engine.upcoming) is not None:
+            self.note_seat()
+            if self.desk.gone and not self._runs:
+                return
+            if self._must_wait():
+                self._carry_out(engine, self.desk.wish(self._wait(engine)))
+                continue
+            self._run_step(engine, str(key))
+
+    def follow_until_typed(self, engine: Engine) -> None:
+        """Carry orders out until something is typed on the standard input, or that ends."""
+        self._wait(engine)
+        while not select.select([sys.stdin], [], [], 0.0)[0]:
+            self.note_seat()
+            if engine.machine.ended or (key := engine.upcoming) is None:
+                select.select([sys.stdin], [], [], LOOK_AGAIN_S)
+            elif self._going and not self._must_wait():
+                self._run_step(engine, str(key))
+            else:
+                self._carry_out(engine, self.desk.wish(str(key), LOOK_AGAIN_S))
+        self._going = False
+
+    def _must_wait(self) -> bool:
+        if not self.in_charge:
+            self._going = self._going or self._runs  # the console is gone, and the case goes on
+            return not self._going
+        return not self._going or not self.desk.occupied
+
+    def _wait(self, engine: Engine) -> str:
+        publish_waiting(engine)
+        return str(engine.upcoming)
+
+    def _run_step(self, engine: Engine, name: str) -> None:
+        try:
+            engine.run_step(engine.order.find(name))
+        except OperatorAborted:
+            if self.in_charge:
+                self._leave(engine)
+            raise
+        except RonnaError as error:
+            self._going = False
+            if not self.in_charge or engine.machine.ended:
+                raise
+            fail_with(error)
+            if not self.desk.aborting:
+                tell(HELD)
+            self._wait(engine)
+            return
+        if self._until == name:
+            self._going, self._until = False, None
+        if not self._going:
+            self._wait(engine)
+
+    def _carry_out(self, engine: Engine, wish: Wish | None) -> None:
+        if wish is None:  # nothing yet, or the console has ended
+            return
+        if wish.what == ABORT:
+            self._abort(engine)
+        elif wish.what == "acknowledge":
+            try:
+                for role, fault in engine.acknowledge(wish.by).items():
+                    tell(f"acknowledged by {wish.by}: {role}: {fault}")
+            except RonnaError as error:
+                self._tell_fault(engine, error)
+            self._wait(engine)
+        else:
+            self._until = {"next": str(engine.upcoming), "to": wish.step}.get(wish.what)
+            self._going = True
+
+    def _abort(self, engine: Engine) -> None:
+        """Retreat and park as far as the operator confirms it, then end the case. Raises OperatorAborted."""
+        try:
+            engine.checkpoint.here("before the end of the case")  # an abort that no step has met
+        except RonnaError as met:
+            if not isinstance(met, OperatorAborted):
+                self._tell_fault(engine, met)
+        self._leave(engine)
+        engine.abort()
+        raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+
+    def _leave(self, engine: Engine) -> None:
+        try:
+            leave_head(engine)
+        except RonnaError as error:
+            self._tell_fault(engine, error)
+
+    @staticmethod
+    def _tell_fault(engine: Engine, error: RonnaError) -> None:
+        from procedures.engine.events import Fault
+
+        fail_with(error)
+        engine.events.publish(Fault(code=error.code, what=str(error), advice=error.advice))

@@ -1,0 +1,140 @@
+"""What a run has measured so far, in the frame of the robot: for whoever draws it.
+
+Read from the folder of a run, running or finished; what is not there yet, or cannot be read, is missing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.events import Evidence
+from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
+from procedures.steps.clinical.relocalization import Relocalization
+from ronna_hw.frames import Transform
+
+Array = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SphereFigure:
+    """One sphere of the CT, and where each instrument says that it is, mm; None where it does not."""
+
+    number: int  # counts from 1, as people do
+    ct_mm: Point | None  # by the registration
+    tracker_mm: Point | None
+    stereo_mm: Point | None
+
+
+@dataclass(frozen=True)
+class TrajectoryFigure:
+    """A planned trajectory by the registration that is for it, mm."""
+
+    name: str
+    entry_mm: Point
+    target_mm: Point
+
+
+@dataclass(frozen=True)
+class PredictionFigure:
+    """The error that is predicted at a target."""
+
+    target: str
+    rms_mm: float
+    limit_mm: float
+    confidence: float
+    margin_mm: float
+
+
+@dataclass(frozen=True)
+class CaseFigures:
+    """Everything that is known; `coarse` while only the tracker has said where the head is."""
+
+    robot_from_ct: Transform | None = None
+    coarse: bool = True
+    robot_from_tracker: Transform | None = None
+    spheres: tuple[SphereFigure, ...] = ()
+    trajectories: tuple[TrajectoryFigure, ...] = ()
+    predictions: tuple[PredictionFigure, ...] = ()
+    tables: tuple[Evidence, ...] = ()
+    pictures: tuple[str, ...] = ()  # names in the folder `pictures`, those of the stereo head
+
+
+def read_case_figures(folder: Path) -> CaseFigures:
+    """Read a run; raises nothing that its content can cause."""
+    reading = read_for_report(folder, every_file=False)
+    coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
+    registered = [stored.result for stored in reading.standing(RegisteredRobot)]
+    poses = {name: one.robot_from_ct.transform for one in registered for name in one.trajectories}
+    latest = registered[-1].robot_from_ct.transform if registered else None
+    pose = latest or (coarse.robot_from_ct.transform if coarse else None)
+    plan = reading.find(CheckedPlan)
+    margins_mm = {one.id: one.margin_mm for one in plan.plan.trajectories} if plan else {}
+    predictions = [one for result in registered for one in result.predictions]
+    return CaseFigures(
+        robot_from_ct=pose,
+        coarse=not registered,
+        robot_from_tracker=tracked.robot_from_tracker.transform if tracked else None,
+        spheres=_spheres(reading, pose),
+        trajectories=_trajectories(plan, poses, pose),
+        predictions=tuple(
+            PredictionFigure(one.target, one.rms_mm, one.limit_mm, one.confidence, margins_mm[one.target])
+            for one in predictions
+        ),
+        tables=(
+            *(budget_table(one) for one in predictions),
+            *([two_way_table(registered[-1].two_way)] if registered else ()),
+        ),
+        pictures=tuple(sorted(path.name for path in (folder / "pictures").glob("stereo-*.png"))),
+    )
+
+
+def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure, ...]:
+    localized = reading.find(LocalizedFiducials)
+    if localized is None:
+        return ()
+    coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
+    partner = {pair[0]: pair[1] for pair in coarse.pairs} if coarse else {}
+    stereo = {
+        fiducial: _point(place)
+        for stored in reading.standing(Relocalization)
+        for fiducial, place in zip(stored.result.fiducials, stored.result.points_mm, strict=True)
+    }
+    return tuple(
+        SphereFigure(
+            number=index + 1,
+            ct_mm=None if pose is None else _point(pose.apply(marker.centre_mm)),
+            tracker_mm=_point(tracked.points_mm[partner[index]]) if tracked and index in partner else None,
+            stereo_mm=stereo.get(index),
+        )
+        for index, marker in enumerate(localized.markers)
+    )
+
+
+def _trajectories(
+    plan: CheckedPlan | None, poses: dict[str, Transform], pose: Transform | None
+) -> tuple[TrajectoryFigure, ...]:
+    if plan is None:
+        return ()
+    found = []
+    for one in plan.plan.trajectories:
+        best = poses.get(one.id, pose)
+        if best is not None:
+            entry_mm, target_mm = _point(best.apply(one.entry_mm)), _point(best.apply(one.target_mm))
+            found.append(TrajectoryFigure(one.id, entry_mm, target_mm))
+    return tuple(found)
+
+
+def _point(values: object) -> Point:
+    x, y, z = np.asarray(values, dtype=float).tolist()
+    return (x, y, z)

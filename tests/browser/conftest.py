@@ -1,0 +1,45 @@
+"""A real browser at a real console of a real case. Never beside tests of the robot's link: it is greedy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from modest_chromium import MISSING, modest_chromium
+from operated_case import OperatedCase, operated_cases
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if "browser" in item.path.parts:
+            item.add_marker(pytest.mark.browser)
+            if MISSING:
+                item.add_marker(pytest.mark.skip(reason=MISSING))
+
+
+@pytest.fixture(scope="session")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    """Chromium."""
+    with modest_chromium(tmp_path_factory.mktemp("chromium")) as browser:
+        yield browser
+
+
+@pytest.fixture
+def page(browser: Any) -> Iterator[Any]:
+    """A page of its own, which notes where its requests go and what its scripts complain about."""
+    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    page = context.new_page()
+    page.requested, page.complaints = [], []
+    page.on("request", lambda request: page.requested.append(request.url))
+    page.on("pageerror", lambda error: page.complaints.append(str(error)))
+    yield page
+    context.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., OperatedCase]]:
+    """Start `ronna-procedure ARGUMENTS --sim --scene mini --seed 3 --console`; ended with the test."""
+    with operated_cases(tmp_path) as start:
+        yield start

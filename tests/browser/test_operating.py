@@ -1,0 +1,163 @@
+"""A case operated from the console's page."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import psutil
+from console_clicks import answer, hold, run_by_clicks, take_seat
+from operated_case import OperatedCase, enter
+from waiting import eventually
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+
+Start = Callable[..., OperatedCase]
+
+
+def outcome_of(case: OperatedCase) -> dict[str, Any]:
+    return dict(json.loads(case.output.read_text(encoding="utf-8")))
+
+
+def payloads(run: Path, *kinds: str) -> dict[str, Any]:
+    records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
+    return {one["identifier"]: one["payload"] for one in records if one["kind"] in kinds}
+
+
+def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_console(
+    start: Start, page: Any
+) -> None:
+    case = start("step")
+    enter(page, case.addresses["url"])
+    take_seat(page)
+    page.wait_for_selector("text=next is ct_import", timeout=60_000)
+    asked = run_by_clicks(page)
+    assert [subject for subject in asked if "registration" in subject]
+    case.process.wait(30)
+
+    host = urlsplit(case.addresses["url"]).netloc
+    assert {urlsplit(url).netloc for url in page.requested if not url.startswith(("data:", "blob:"))} == {
+        host
+    }
+    assert page.complaints == []
+    confirmations = [
+        line for line in read_journal(case.run / JOURNAL_FILE) if line["entry"] == "confirmation"
+    ]
+    assert {line["by"] for line in confirmations} == {"Dr Test"}
+    assert all(len(str(line["shown"])) == 64 for line in confirmations)
+
+    alone = start("run", "--json")  # nobody takes its seat: the script answers
+    assert alone.process.wait(90) == 0
+    without = outcome_of(alone)
+    kinds = ("fiducial_localization", "correspondence", "relocalization", "registration")
+    assert payloads(case.run, *kinds) == payloads(alone.run, *kinds)
+    targets = payloads(case.run, "at_target", "positioning")
+    assert targets == payloads(alone.run, "at_target", "positioning")
+    assert without["targets"]
+
+
+def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
+    start: Start, page: Any, browser: Any
+) -> None:
+    case = start("step")
+    enter(page, case.addresses["url"])
+    take_seat(page, "Ana")
+    other = browser.new_context().new_page()
+    enter(other, case.addresses["url"])
+    other.wait_for_selector("text=Ana operates; you look on")
+    assert other.locator("[data-do=next]").is_disabled()
+    forged = other.evaluate(
+        """async () => (await fetch('/orders', {method: 'POST', body: JSON.stringify(
+            {kind: 'next', upcoming: 'ct_import', nonce: 'forged-0001'})})).json()"""
+    )
+    assert forged == {"refused": "you are not in the operator's seat"}
+    viewer = browser.new_context().new_page()
+    enter(viewer, case.addresses["viewer_url"])
+    assert viewer.locator("[data-do=stop]").count() == 0
+    assert viewer.get_by_label("Your name").is_visible() is False
+    assert not any((case.run / "records").iterdir())
+
+
+def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: Start, page: Any) -> None:
+    case = start("run", "--json")
+    enter(page, case.addresses["url"])
+    os.kill(case.console_pid, signal.SIGKILL)
+    page.wait_for_selector("#lost:not([hidden])", timeout=10_000)
+    assert "past" in page.evaluate("document.body.className")
+    assert case.process.wait(90) == 0
+    assert "the console has ended" in case.said
+    assert outcome_of(case)["targets"]
+
+
+def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(start: Start, page: Any) -> None:
+    case = start("step")
+    enter(page, case.addresses["url"])
+    take_seat(page)
+    page.wait_for_selector("text=next is ct_import", timeout=60_000)
+    os.kill(case.process.pid, signal.SIGKILL)
+    page.wait_for_selector("text=THE ENGINE HAS ENDED", timeout=10_000)
+    assert page.locator("[data-do=next]").is_disabled()
+    page.locator("[data-do=stop]").click()
+    page.wait_for_selector("text=Refused: the engine has ended")
+
+
+def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: Start, page: Any) -> None:
+    case = start("step")
+    enter(page, case.addresses["url"])
+    take_seat(page)
+    page.wait_for_selector("text=next is ct_import", timeout=60_000)
+    page.locator(".upto").click()
+    page.get_by_role("option", name="relocalization:T1").click()
+    page.locator("[data-do=run_to]").click()
+    page.wait_for_selector("section.question h2", timeout=60_000)
+    answer(page)  # the patient
+    page.wait_for_selector("text=first motion", timeout=60_000)
+    question = page.locator("section.question")
+    question.locator(".typed input").fill("0")
+    button = question.locator(".answers button").first
+    page.wait_for_timeout(800)
+    button.click()
+    button.focus()
+    page.keyboard.press("Enter")
+    page.wait_for_selector("text=Hold the button for one second")
+    hold(page, button)
+    page.wait_for_selector("text=what was typed is not it")
+    assert not (case.run / "records" / "08-relocalization-T1.json").exists()
+    page.get_by_role("button", name="no", exact=True).click()
+    page.wait_for_selector(".notices >> text=PRO-002")
+    eventually(lambda: page.locator("[data-do=next]").is_enabled())
+
+
+def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Start, page: Any) -> None:
+    case = start("run", "--json")
+    enter(page, case.addresses["viewer_url"])
+    ours = psutil.Process().children(recursive=True)
+    renderers = [one for one in ours if "--type=renderer" in one.cmdline()]
+    assert renderers
+    for renderer in renderers:
+        renderer.suspend()
+    try:
+        assert case.process.wait(90) == 0
+    finally:
+        for renderer in renderers:
+            renderer.resume()
+    assert outcome_of(case)["targets"]
+
+
+def test_eight_viewers_look_on_and_one_more_is_refused(start: Start, browser: Any) -> None:
+    case = start("step")
+    contexts = [browser.new_context() for _ in range(10)]
+    pages = [context.new_page() for context in contexts]
+    for page in pages[:9]:
+        page.goto(case.addresses["viewer_url"] + "&low")
+        page.wait_for_selector("#clock[data-beat]", timeout=60_000)
+    pages[9].goto(case.addresses["viewer_url"])
+    pages[9].wait_for_timeout(1500)
+    assert pages[9].locator("#clock[data-beat]").count() == 0
+    for context in contexts:
+        context.close()

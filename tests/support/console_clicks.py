@@ -1,0 +1,71 @@
+"""What an operator does at the console's page: take the seat, press Next, read back, hold a button."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+HOLD_MS = 1150  # the page asks for a second
+ARMED_MS = 750
+PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed 3
+STEP_MS = 60_000
+
+
+def take_seat(page: Any, name: str = "Dr Test") -> None:
+    page.get_by_label("Your name").fill(name)
+    page.get_by_role("button", name="Take the seat").click()
+    page.wait_for_selector(f"text=You operate as {name}")
+
+
+def hold(page: Any, button: Any) -> None:
+    """Press a button for as long as it asks for."""
+    page.wait_for_timeout(ARMED_MS)
+    button.scroll_into_view_if_needed()
+    box = button.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.down()
+    page.wait_for_timeout(HOLD_MS)
+    page.mouse.up()
+
+
+def answer(page: Any) -> str:
+    """Give the question that stands its first answer; returns its subject."""
+    question = page.locator("section.question")
+    subject = str(question.locator("h2").inner_text())
+    typed = question.locator(".typed input")
+    if typed.count():
+        moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
+        typed.fill(moves[1] if moves else PATIENT)
+        page.wait_for_timeout(100)
+    button = question.locator(".answers button").first
+    if "(hold)" in button.inner_text():
+        hold(page, button)
+    else:
+        button.click()
+    page.wait_for_function(
+        "subject => document.querySelector('section.question h2')?.innerText !== subject", arg=subject
+    )
+    return subject
+
+
+def run_by_clicks(page: Any, at_question: Any = lambda: None) -> list[str]:
+    """The whole case, step by step; returns what was asked."""
+    asked = []
+    ready = (
+        "document.querySelector('section.question h2') || document.querySelector('.frozen')"
+        " || !document.querySelector('[data-do=next]').disabled"
+        " || document.querySelector('.state strong').innerText === 'finished'"
+    )
+    while True:
+        page.wait_for_function(ready, timeout=STEP_MS)
+        if page.locator("section.question h2").count():
+            at_question()
+            asked.append(answer(page))
+        elif page.locator(".state strong").inner_text() == "finished":
+            return asked
+        else:
+            before = page.locator("[data-do=next]").inner_text()
+            page.locator("[data-do=next]").click()
+            page.wait_for_function(
+                "before => document.querySelector('[data-do=next]').innerText !== before", arg=before
+            )

@@ -1,0 +1,86 @@
+"""A command that runs a case with a console, and how a browser enters it."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from waiting import eventually
+
+READY_S = 60.0
+
+
+@dataclass
+class OperatedCase:
+    """A command that runs a case with a console."""
+
+    process: subprocess.Popen[str]
+    folder: Path  # of runs
+    errors: Path
+    output: Path
+    addresses: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def run(self) -> Path:
+        """The folder of its run."""
+        return next(one for one in self.folder.iterdir() if not one.name.startswith("."))
+
+    @property
+    def said(self) -> str:
+        """On standard error so far."""
+        return self.errors.read_text(encoding="utf-8")
+
+    @property
+    def console_pid(self) -> int:
+        """The process of its console."""
+        children = Path(f"/proc/{self.process.pid}/task").glob("*/children")
+        for pid in {pid for one in children for pid in one.read_text().split()}:
+            if b"console.serving" in Path(f"/proc/{pid}/cmdline").read_bytes():
+                return int(pid)
+        raise AssertionError("there is no console")
+
+    def await_addresses(self) -> None:
+        eventually(lambda: "CONSOLE {" in self.said or self.process.poll() is not None, READY_S)
+        self.addresses = json.loads(re.findall(r"^CONSOLE (\{.*\})$", self.said, re.M)[0])
+
+
+@contextmanager
+def operated_cases(folder: Path) -> Iterator[Callable[..., OperatedCase]]:
+    """Start `ronna-procedure ARGUMENTS --sim --scene mini --seed 3 --console`; each ends with the block."""
+    started: list[OperatedCase] = []
+
+    def start(*arguments: str) -> OperatedCase:
+        number = len(started)
+        out, errors, output = (folder / f"{name}-{number}" for name in ("runs", "errors", "output"))
+        line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments]
+        line += ["--sim", "--scene", "mini", "--seed", "3", "--console", "--out", str(out)]
+        with errors.open("w") as error, output.open("w") as written:
+            process = subprocess.Popen(
+                line, stdin=subprocess.DEVNULL, stdout=written, stderr=error, text=True
+            )
+        case = OperatedCase(process, out, errors, output)
+        started.append(case)
+        case.await_addresses()
+        return case
+
+    try:
+        yield start
+    finally:
+        for case in started:
+            if case.process.poll() is None:
+                case.process.send_signal(signal.SIGTERM)
+            case.process.wait(30)
+
+
+def enter(page: Any, address: str) -> None:
+    """Open a console and wait until it shows something."""
+    page.goto(address)
+    page.wait_for_selector("#clock[data-beat]")

@@ -1,0 +1,51 @@
+"""A case that is operated over the console's routes, without a browser."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from console_script import ConsoleScript
+from operated_case import operated_cases
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+
+HANG_LIMIT_S = 120.0
+
+
+@pytest.mark.slow
+def test_a_script_steps_a_whole_case_and_every_answer_is_signed(tmp_path: Path) -> None:
+    with operated_cases(tmp_path) as start:
+        case = start("step")
+        script = ConsoleScript(case.addresses["url"])
+        assert script.order("claim", name="Script") == ""
+        deadline_s = time.monotonic() + HANG_LIMIT_S
+        while (state := script.state())["state"] != "finished":
+            assert time.monotonic() < deadline_s
+            if state["question"]:
+                assert script.answer(state["question"]) == ""
+            elif state["waiting"] and state["upcoming"]:
+                assert script.order("next", upcoming=state["upcoming"]) == ""
+            time.sleep(0.15)  # ten orders a second are too many
+        case.process.wait(30)
+        assert case.process.returncode == 0
+        journal = read_journal(case.run / JOURNAL_FILE)
+    confirmations = [line for line in journal if line["entry"] == "confirmation"]
+    assert {line["by"] for line in confirmations} == {"Script"}
+    assert all(len(str(line["shown"])) == 64 for line in confirmations)
+    keys = case.addresses["url"].partition("=")[2], case.addresses["viewer_url"].partition("=")[2]
+    for file in (path for path in case.run.rglob("*") if path.is_file()):
+        content = file.read_bytes()
+        assert not any(key.encode() in content for key in keys), f"{file} has a key of the console"
+
+
+@pytest.mark.slow
+def test_a_stopped_console_is_given_up_and_the_case_goes_on(tmp_path: Path) -> None:
+    with operated_cases(tmp_path) as start:
+        case = start("run")
+        os.kill(case.console_pid, signal.SIGSTOP)
+        assert case.process.wait(90) == 0
+        assert "mean" in case.output.read_text()

@@ -1,0 +1,170 @@
+"""Orders from the console, as the engine's side takes them."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from waiting import eventually
+
+from procedures.cli.console.desk import Desk, Wish
+from procedures.cli.console.seat import LEASE_S
+from procedures.engine.events.shown import shown_digest
+from procedures.engine.operator import Question, ReadBack, Signature, Topic
+from procedures.engine.orders import read_order
+from procedures.engine.questions import as_shown
+
+ANA, BEN = "session-ana", "session-ben"
+
+
+class Clock:
+    now_s = 100.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+class Stand:
+    """A desk with an engine, and orders with nonces of their own."""
+
+    def __init__(self, folder: Path, *, waits: bool = False) -> None:
+        self.clock = Clock()
+        self.desk = Desk(waits=waits, now_s=self.clock)
+        self.engine = RecordingCell(folder).engine(plain_order())
+        self.desk.attach(self.engine)
+        self._count = 0
+
+    def give(self, kind: str, session: str = ANA, **more: Any) -> str:
+        self._count += 1
+        content = {"kind": kind, "session": session, "nonce": f"nonce-{self._count:03}", **more}
+        return self.desk.take(read_order(json.dumps(content)))
+
+    def ask(self, question: Question) -> list[str | None]:
+        """Ask on a thread of its own; what came of it stands in the list when it is answered."""
+        answers: list[str | None] = []
+        threading.Thread(target=lambda: answers.append(self.desk.ask(question)), daemon=True).start()
+        eventually(lambda: self.desk._standing is not None)
+        return answers
+
+    def wish(self, upcoming: str = "image") -> list[Wish | None]:
+        """As `ask`, for what is wished between steps."""
+        wishes: list[Wish | None] = []
+        threading.Thread(target=lambda: wishes.append(self.desk.wish(upcoming)), daemon=True).start()
+        eventually(lambda: self.desk._waiting_for == upcoming)
+        return wishes
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Stand:
+    stand = Stand(tmp_path)
+    assert stand.give("claim", name="Ana") == ""
+    return stand
+
+
+def question(**more: Any) -> Question:
+    return Question(Topic.PARK, "park the arm", "moves 12 mm", number=1, timeout_s=60.0, **more)
+
+
+def shown(asked: Question) -> str:
+    return shown_digest(as_shown(asked, asked.number))
+
+
+def test_nobody_is_in_charge_before_the_seat_is_taken_unless_the_case_waits_for_it(tmp_path: Path) -> None:
+    assert not Stand(tmp_path).desk.in_charge
+    assert Stand(tmp_path / "other", waits=True).desk.in_charge
+
+
+def test_an_answer_counts_with_the_digest_of_what_was_shown_and_is_signed(stand: Stand) -> None:
+    signatures: list[Signature] = []
+    asked = question(signed=signatures.append)
+    answers = stand.ask(asked)
+    wrong = {"question": 1, "answer": "yes", "shown": "0" * 64}
+    assert stand.give("answer", **wrong) == "what was shown is not what is asked"
+    assert stand.give("answer", question=2, answer="yes", shown=shown(asked)) != ""
+    assert stand.give("answer", question=1, answer="perhaps", shown=shown(asked)) != ""
+    assert answers == []
+    assert stand.give("answer", question=1, answer="yes", shown=shown(asked)) == ""
+    eventually(lambda: answers == ["yes"])
+    assert signatures == [Signature("Ana", ANA, shown(asked))]
+
+
+def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(stand: Stand) -> None:
+    misread: list[None] = []
+    asked = question(read_back=ReadBack("how many mm", "12"), misread=lambda: misread.append(None))
+    answers = stand.ask(asked)
+    given = {"question": 1, "answer": "yes", "shown": shown(asked)}
+    assert stand.give("answer", **given) == "type how many mm"
+    assert stand.give("answer", **given, typed="13") == "what was typed is not what is to be read back"
+    eventually(lambda: len(misread) == 1)
+    assert stand.give("answer", **given, typed=" 12 ") == ""
+    eventually(lambda: answers == ["yes"])
+
+
+def test_silence_is_the_last_answer(stand: Stand) -> None:
+    answers = stand.ask(question())
+    stand.clock.now_s += 61.0
+    eventually(lambda: answers == ["no"])
+
+
+def test_a_console_that_ends_leaves_the_question_to_somebody_else(stand: Stand) -> None:
+    answers, wishes = stand.ask(question()), stand.wish()
+    stand.desk.leave()
+    eventually(lambda: (answers, wishes) == ([None], [None]))
+    assert not stand.desk.in_charge
+
+
+def test_a_seat_is_kept_by_renewing_and_free_when_its_page_is_not_heard_of(stand: Stand) -> None:
+    for _ in range(3):
+        stand.clock.now_s += LEASE_S - 1.0
+        stand.give("renew")
+    assert stand.give("claim", BEN, name="Ben") == "the seat is taken by Ana"
+    stand.clock.now_s += LEASE_S + 1.0
+    assert not stand.desk.occupied
+    assert stand.give("renew") == ""
+    assert stand.give("pause") == "you are not in the operator's seat"
+    assert stand.give("claim", BEN, name="Ben") == ""
+    assert stand.desk.changes_of_seat() == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
+
+
+def test_of_two_who_claim_at_once_one_has_it_and_the_other_is_told(tmp_path: Path) -> None:
+    stand = Stand(tmp_path)
+    told: list[str] = []
+    both = [
+        threading.Thread(target=lambda one=one: told.append(stand.give("claim", one, name=one)))
+        for one in (ANA, BEN)
+    ]
+    for thread in both:
+        thread.start()
+    for thread in both:
+        thread.join()
+    assert sorted(bool(one) for one in told) == [False, True]
+
+
+def test_resume_answers_a_pause_and_between_steps_runs_on(stand: Stand) -> None:
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
+    answers = stand.ask(pause)
+    assert stand.give("next", upcoming="image") != ""
+    assert stand.give("resume") == ""
+    eventually(lambda: answers == ["continue"])
+    wishes = stand.wish()
+    assert stand.give("resume") == ""
+    eventually(lambda: wishes == [Wish("end", by="Ana")])
+
+
+def test_abort_in_a_step_meets_its_next_checkpoint_and_says_no_to_what_is_asked(stand: Stand) -> None:
+    answers = stand.ask(question())
+    assert stand.give("abort") == ""
+    eventually(lambda: answers == ["no"])
+    assert stand.engine.checkpoint.wanted
+    assert stand.desk.aborting
+
+
+@pytest.mark.parametrize("name", ["", " ", "a" * 61, "a\nb"])
+def test_a_name_is_one_line_that_can_be_read(name: str) -> None:
+    with pytest.raises(ValueError, match="name"):
+        read_order(json.dumps({"kind": "claim", "session": ANA, "nonce": "nonce-1x", "name": name}))

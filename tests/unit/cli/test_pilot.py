@@ -1,0 +1,155 @@
+"""A case run as ordered from the console, on the engine's own thread."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from waiting import eventually
+
+from procedures.cli.console.attaching import check_console
+from procedures.cli.console.desk import Desk
+from procedures.cli.console.pilot import Pilot
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.engine.errors import ConsoleMissing, GateFailed, OperatorAborted
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.orders import read_order
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome
+
+ANA = "session-ana"
+
+
+class Operated:
+    """A case with a pilot, run on a thread of its own, and Ana's orders."""
+
+    def __init__(self, engine: Engine, *, waits: bool = True, runs: bool = True) -> None:
+        self.engine = engine
+        self.pilot = Pilot(Desk(waits=waits), runs=runs)
+        self.pilot.attach(engine)
+        self.ended_by: list[BaseException | None] = []
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self._count = 0
+
+    def _run(self) -> None:
+        try:
+            self.pilot.run_to_end(self.engine)
+            self.ended_by.append(None)
+        except BaseException as problem:
+            self.ended_by.append(problem)
+
+    def give(self, kind: str, **more: Any) -> str:
+        self._count += 1
+        content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
+        return self.pilot.desk.take(read_order(json.dumps(content)))
+
+    def await_waiting(self) -> None:
+        eventually(lambda: self.pilot.desk._waiting_for is not None)
+
+    def stands(self, name: str) -> bool:
+        return self.engine.case.stands(self.engine.order.find(name))
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    return RecordingCell(tmp_path)
+
+
+@contextmanager
+def running(operated: Operated) -> Iterator[Operated]:
+    operated.thread.start()
+    yield operated
+    operated.pilot.desk.leave()
+    operated.thread.join(20)
+
+
+def test_nothing_is_done_before_somebody_sits_in_the_seat_of_a_case_that_waits(cell: RecordingCell) -> None:
+    with running(Operated(cell.engine(plain_order()), runs=False)) as case:
+        case.await_waiting()
+        assert case.give("next", upcoming="image") == "you are not in the operator's seat"
+        assert case.give("claim", name="Ana") == ""
+        assert case.give("next", upcoming="image") == ""
+        eventually(lambda: case.stands("image"))
+        case.await_waiting()
+        assert not case.stands("localization:T1")
+    entries = [
+        line for line in read_journal(case.engine.case.folder / JOURNAL_FILE) if line["entry"] == "seat"
+    ]
+    assert entries[0]["by"] == "Ana"
+
+
+def test_run_to_stops_after_that_step_and_run_on_at_the_end(cell: RecordingCell) -> None:
+    with running(Operated(cell.engine(plain_order()))) as case:
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        assert case.give("run_to", upcoming="image", step="fit:T1") == ""
+        eventually(lambda: case.stands("fit:T1"))
+        case.await_waiting()
+        assert case.engine.upcoming != case.engine.order.find("fit:T1")
+        assert case.give("resume") == ""
+        eventually(lambda: case.ended_by == [None])
+        assert case.engine.machine.state == "finished"
+
+
+def test_a_simulated_case_runs_by_itself_until_somebody_takes_the_seat(cell: RecordingCell) -> None:
+    case = Operated(cell.engine(plain_order()), waits=False)
+    case.pilot.run_to_end(case.engine)
+    assert case.engine.machine.state == "finished"
+
+
+def test_a_console_that_ends_lets_a_case_go_on_that_runs_by_itself(cell: RecordingCell) -> None:
+    with running(Operated(cell.engine(plain_order()))) as case:
+        case.await_waiting()
+        case.pilot.desk.leave()
+        eventually(lambda: case.ended_by == [None])
+        assert case.engine.machine.state == "finished"
+
+
+def failing(times: int) -> Callable[[StepContext], Outcome[StepResult]]:
+    left = [times]
+
+    def work(context: StepContext) -> Outcome[StepResult]:
+        left[0] -= 1
+        if left[0] >= 0:
+            raise GateFailed("too far")
+        return Outcome(context.spec.result())
+
+    return work
+
+
+def test_a_step_that_fails_holds_the_case_for_the_operator_who_repeats_it(
+    cell: RecordingCell, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with running(Operated(cell.engine(plain_order(image=failing(1))))) as case:
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        case.give("next", upcoming="image")
+        eventually(lambda: case.engine.machine.state == "held")
+        case.await_waiting()
+        case.give("next", upcoming="image")
+        eventually(lambda: case.stands("image"))
+    assert "PRO-007" in capsys.readouterr().err
+
+
+def test_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
+    with running(Operated(cell.engine(plain_order()))) as case:
+        case.await_waiting()
+        case.give("claim", name="Ana")
+        assert case.give("abort") == ""
+        eventually(lambda: len(case.ended_by) == 1)
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert case.engine.machine.state == "aborted"
+
+
+def test_a_console_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    with pytest.raises(ConsoleMissing, match="PRO-040"):
+        check_console()

@@ -1,0 +1,128 @@
+"""The fold: a view at one moment and what happened since make the view of the later moment."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from console.feed.fold import JOURNAL_KEPT, fold
+from console.feed.recorded import RecordedCase
+from console.feed.view import CaseView
+from procedures.engine.events import (
+    Answered,
+    CaseState,
+    DeviceAge,
+    DeviceState,
+    Event,
+    Fault,
+    Happening,
+    JournalLine,
+    Order,
+    OrderedStep,
+    Progress,
+    Questioned,
+    Seat,
+    StepState,
+    Waiting,
+)
+
+MOMENT = datetime(2026, 1, 1, tzinfo=UTC)
+NAMES = ("image", "localization:T1", "fit:T1")
+ORDER = Order(
+    steps=tuple(OrderedStep(step=name, title=name, phase="operation", moves=False) for name in NAMES)
+)
+
+
+def question(number: int) -> Questioned:
+    return Questioned(
+        question=number, topic="park", subject="park", value="12 mm", answers=("yes", "no"), timeout_s=None
+    )
+
+
+def events_of(happenings: list[Happening]) -> list[Event]:
+    return [
+        Event(number=number, host_time=MOMENT, theatre_time_s=number / 10, what=what)
+        for number, what in enumerate(happenings, start=1)
+    ]
+
+
+def view_after(*happenings: Happening) -> CaseView:
+    view = CaseView()
+    for event in events_of(list(happenings)):
+        view = fold(view, event)
+    return view
+
+
+HAPPENINGS = st.one_of(
+    st.builds(CaseState, state=st.sampled_from(["held", "paused", "operation.fit"])),
+    st.builds(
+        StepState,
+        step=st.sampled_from(NAMES),
+        state=st.sampled_from(["begun", "done", "failed", "superseded"]),
+    ),
+    st.builds(Progress, step=st.just("image"), share=st.floats(0, 1), text=st.just("reading")),
+    st.integers(1, 3).map(question),
+    st.builds(Answered, question=st.integers(1, 3), answer=st.just("yes")),
+    st.builds(Seat, holder=st.sampled_from(["", "Ana"])),
+    st.builds(Waiting, upcoming=st.sampled_from([None, *NAMES])),
+    st.builds(DeviceState, device=st.just("arm"), state=st.just("active"), fault=st.none()),
+    st.builds(DeviceAge, device=st.just("arm"), age_s=st.floats(0, 9)),
+    st.builds(Fault, code=st.just("RSI-010"), what=st.just("it stopped")),
+    st.just(ORDER),
+)
+
+
+@given(st.lists(HAPPENINGS, max_size=40), st.data())
+def test_a_snapshot_and_the_changes_since_make_the_later_snapshot(
+    happenings: list[Happening], data: st.DataObject
+) -> None:
+    events = events_of(happenings)
+    at = data.draw(st.integers(0, len(events)))
+    early = CaseView()
+    for event in events[:at]:
+        early = fold(early, event)
+    late = early
+    for event in events[at:]:
+        late = fold(late, event)
+    recorded = RecordedCase()
+    recorded.extend(events)
+    assert recorded.at(at) == early
+    assert recorded.latest == recorded.at(len(events)) == late
+
+
+def test_a_step_that_is_done_is_shown_done_and_what_it_superseded_as_gone() -> None:
+    done = StepState(step="fit:T1", state="done", summary="0.2 mm", record="03-fit-T1")
+    view = view_after(ORDER, StepState(step="fit:T1", state="begun"), done)
+    assert (view.steps[2].state, view.steps[2].summary, view.running) == ("done", "0.2 mm", "")
+    again = view_after(ORDER, done, StepState(step="image", state="superseded", record="03-fit-T1"))
+    assert again.steps[2].state == "superseded"
+
+
+def test_an_answer_takes_away_its_own_question_and_no_other() -> None:
+    assert view_after(question(2), Answered(question=1, answer="yes")).question is not None
+    assert view_after(question(2), Answered(question=2, answer="yes")).question is None
+
+
+def test_the_first_journal_line_says_what_theatre_it_is_and_the_last_how_it_ended() -> None:
+    opened = {
+        "entry": "opened",
+        "run": "r1",
+        "banner": "SIMULATED THEATRE",
+        "theatre": "mini",
+        "strategy": "ocs",
+    }
+    view = view_after(JournalLine(line=opened), JournalLine(line={"entry": "closed", "outcome": "done"}))
+    assert (view.run, view.banner, view.outcome) == ("r1", "SIMULATED THEATRE", "done")
+    assert view_after(JournalLine(line={"entry": "opened", "banner": None})).banner == ""
+
+
+def test_a_long_case_keeps_a_bounded_journal() -> None:
+    lines = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(2 * JOURNAL_KEPT)]
+    assert len(view_after(*lines).journal) == JOURNAL_KEPT
+
+
+def test_a_fault_is_told_once_with_what_to_do() -> None:
+    view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
+    assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")

@@ -1,0 +1,127 @@
+"""The hub: what stands still is told as past, and an order is answered or says that it was not."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import socket
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from console.app import _listen
+from console.errors import NothingToShow, PortTaken
+from console.feed.engine_socket import follow_engine
+from console.hub import NOT_RUNNING, SILENT_S, Hub
+from console.reviewing import review
+from console.sessions import MOST_SESSIONS, Role, Session, Sessions
+from procedures.engine.events import CaseState, Event, JournalLine
+from procedures.engine.orders import Reply, read_order
+
+OPERATOR = Session(Role.OPERATOR, "session-1")
+
+
+class Clock:
+    now_s = 0.0
+
+    def __call__(self) -> float:
+        return self.now_s
+
+
+def test_an_engine_that_falls_silent_is_told() -> None:
+    clock = Clock()
+    hub = Hub(Path(), clock)
+    hub.live = True
+    assert hub.frozen == ""
+    clock.now_s = SILENT_S + 2.0
+    assert "NOTHING HEARD" in hub.frozen
+    hub.heard()
+    assert hub.frozen == ""
+
+
+def event(number: int, what: CaseState | JournalLine) -> Event:
+    return Event(number=number, host_time=datetime.now(UTC), theatre_time_s=1.0, what=what)
+
+
+def fed(*lines: bytes) -> Hub:
+    """A hub whose engine sent these lines and closed its end."""
+    ours, theirs = socket.socketpair()
+    hub = Hub(Path())
+    with ours:
+        ours.sendall(b"\n".join(lines) + b"\n")
+        ours.shutdown(socket.SHUT_WR)
+        asyncio.run(follow_engine(theirs.detach(), hub))
+    return hub
+
+
+def line(number: int, what: CaseState | JournalLine) -> bytes:
+    return b'{"event":' + event(number, what).model_dump_json().encode() + b"}"
+
+
+def test_an_engine_that_ends_before_its_journal_is_closed_leaves_a_banner() -> None:
+    hub = fed(line(1, CaseState(state="held")), b'{"beat":1}')
+    assert hub.view.state == "held"
+    assert "THE ENGINE HAS ENDED" in hub.frozen
+    closed = fed(line(1, JournalLine(line={"entry": "closed", "outcome": "done"})))
+    assert (closed.frozen, closed.view.outcome) == ("", "done")
+
+
+@pytest.mark.parametrize("bad", [b"nonsense", b'{"event":{}}', b"\xff\xfe", b'{"nonce":1}'])
+def test_a_line_that_is_none_of_the_engines_ends_the_picture_and_not_the_console(bad: bytes) -> None:
+    hub = fed(line(1, CaseState(state="held")), bad, line(2, CaseState(state="finished")))
+    assert (hub.view.state, hub.ended) == ("held", True)
+
+
+def test_orders_go_to_the_engine_and_come_back_with_its_words() -> None:
+    ours, theirs = socket.socketpair()
+    hub = Hub(Path())
+
+    async def give() -> tuple[str, str]:
+        feed = asyncio.create_task(follow_engine(theirs.detach(), hub))
+        reader, writer = await asyncio.open_connection(sock=ours)
+
+        async def engine() -> None:
+            for words in ("", "the seat is taken by Ana"):
+                order = read_order((await reader.readline()).strip())
+                writer.write(Reply(nonce=order.nonce, refused=words).model_dump_json().encode() + b"\n")
+
+        task = asyncio.create_task(engine())
+        await asyncio.sleep(0)
+        told = [await hub.order(OPERATOR, {"kind": "claim", "name": name}) for name in ("Ana", "Ben")]
+        await task
+        writer.close()
+        await feed
+        return told[0], told[1]
+
+    assert asyncio.run(give()) == ("", "the seat is taken by Ana")
+
+
+def test_a_case_that_does_not_run_here_takes_no_order() -> None:
+    assert asyncio.run(Hub(Path()).order(OPERATOR, {"kind": "pause"})) == NOT_RUNNING
+
+
+def test_sessions_are_bounded_and_the_oldest_makes_room() -> None:
+    sessions = Sessions()
+    cookies = [sessions.open(sessions.viewer_token) for _ in range(MOST_SESSIONS + 1)]
+    assert sessions.find(cookies[0]) is None
+    assert sessions.find(cookies[-1]) is not None
+    assert sessions.find(None) is None
+
+
+def test_a_port_that_is_in_use_is_told_with_what_to_do() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(PortTaken) as refused:
+            _listen(taken.getsockname()[1])
+    assert "CON-001" in str(refused.value)
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(NothingToShow, match="CON-002"):
+        review(tmp_path, 0)
+    (tmp_path / "events.jsonl").touch()
+    with pytest.raises(NothingToShow, match="nothing has happened"):
+        review(tmp_path, 0)

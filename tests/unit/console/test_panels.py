@@ -1,0 +1,57 @@
+"""What the panels say: never by colour alone, and nothing that somebody else wrote as HTML."""
+
+from __future__ import annotations
+
+from console.feed.view import CaseView, DeviceRow, Notice, StepRow
+from console.panels.bar import banner, seat_line
+from console.panels.chart import chart
+from console.panels.devices import devices
+from console.panels.notices import journal, notices
+from procedures.engine.events import DeviceState, Seat, Waiting
+
+SCRIPT = "<script>alert(1)</script>"
+
+
+def test_simulated_and_hardware_are_told_in_words() -> None:
+    assert "SIMULATED THEATRE" in banner(CaseView(banner="SIMULATED THEATRE"))
+    assert "HARDWARE" in banner(CaseView(banner=""))
+    assert "HARDWARE" not in banner(CaseView())  # nothing is known yet
+    assert "SIMULATED" not in banner(CaseView())
+
+
+def test_the_course_says_what_is_done_what_is_next_and_why_it_may_not_begin() -> None:
+    rows = (
+        StepRow("image", "Import", "preoperative", False, "done", "3 slices"),
+        StepRow("fit:T1", "Register", "operation", True),
+    )
+    view = CaseView(steps=rows, waiting=Waiting(upcoming="fit:T1", unmet=("image comes first",)))
+    shown = chart(view)
+    for words in ("done", "3 slices", "next", "moves", "fit:T1 may not begin", "image comes first"):
+        assert words in shown
+
+
+def test_an_old_reading_and_a_fault_are_told_in_words() -> None:
+    seen = DeviceState(device="arm", state="fault", fault="RSI-010: stopped")
+    shown = devices(CaseView(devices={"arm": DeviceRow(seen, 7.25)}))
+    for words in ("RSI-010: stopped", "7.2 s old", "fault"):
+        assert words in shown
+
+
+def test_text_of_others_is_escaped_everywhere() -> None:
+    row = StepRow(SCRIPT, SCRIPT, SCRIPT, False, "done", SCRIPT)
+    state = DeviceState(device=SCRIPT, state=SCRIPT, fault=SCRIPT)
+    view = CaseView(
+        run=SCRIPT,
+        banner=SCRIPT,
+        state=SCRIPT,
+        reason=SCRIPT,
+        steps=(row,),
+        seat=Seat(holder=SCRIPT),
+        devices={SCRIPT: DeviceRow(state)},
+        notices=(Notice("fault", 0.0, SCRIPT, SCRIPT, SCRIPT),),
+        journal=(SCRIPT,),
+    )
+    line = seat_line(view, is_mine=False, may_operate=True)
+    for shown in (banner(view), line, chart(view), devices(view), notices(view), journal(view)):
+        assert "<script" not in shown
+        assert "&lt;script" in shown

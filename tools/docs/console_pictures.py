@@ -1,0 +1,79 @@
+"""Takes the pictures of the console in the docs, from a real case in a real browser.
+
+.venv/bin/python tools/docs/console_pictures.py [FOLDER]     # docs/pictures by default; a minute
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT / "tests" / "support"))
+
+from console_clicks import answer, take_seat  # noqa: E402
+from modest_chromium import MISSING, modest_chromium  # noqa: E402
+from operated_case import enter, operated_cases  # noqa: E402
+
+DRAWN_MS = 2500  # for software graphics to have drawn the scene
+WIDE, PHONE = (1280, 720), (390, 844)
+
+
+def main() -> None:
+    """Write the pictures."""
+    if MISSING:
+        sys.exit(MISSING)
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "pictures"
+    with (
+        tempfile.TemporaryDirectory() as place,
+        modest_chromium(Path(place)) as browser,
+        operated_cases(Path(place)) as start,
+    ):
+        case = start("step")
+        page = _page(browser, WIDE, "light")
+        enter(page, case.addresses["url"])
+        take_seat(page, "Dr Rehearsal")
+        page.wait_for_selector("text=next is ct_import", timeout=60_000)
+        _run_to(page, "registration:T1")
+        for _ in range(2):  # the patient, the first motion
+            page.wait_for_selector("section.question h2", timeout=60_000)
+            answer(page)
+        page.wait_for_selector("text=accept the registration", timeout=60_000)
+        _take(page, out / "console-registration.png")
+        for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
+            watching = _page(browser, size, scheme)
+            enter(watching, case.addresses["viewer_url"])
+            _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")
+            watching.context.close()
+        answer(page)
+        page.wait_for_selector("text=next is tool_change", timeout=60_000)
+        _run_to(page, "at_target:T1")
+        for _ in range(4):  # parking, the exchange, the tip, the approach
+            page.wait_for_selector("section.question h2", timeout=60_000)
+            answer(page)
+        page.wait_for_selector("text=at T1: the arm holds", timeout=60_000)
+        page.get_by_role("button", name="head", exact=True).click()
+        _take(page, out / "console-at-target.png")
+
+
+def _run_to(page: Any, step: str) -> None:
+    page.locator(".upto").click()
+    page.get_by_role("option", name=step).click()
+    page.locator("[data-do=run_to]").click()
+
+
+def _page(browser: Any, size: tuple[int, int], scheme: str) -> Any:
+    width, height = size
+    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    return context.new_page()
+
+
+def _take(page: Any, path: Path) -> None:
+    page.wait_for_timeout(DRAWN_MS)
+    page.screenshot(path=str(path))
+
+
+if __name__ == "__main__":
+    main()
