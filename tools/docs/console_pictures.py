@@ -42,7 +42,7 @@ def main() -> None:
             answer(page)
         page.wait_for_selector("text=accept the registration", timeout=60_000)
         _take(page, out / "console-registration.png")
-        for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
+        for scheme, size in (("dark", WIDE), ("light", PHONE)):
             watching = _page(browser, size, scheme)
             enter(watching, case.addresses["viewer_url"])
             _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")

@@ -18,6 +18,7 @@ from open_questions import parameter_table, robot_parameters
 from page_tables import table
 from scanner_table import scanner_faults
 
+import console
 import drivers
 import procedures
 import ronna_hw
@@ -44,7 +45,7 @@ from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.theatre.faults import FAULT_KINDS
 from sim.theatre.scene.model import Scene
 
-PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures)
+PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures, console)
 CASE_STEPS = clinical_steps(measure_targets=True)
 RESULTS = (
     *(step.result for step in CASE_STEPS),

@@ -1,0 +1,41 @@
+"""A case that is over, gone through in the browser."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from operated_case import READY_S, OperatedCase, enter
+from waiting import eventually
+
+
+def test_a_finished_case_is_reviewed_from_its_first_event_to_its_last(
+    start: Callable[..., OperatedCase], page: Any, tmp_path: Path
+) -> None:
+    case = start("run", "--json")
+    assert case.process.wait(90) == 0
+    errors = tmp_path / "review-errors"
+    with errors.open("w") as file:
+        line = [sys.executable, "-P", "-m", "console.command", str(case.run)]
+        process = subprocess.Popen(line, stderr=file, stdin=subprocess.DEVNULL)
+    try:
+        eventually(lambda: "CONSOLE {" in errors.read_text(), READY_S)
+        enter(page, json.loads(re.findall(r"CONSOLE (\{.*\})", errors.read_text())[0])["url"])
+        page.wait_for_selector(".state >> text=finished")
+        assert page.locator("[data-do]:visible").count() == 0
+        page.wait_for_selector(".accuracy >> text=Predicted error at the targets")
+        slider = page.locator(".moment .q-slider").bounding_box()
+        page.mouse.click(slider["x"] + 3, slider["y"] + slider["height"] / 2)
+        page.wait_for_selector(".accuracy >> text=No registration yet")
+        page.get_by_label("one event on").click()
+        page.mouse.click(slider["x"] + slider["width"] - 3, slider["y"] + slider["height"] / 2)
+        page.wait_for_selector(".state >> text=finished")
+        assert page.complaints == []
+    finally:
+        process.terminate()
+        process.wait(10)
