@@ -40,6 +40,7 @@ MEASUREMENTS = {
     "stereo-calibration": "stereo_calibration",
     "stereo-rate": "stereo_rate",
     "tracker-frame": "tracker_frame_calibration",
+    "tool-tip": "tool_tip_calibration",
     "ct": "ct",
     "registration": "registration",
     "mini-case": "mini_case",

@@ -19,6 +19,7 @@ from ronna_hw.calibration import (
     ArmCalibration,
     DatedRecord,
     Length,
+    Numbers3,
     StereoHeadCalibration,
     Strict,
     ToolTipCalibration,
@@ -147,6 +148,10 @@ class ProcedureSettings(Strict):
     coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
         default=3.0,
         description="Largest difference between stereo head and tracker for one and the same sphere.",
+    )
+    stand_mm: Numbers3 | None = Field(
+        default=None,
+        description="Where the ball of the calibration stand is, within 10 mm, in the robot's frame.",
     )
     watch_patient: WatchPatient = Field(
         default=WatchPatient.INSTRUMENT,

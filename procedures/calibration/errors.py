@@ -115,3 +115,17 @@ class FarFromRecord(RefusedError):
         "Correct the record in the theatre file: millimetres, quaternion with the scalar first, as drawn; "
         "or mount the part as drawn. Then calibrate again."
     )
+
+
+class ReadingImplausible(RefusedError):
+    """A reading of the stand's dials is no reading of such dials."""
+
+    code = "CAL-018"
+    action = "Read the three dials again and give x y z in millimetres, in the axes of the robot."
+
+
+class BallAndDivotApart(DataError):
+    """The divot of the stand is not where its ball was."""
+
+    code = "CAL-019"
+    action = "Clean the seats of ball and divot, set the dials to zero, screw the stand down; then repeat."

@@ -262,7 +262,52 @@ class FrameFigures(_Figures):
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 
 
-AnyFigures = HeadFigures | CheckFigures | LookFigures | FrameFigures | ArmFigures | ArmCheckFigures
+class TipFigures(_Figures):
+    """A calibration of the guide's tip."""
+
+    calibration: str
+    created: str
+    expires: str
+    tool_number: int
+    readings: int
+    validation_readings: int
+    tip_in_head_mm: Numbers3
+    error_mm: float
+    stated_error_mm: float
+    reading_scatter_mm: float
+    validation_mm: float
+    predicted_mm: float
+    gap_mm: Numbers3
+    gap_error_mm: float
+    change_mm: float
+
+    def figures(self) -> Iterator[Figure]:
+        """As a table."""
+        yield Figure("tool", str(self.tool_number))
+        yield Figure("readings", str(self.readings))
+        yield Figure("readings kept to judge by", str(self.validation_readings))
+        yield Figure(
+            "miss at these, mm rms",
+            f"{millimetres(self.validation_mm)}, expected {millimetres(self.predicted_mm)}",
+        )
+        for axis, value_mm in zip(AXES, self.tip_in_head_mm, strict=True):
+            yield Figure(f"tip in the tool frame of the head, {axis}, mm", millimetres(value_mm))
+        yield Figure("of these readings, mm", "", millimetres(self.error_mm))
+        yield Figure("stated error, the stand's included, mm", "", millimetres(self.stated_error_mm))
+        yield Figure("scatter of a reading per axis, mm", millimetres(self.reading_scatter_mm))
+        yield Figure(
+            "divot beside ball by pivoting, mm",
+            millimetres(math.hypot(*self.gap_mm)),
+            millimetres(self.gap_error_mm),
+        )
+        yield Figure("change from the former record, mm", millimetres(self.change_mm))
+        yield Figure("made", self.created[:16].replace("T", " "))
+        yield Figure("valid until", self.expires[:16].replace("T", " "))
+
+
+AnyFigures = (
+    HeadFigures | CheckFigures | LookFigures | FrameFigures | TipFigures | ArmFigures | ArmCheckFigures
+)
 
 
 def read_figures(folder: Path) -> AnyFigures | None:

@@ -83,6 +83,7 @@ def theatre_content(
         "calibration": _calibrations(scene, calibrated or datetime.now(UTC).replace(microsecond=0)),
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
+            "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
             "arm_error_mm": ARM_ERROR_MM if scene.calibration_error.arm is None else CALIBRATED_ARM_ERROR_MM,
             "tool_error_mm": arm.tool_mm if (arm := scene.calibration_error.arm) else TOOL_ERROR_MM,
             "seating_error_mm": scene.head.seating_error_mm,

@@ -21,8 +21,9 @@ def commands_of(page: str) -> list[str]:
     return [line.removeprefix("$ ").replace(".venv/bin/", "") for line in lines if line.startswith("$ ")]
 
 
-def run_all(lines: list[str], commands: Commands, folder: Path) -> None:
+def run_all(lines: list[str], commands: Commands, folder: Path) -> list[subprocess.CompletedProcess[str]]:
     """One after the other in that folder; each must end well."""
+    ended = []
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     for line in lines:
         done = subprocess.run(
@@ -37,3 +38,5 @@ def run_all(lines: list[str], commands: Commands, folder: Path) -> None:
             check=False,
         )
         assert done.returncode == 0, f"{line}: {done.stderr}"
+        ended.append(done)
+    return ended

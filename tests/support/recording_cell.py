@@ -209,6 +209,8 @@ class RecordingRoom:
     arm: RecordingArm
     mounts: int | None = None  # in place of what is asked for
     announced: list[str] = field(default_factory=list)
+    stand: list[str] = field(default_factory=list)  # what it was to hold, in turn
+    dials: Callable[[JointVector], tuple[float, float, float]] = lambda _joints: (0.0, 0.0, 0.0)
     changed: list[tuple[int, Lifecycle, JointVector]] = field(default_factory=list)
 
     def announce(self, step: str) -> None:
@@ -217,6 +219,12 @@ class RecordingRoom:
     def change_tool(self, number: int, description: str) -> None:
         self.changed.append((number, self.arm.state, self.arm.joints_rad))
         self.arm.mounted = number if self.mounts is None else self.mounts
+
+    def prepare_stand(self, holds: str) -> None:
+        self.stand.append(holds)
+
+    def read_dials(self, where: str) -> tuple[float, float, float]:
+        return self.dials(self.arm.joints_rad)
 
 
 class RecordingTheatre(Theatre):

@@ -6,13 +6,20 @@ import json
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
+from arm_looks import ENDPOINTS
 from documented import commands_of, run_all
 from user_commands import Commands, in_this_process, one_error
 
 from benchmarks.frame_looks import FrameCell
+from benchmarks.tip_looks import TipCell
+from procedures.calibration.tool_tip import looks as tip_looks
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE
 from procedures.cli.procedure import app
+from sim.theatre.scene.model import read_scene
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content, write_theatre_file
 
 
 @pytest.fixture
@@ -52,6 +59,73 @@ def test_a_record_in_metres_is_refused_by_the_number(looks: Path, tmp_path: Path
 @pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
 def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...]) -> None:
     assert in_this_process(app, "calibrate", "tracker-frame", *arguments).returncode == 2
+
+
+@pytest.fixture
+def readings(tmp_path: Path) -> Path:
+    """Readings of the divot as a calibration leaves them."""
+    folder = tmp_path / "before"
+    folder.mkdir()
+    observed = TipCell.of(3, calibrated=False).readings(8, 3)
+    (folder / tip_looks.LOOKS_FILE).write_text(observed.model_dump_json(by_alias=True))
+    return folder
+
+
+def test_stored_readings_are_computed_again_into_a_record_of_the_tip(readings: Path, tmp_path: Path) -> None:
+    run = ("calibrate", "tool-tip", "--from", readings, "--out", tmp_path / "out")
+    done = in_this_process(app, *run, "--json")
+    assert done.returncode == 0, done.stderr
+    payload = json.loads(done.stdout)
+    records = tomllib.loads((Path(payload["folder"]) / "calibration.toml").read_text())["calibration"]
+    assert records["tool_tip"]["identifier"] == payload["calibration"]
+    assert payload["stated_error_mm"] < 0.05
+    assert "divot beside ball by pivoting, mm" in in_this_process(app, *run).stdout
+
+
+def test_readings_that_were_lost_are_told_with_the_number_that_is_needed(
+    readings: Path, tmp_path: Path
+) -> None:
+    stored = json.loads((readings / tip_looks.LOOKS_FILE).read_text())
+    stored["readings"] = stored["readings"][:4]
+    (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
+    done = in_this_process(app, "calibrate", "tool-tip", "--from", readings, "--out", tmp_path / "out")
+    assert "at least 6" in " ".join(one_error(done.stderr))
+
+
+def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path) -> None:
+    theatre = tmp_path / "theatre.toml"
+    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
+    for more in (("--first-day",), ("--calibration", tmp_path)):
+        done = in_this_process(app, "calibrate", "tool-tip", "--config", theatre, *more)
+        assert done.returncode == 2
+        assert "go with --sim" in " ".join(one_error(done.stderr))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(400)
+def test_a_first_day_is_refused_calibrated_and_runs_through(commands: Commands, tmp_path: Path) -> None:
+    refused, frame, tip, case = commands_of("docs/how-to/calibrate-tool-tip.md")[-4:]
+    told = run_all([refused], commands, tmp_path)[0].stderr
+    assert (
+        "CAL-001: calibration tool-tip-as-drawn expired; calibration tracker-frame-as-drawn expired" in told
+    )
+    assert "Run ronna-procedure calibrate tool-tip, then ronna-procedure calibrate tracker-frame" in told
+    run_all([frame, tip], commands, tmp_path)
+    done = run_all([case], commands, tmp_path)[0]
+    assert "T1" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(200)
+def test_the_page_about_the_tip_works(commands: Commands, tmp_path: Path) -> None:
+    first, *_ = commands_of("docs/how-to/calibrate-tool-tip.md")
+    run_all([first], commands, tmp_path)
+    (folder,) = (tmp_path / "calibrations").iterdir()
+    record = tomllib.loads((folder / "calibration.toml").read_text())["calibration"]["tool_tip"]
+    scene = read_scene(folder / "theatre" / "scene.json")
+    designed = scene.mount.flange_from_tool_nominal.translation_mm
+    true = np.add(designed, scene.mount.tool_from_tip_true.translation_mm)
+    assert np.linalg.norm(record["flange_from_tool"]["translation_mm"] - true) <= 0.05
 
 
 @pytest.mark.slow

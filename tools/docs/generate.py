@@ -36,6 +36,8 @@ from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.baseline_visit import VisitedBaseline
 from procedures.steps.calibration.frame_looks import ObservedFrame
+from procedures.steps.calibration.stand_ball import ObservedStand
+from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.catalogue import clinical_steps
 from ronna_hw.config import TheatreFile
 from ronna_hw.conformance import robot, stereo, tracker
@@ -54,6 +56,8 @@ RESULTS = (
     VisitedBaseline,
     LookedAtBall,
     ObservedFrame,
+    ObservedStand,
+    ReadTip,
 )
 MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->\n\n"
 

@@ -11,7 +11,9 @@ from types import MappingProxyType
 
 from typer import style
 
+from procedures.engine.errors import NotConfirmed
 from procedures.engine.operator import Operator, Question, Topic, words
+from ronna_hw.calibration import Numbers3
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
 
@@ -71,6 +73,15 @@ class SimulatedRoom:
         """Hang the other tool on the mount."""
         ask_control_port(self._control, "mount", number=number)
 
+    def prepare_stand(self, holds: str) -> None:
+        """Put it there."""
+        ask_control_port(self._control, "stand", holds=holds)
+
+    def read_dials(self, where: str) -> Numbers3:
+        """What the stand shows."""
+        x, y, z = ask_control_port(self._control, "dials")["dials_mm"]
+        return (float(x), float(y), float(z))
+
 
 class TerminalOperator:
     """A person at the terminal. Without a terminal nobody answers.
@@ -124,11 +135,33 @@ class TerminalRoom:
         """Say what to mount; that it is done is confirmed, and recorded, by the step."""
         with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
-            if self._simulated:
-                sys.stderr.write(
-                    f"In the simulated room: ronna-sim mount {number} --control 'ENDPOINT FROM READY'\n"
-                )
-            sys.stderr.flush()
+            self._hint(f"mount {number}")
+
+    def prepare_stand(self, holds: str) -> None:
+        """Say what to put on the calibration stand; that it is done is confirmed by the step."""
+        with self._asking():
+            _say(f"Put the {holds} on the calibration stand.")
+            self._hint(f"stand {holds}")
+
+    def read_dials(self, where: str) -> Numbers3:
+        """Three numbers, typed; what is none is asked again. Raises PRO-002 when nothing is typed."""
+        with self._asking():
+            _say(f"At {where}: raise the divot to the tip, read the three dials, lower it again.")
+            self._hint("dials")
+            while sys.stdin.isatty() and (typed := _typed("x y z in mm, along the axes of the robot", None)):
+                try:
+                    x, y, z = (float(value) for value in typed.replace(",", " ").split())
+                except ValueError:
+                    _say(f"{typed!r} is not three numbers, such as 0.12 -0.05 0.30.")
+                    continue
+                return (x, y, z)
+        raise NotConfirmed(f"nobody read the dials at {where}")
+
+    def _hint(self, command: str) -> None:
+        """In a simulated room things are done by commands."""
+        if self._simulated:
+            sys.stderr.write(f"In the simulated room: ronna-sim {command} --control 'ENDPOINT FROM READY'\n")
+        sys.stderr.flush()
 
 
 def _say(line: str) -> None:

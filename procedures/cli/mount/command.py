@@ -1,7 +1,8 @@
-"""`ronna-procedure calibrate`: the reference frame on the mount."""
+"""`ronna-procedure calibrate`: the reference frame on the mount, the tip of the guide."""
 
 from __future__ import annotations
 
+import math
 from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
@@ -23,6 +24,7 @@ from procedures.cli.calibrating.options import (
     theatre_request,
 )
 from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
 
 app = typer.Typer(
     name="calibrate",
@@ -87,6 +89,67 @@ def tracker_frame(
         request,
         recorded,
         (looks, validation),
+        life=timedelta(days=days),
+        write=write,
+        out=out,
+        as_json=as_json,
+    )
+
+
+@app.command("tool-tip")
+def tool_tip(
+    sim: SimOption = False,
+    scene: SceneOption = "default",
+    seed: SeedOption = 0,
+    calibrated: CalibratedOption = False,
+    first_day: FirstDayOption = False,
+    calibration: RecordsOption = None,
+    config: ConfigOption = None,
+    recorded: RecordedOption = None,
+    ball: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            metavar="X Y Z",
+            help="Place of the stand's ball in $ROBROOT, mm, within 10 [default: the theatre file's].",
+        ),
+    ] = None,
+    readings: Annotated[int, typer.Option(min=6, max=30, help="Orientations to find the tip with.")] = 8,
+    validation: Annotated[
+        int, typer.Option(min=2, max=20, help="More orientations, kept apart to judge the result by.")
+    ] = 3,
+    days: DaysOption = 30,
+    write: WriteOption = None,
+    out: OutOption = Path("calibrations"),
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Find the guide's tip beside the stereo head: the head looks at a ball, the tip pivots in its place.
+
+    Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
+    """
+    console.set_up_logging(verbose)
+    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
+    from procedures.cli.mount.tool_tip import calibrate_tool_tip
+
+    if ball is not None and not all(map(math.isfinite, ball)):
+        raise UsageMistake("--ball needs three finite numbers", got=" ".join(f"{value:g}" for value in ball))
+    request = None
+    if recorded is None:
+        request = theatre_request(
+            sim,
+            scene,
+            seed,
+            config,
+            calibrated=calibrated,
+            first_day=first_day,
+            records=calibration or (),
+        )
+    calibrate_tool_tip(
+        request,
+        recorded,
+        (readings, validation),
+        ball,
         life=timedelta(days=days),
         write=write,
         out=out,

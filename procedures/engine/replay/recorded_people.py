@@ -8,6 +8,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import Line
 from procedures.engine.operator import Question
 from procedures.engine.replay.recorded_answers import RecordedAnswers
+from ronna_hw.calibration import Numbers3
 
 
 class RecordedOperator:
@@ -37,6 +38,13 @@ class EmptyRoom:
 
     def change_tool(self, number: int, description: str) -> None:
         """As `Room`."""
+
+    def prepare_stand(self, holds: str) -> None:
+        """As `Room`."""
+
+    def read_dials(self, where: str) -> Numbers3:
+        """Calibrations are computed again from their readings, not replayed. Raises PRO-024."""
+        raise NotRecorded(f"the dials at {where} are not in the journal")
 
 
 class RecordedClock:

@@ -10,6 +10,8 @@ from procedures.steps.calibration.ball_place import place_step
 from procedures.steps.calibration.baseline_visit import visit_step
 from procedures.steps.calibration.frame_looks import turning_step
 from procedures.steps.calibration.sphere_looks import looks_step
+from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
+from procedures.steps.calibration.tip_readings import readings_step
 from procedures.steps.clinical import global_localization, set_up
 from ronna_hw.calibration import Numbers3
 
@@ -42,6 +44,12 @@ def arm_looks(count: int, validation: int) -> Steps:
 def frame_looks(count: int, validation: int) -> Steps:
     """Set up, and turn the reference frame before the tracker."""
     return (set_up.STEP, turning_step(count, validation))
+
+
+def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:
+    """Set up, look at the ball of the stand, exchange head for guide, read the divot in its place."""
+    place = place_step(ball_mm) if ball_mm is not None else stand_place_step()
+    return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
 
 
 def _to_ball(ball_mm: Numbers3 | None) -> Steps:

@@ -1,0 +1,126 @@
+"""From readings to the record of the tip: solved, judged by readings kept apart, dated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import timedelta
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+from scipy.stats import chi2
+
+from procedures.calibration.errors import (
+    BadObservations,
+    DoesNotFit,
+    FarFromRecord,
+    ReadingImplausible,
+    TooFewPoses,
+)
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.record import LIFE, new_identifier
+from procedures.calibration.tool_tip.looks import TipLooks, TipPairs, pairs_of
+from procedures.calibration.tool_tip.tip import TipFit, fit_tip, tips_of
+from ronna_hw.calibration import ToolTipCalibration
+from ronna_hw.frames import Frame, Transform
+
+Array = NDArray[np.float64]
+
+MADE_BY = "ronna-procedure calibrate tool-tip"
+LEAST_VALIDATION = 2
+ACCEPTED = 1e-4  # probability with which a good calibration is refused
+MODEL_SHARE = 0.25  # of the predicted variance: steps of the dials, errors of the arm that do not cancel
+STAND_MM = 0.01  # of the divot beside the ball's centre, per axis: as such stands are made
+DIALS_TRAVEL_MM = 6.0
+FAR_MM = 10.0  # no guide is so far from its drawing
+
+
+@dataclass(frozen=True)
+class TipResult:
+    """The new record, and how good it is; `misses_mm` (m, 3) of readings that were not used, tool frame."""
+
+    fit: TipFit
+    misses_mm: Array
+    predicted_mm: float
+    change_mm: float
+    tool_tip: ToolTipCalibration
+
+
+def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
+    """A dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
+    _require_plausible(observed)
+    kept = set(observed.validation)
+    fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))
+    misses, predicted_mm = _validated(
+        fit, pairs_of(observed, [one for one in observed.readings if one.look in kept])
+    )
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
+    if change_mm > FAR_MM:
+        raise FarFromRecord(
+            "the tip is not where its record has it", limit=f"{FAR_MM:g} mm", got=f"{change_mm:.1f} mm"
+        )
+    # A divot shows where the tip is, not where the guide points: that stays as the record has it.
+    found = Transform(
+        Frame.FLANGE,
+        Frame.TOOL,
+        RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation),
+    )
+    stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + 3.0 * STAND_MM**2))
+    return TipResult(
+        fit=fit,
+        misses_mm=misses,
+        predicted_mm=predicted_mm,
+        change_mm=change_mm,
+        tool_tip=ToolTipCalibration(
+            identifier=new_identifier("tool-tip", observed.created),
+            created=observed.created,
+            expires=observed.created + life,
+            made_by=MADE_BY,
+            stated_error_mm=stated_mm,
+            tool_number=observed.start.tool_number,
+            flange_from_tool=pose_record(found),
+        ),
+    )
+
+
+def require_plausible(dials_mm: tuple[float, float, float]) -> None:
+    """Raise CAL-018 for what three dials in millimetres cannot show."""
+    if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
+        raise ReadingImplausible(
+            "the dials cannot have shown this",
+            limit=f"{DIALS_TRAVEL_MM:g} mm either way on each",
+            got=" ".join(f"{value:g}" for value in dials_mm),
+        )
+
+
+def _require_plausible(observed: TipLooks) -> None:
+    numbers = [one.look for one in observed.readings]
+    if len(set(numbers)) < len(numbers) or any(number >= len(observed.looks) for number in numbers):
+        raise BadObservations(
+            "each reading of the dials needs a look of its own", expected=f"0 to {len(observed.looks) - 1}"
+        )
+    for one in observed.readings:
+        require_plausible(one.dials_mm)
+
+
+def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
+    """Misses (m, 3) of readings that the fit has not seen, and their expected rms."""
+    if kept.count < LEAST_VALIDATION:
+        raise TooFewPoses(
+            "too few readings to validate the tip",
+            expected=f"at least {LEAST_VALIDATION}",
+            got=str(kept.count),
+        )
+    misses = tips_of(kept) - fit.tip_mm
+    variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
+    statistic = float(np.sum(misses**2) / variance)
+    limit = float(chi2.isf(ACCEPTED, 3 * kept.count)) * (1.0 + MODEL_SHARE)
+    if statistic > limit:
+        raise DoesNotFit(
+            "the tip does not hold for readings that it was not fitted to",
+            limit=f"chi-square {limit:.0f}",
+            got=f"{statistic:.0f}: {np.sqrt(np.mean(np.sum(misses**2, axis=1))):.3f} mm",
+        )
+    return misses, float(np.sqrt(3.0 * variance))

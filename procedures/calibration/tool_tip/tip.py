@@ -1,0 +1,132 @@
+"""Where the guide's tip is in the tool frame of the stereo head on the same mount.
+
+In one orientation, and within millimetres of one place, an arm errs alike with the head over the ball and
+with the tip in the divot that takes the ball's place. The difference of the two is the tip beside what the
+head sees, and hardly contains the arm:
+
+    tip = T'^-1 (T ball + dials)    T, T': ROBOT <- TOOL over the ball and in the divot
+
+Pivoting gives a second answer that does not assume ball and divot to be in one place: each of them is the
+point of the room that stays where it is while the tool turns about it. Where
+these differ, so do ball and divot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration.bundle import orientation_spread
+from procedures.calibration.errors import BallAndDivotApart, DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.tool_tip.looks import TipPairs
+
+Array = NDArray[np.float64]
+
+LEAST_READINGS = 6
+LEAST_CONE = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
+SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
+LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
+LEAST_SCATTER_MM = 0.003  # nothing repeats better
+LARGEST_GAP_MM = 0.15  # of ball and divot, beyond what pivoting leaves open
+SURE = 4.0  # standard errors
+
+
+@dataclass(frozen=True)
+class TipFit:
+    """`tip_mm` (3,) in the tool frame of the head, with its covariance (3, 3) mm2; `scatter_mm` per axis.
+
+    `gap_mm` (3,) is where pivoting puts the divot beside the ball, robot axes, with a standard error of
+    `gap_error_mm` in space.
+    """
+
+    tip_mm: Array
+    covariance_mm2: Array
+    scatter_mm: float
+    misses_mm: Array
+    gap_mm: Array
+    gap_error_mm: float
+
+
+def fit_tip(pairs: TipPairs) -> TipFit:
+    """The tip from readings in the divot. Raises CAL-002 to CAL-004, CAL-019."""
+    _require_usable(pairs)
+    seen = tips_of(pairs)
+    tip = seen.mean(axis=0)
+    misses = seen - tip
+    scatter = max(
+        float(np.sqrt(np.sum(misses**2) / (3 * (pairs.count - 1)))),
+        LEAST_SCATTER_MM,
+    )
+    if scatter > LARGEST_SCATTER_MM:
+        raise DoesNotFit(
+            "the readings do not put the tip in one place",
+            limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
+            got=f"{scatter:.2f} mm",
+            action="Check that stand, guide and dials are rigid, and x, y, z not mixed up; then repeat.",
+        )
+    gap, gap_error = _gap(pairs, scatter)
+    if np.linalg.norm(gap) > LARGEST_GAP_MM + SURE * gap_error:
+        raise BallAndDivotApart(
+            "by pivoting, the divot is not where the ball was",
+            limit=f"{LARGEST_GAP_MM + SURE * gap_error:.2f} mm",
+            got=f"{np.linalg.norm(gap):.2f} mm",
+        )
+    covariance = scatter**2 / pairs.count * np.eye(3)
+    return TipFit(tip, covariance, scatter, misses, gap, gap_error)
+
+
+def tips_of(pairs: TipPairs) -> Array:
+    """The tip (m, 3) in the tool frame by each reading alone."""
+    ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
+    reach = ball + pairs.dials_mm - pairs.at_divot[:, :3, 3]
+    return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], reach))
+
+
+def _require_usable(pairs: TipPairs) -> None:
+    if pairs.count < LEAST_READINGS:
+        raise TooFewPoses(
+            "too few readings of the divot",
+            expected=f"at least {LEAST_READINGS}",
+            got=str(pairs.count),
+            action="Read the dials in more orientations.",
+        )
+    spread = orientation_spread(pairs.at_divot[:, :3, :3])
+    if spread < LEAST_CONE:
+        raise DegeneratePoses(
+            "the tip was pivoted over too narrow a cone",
+            limit=f"{np.degrees(np.arcsin(LEAST_CONE)):.0f} deg rms about every axis",
+            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            action="Tilt the guide by 20 degrees or more to all sides of the divot.",
+        )
+    between = pairs.at_ball[:, :3, :3].transpose(0, 2, 1) @ pairs.at_divot[:, :3, :3]
+    turned = float(Rotation.from_matrix(between).magnitude().max())
+    if turned > SAME_ORIENTATION_RAD:
+        raise DoesNotFit(
+            "head and tip were not brought there in the same orientation",
+            limit=f"{np.degrees(SAME_ORIENTATION_RAD):g} deg",
+            got=f"{np.degrees(turned):.1f} deg",
+        )
+
+
+def _gap(pairs: TipPairs, scatter_mm: float) -> tuple[Array, float]:
+    """Where pivoting puts the divot beside the ball, and the standard error of that, in space."""
+    ball, ball_covariance = _pivoted(
+        pairs.at_ball[:, :3, :3],
+        np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3],
+    )
+    divot, divot_covariance = _pivoted(pairs.at_divot[:, :3, :3], pairs.at_divot[:, :3, 3] - pairs.dials_mm)
+    # The scatter of the difference is shared by its two sides; what the arm does in both cancels.
+    error = scatter_mm * float(np.sqrt(np.trace(ball_covariance + divot_covariance) / 2.0))
+    return divot - ball, error
+
+
+def _pivoted(rotations: Array, places_mm: Array) -> tuple[Array, Array]:
+    """The point that stays: places + rotations @ offset = point; also its covariance per unit scatter."""
+    count = len(rotations)
+    rows = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), -rotations], axis=2).reshape(-1, 6)
+    inverse = np.linalg.inv(rows.T @ rows)
+    solution = inverse @ rows.T @ places_mm.ravel()
+    return solution[:3], inverse[:3, :3]

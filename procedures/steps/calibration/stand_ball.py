@@ -1,0 +1,123 @@
+"""Look at the ball on the calibration stand, in the orientations in which the tip will be in its place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
+from procedures.calibration.head_model import pose_record
+from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
+from procedures.calibration.tool_tip.looks import BallLook
+from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.over_ball import SPARE, bring_over_ball
+from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell import MountedTool
+from procedures.workcell.ball_watcher import SAME_SIDE, BallWatcher
+
+BALL = "ball"
+TILT_RAD = float(np.radians(25.0))
+TURN_RAD = float(np.radians(40.0))
+
+
+class ObservedStand(StepResult, kind="stand_ball"):
+    """The ball of the stand, as the stereo head sees it."""
+
+    looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
+    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+
+
+@dataclass(frozen=True)
+class StandBall:
+    """In how many orientations."""
+
+    count: int
+
+    def run(self, context: StepContext) -> Outcome[ObservedStand]:
+        """Raises CAL-010 or CAL-002 with too few looks, PRO-002 unless confirmed, STE-009 without a ball."""
+        context.result(CheckedSetUp)
+        place, workcell = context.result(BallPlace), context.workcell
+        plan = self._plan(place, BallWatcher(workcell, np.array(place.ball_mm)))
+        context.setting.room.prepare_stand(BALL)
+        context.confirm(
+            Topic.CALIBRATION,
+            "the stand is screwed down, and its ball sits on it",
+            f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
+        )
+        watcher = bring_over_ball(context, place, f"{self.count} looks at the ball of the stand", 0)
+        looks: list[BallLook] = []
+        for planned in plan:
+            if len(looks) == self.count:
+                break
+            seen = watcher.take(planned, SAME_SIDE)
+            context.progress(len(looks) / self.count, "looking at the ball of the stand")
+            if seen is None or seen.point is None:
+                continue
+            joints = workcell.joints_rad()
+            x, y, z = seen.point.position_mm.tolist()
+            looks.append(
+                BallLook(
+                    joints_rad=joints,
+                    robot_from_flange=pose_record(workcell.flange_pose(joints)),
+                    ball_mm=(x, y, z),
+                )
+            )
+        workcell.go_home()
+        if len(looks) < self.count:
+            raise TooFewPoses(
+                "too few poses show the ball of the stand",
+                expected=str(self.count),
+                got=f"{len(looks)}; {watcher.why_rejected()}",
+            )
+        left_out = watcher.rejected.total()
+        remarks = (f"{left_out} looks at the ball failed: {watcher.why_rejected()}",) if left_out else ()
+        return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} looks")
+
+    def _plan(self, place: BallPlace, watcher: BallWatcher) -> list[PlannedLook]:
+        wanted = round(SPARE * self.count)
+        looks = turned_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
+        reached = [look for look in looks if watcher.reaches(look.pose)]
+        if len(reached) < self.count:
+            raise PosesOutOfReach(
+                "too few poses about the stand can be reached",
+                expected=f"{self.count} poses",
+                got=f"{len(reached)} of {wanted}",
+                action="Put the stand nearer to the middle of the workspace, with free space around it.",
+            )
+        return in_short_order(reached)
+
+
+def _stated(context: StepContext) -> Outcome[BallPlace]:
+    """Where the theatre file says that the stand is. Raises CAL-009."""
+    stand_mm = context.setting.settings.stand_mm
+    if stand_mm is None:
+        raise NoBall(
+            "nobody says where the calibration stand is",
+            action="Give the place of its ball with --ball X Y Z, or as stand_mm in [procedure].",
+        )
+    return Outcome(BallPlace(ball_mm=stand_mm, others_mm=()), "as the theatre file says")
+
+
+def stand_place_step() -> StepSpec[BallPlace]:
+    """The step that takes the place of the stand from the theatre file."""
+    return StepSpec(BallPlace, "Take the place of the stand", Phase.PREPARATION, _stated)
+
+
+def stand_step(count: int) -> StepSpec[ObservedStand]:
+    """The step for so many orientations."""
+    return StepSpec(
+        ObservedStand,
+        "Look at the ball of the stand",
+        Phase.OPERATION,
+        StandBall(count).run,
+        reads=(CheckedSetUp, BallPlace),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )

@@ -1,0 +1,160 @@
+"""The tip of the guide is found beside what the head sees, and bad readings are refused."""
+
+from __future__ import annotations
+
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from benchmarks.tip_looks import TipCell
+from procedures.calibration.errors import (
+    BadObservations,
+    BallAndDivotApart,
+    DegeneratePoses,
+    DoesNotFit,
+    FarFromRecord,
+    ReadingImplausible,
+    TooFewPoses,
+)
+from procedures.calibration.tool_tip.looks import DivotReading, TipLooks, TipPairs, pairs_of
+from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.calibration.tool_tip.tip import fit_tip
+from ronna_hw.frames import Frame
+from sim.theatre.rigid import matrix_of
+
+COUNT, VALIDATION = 8, 3
+Numbers3 = tuple[float, float, float]
+
+
+@pytest.fixture(scope="module")
+def read() -> tuple[TipCell, TipLooks]:
+    """A scene with an uncalibrated arm, and readings in it."""
+    cell = TipCell.of(3, calibrated=False)
+    return cell, cell.readings(COUNT, VALIDATION)
+
+
+def with_dials(one: DivotReading, more_mm: np.ndarray | Numbers3) -> DivotReading:
+    x, y, z = np.add(one.dials_mm, more_mm).tolist()
+    return one.model_copy(update={"dials_mm": (x, y, z)})
+
+
+def among(observed: TipLooks, readings: list[DivotReading]) -> TipLooks:
+    return observed.model_copy(update={"readings": tuple(readings)})
+
+
+@pytest.mark.parametrize(("seed", "calibrated"), [(0, True), (5, False), (11, False)])
+def test_the_tip_is_found_beside_what_the_head_sees_whatever_the_arm(seed: int, calibrated: bool) -> None:
+    cell = TipCell.of(seed, calibrated=calibrated)
+    result = calibrate_tip(cell.readings(COUNT, VALIDATION))
+    true = matrix_of(cell.scene.mount.tool_from_tip_true)[:3, 3]
+    assert np.linalg.norm(result.fit.tip_mm - cell.seen_mm(true)) <= 0.05
+    assert np.linalg.norm(result.fit.tip_mm - cell.seen_mm(true)) <= 4.0 * result.tool_tip.stated_error_mm
+
+
+def test_the_record_is_dated_and_keeps_where_the_guide_points(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    record = calibrate_tip(observed, life=timedelta(days=3)).tool_tip
+    assert (record.created, record.expires) == (observed.created, observed.created + timedelta(days=3))
+    assert record.tool_number == observed.start.tool_number
+    assert np.allclose(
+        record.flange_from_tool.quaternion_wxyz, observed.start.flange_from_tool.quaternion_wxyz
+    )
+
+
+def test_the_record_puts_the_tip_where_the_fit_has_it(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    result = calibrate_tip(observed)
+    head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    tip = result.tool_tip.flange_from_tool.translation_mm
+    assert np.allclose(head.inverse().apply(tip), result.fit.tip_mm)
+
+
+def test_too_few_readings_are_refused(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    kept = [one for one in observed.readings if one.look in observed.validation]
+    used = [one for one in observed.readings if one.look not in observed.validation]
+    with pytest.raises(TooFewPoses, match="too few readings of the divot"):
+        calibrate_tip(among(observed, [*used[:5], *kept]))
+    with pytest.raises(TooFewPoses, match="validate the tip"):
+        calibrate_tip(among(observed, used))
+
+
+def test_a_narrow_cone_is_refused(read: tuple[TipCell, TipLooks]) -> None:
+    cell, _ = read
+    with pytest.raises(DegeneratePoses, match="too narrow a cone"):
+        calibrate_tip(cell.readings(COUNT, VALIDATION, tilt_rad=0.05))
+
+
+def test_dials_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    generator = np.random.default_rng(2)
+    spoilt = [with_dials(one, generator.normal(0.0, 0.2, 3)) for one in observed.readings]
+    with pytest.raises(DoesNotFit, match="do not put the tip in one place"):
+        calibrate_tip(among(observed, spoilt))
+
+
+def test_readings_that_the_fit_has_not_seen_must_agree_with_it(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    spoilt = [
+        with_dials(one, (0.2, 0.2, 0.0)) if one.look in observed.validation else one
+        for one in observed.readings
+    ]
+    with pytest.raises(DoesNotFit, match="does not hold"):
+        calibrate_tip(among(observed, spoilt))
+
+
+@pytest.mark.parametrize("dials", [(350.0, 20.0, -10.0), (0.0, float("nan"), 0.0)])
+def test_readings_in_another_unit_are_refused_with_what_was_read(
+    read: tuple[TipCell, TipLooks], dials: Numbers3
+) -> None:
+    _, observed = read
+    first, *others = observed.readings
+    wrong = first.model_copy(update={"dials_mm": dials})
+    with pytest.raises(ReadingImplausible, match="CAL-018") as refused:
+        calibrate_tip(among(observed, [wrong, *others]))
+    assert refused.value.got == " ".join(f"{value:g}" for value in dials)
+
+
+def test_each_reading_needs_a_look_of_its_own(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    first, *others = observed.readings
+    for wrong in (first.model_copy(update={"look": 99}), first.model_copy(update={"look": others[0].look})):
+        with pytest.raises(BadObservations, match="CAL-005"):
+            calibrate_tip(among(observed, [wrong, *others]))
+
+
+def test_a_divot_that_is_not_where_the_ball_was_is_told_from_a_shifted_tip_by_pivoting() -> None:
+    generator = np.random.default_rng(4)
+    turns = Rotation.from_rotvec(generator.normal(0.0, 0.35, (12, 3))).as_matrix()
+    place, tip, gap = np.array([560.0, -320.0, 230.0]), np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.2, 0.0])
+    at_ball = np.tile(np.eye(4), (12, 1, 1))
+    at_ball[:, :3, :3], at_ball[:, :3, 3] = turns, place
+    at_divot = at_ball.copy()
+    at_divot[:, :3, 3] = place - turns @ tip
+    pairs = TipPairs(at_ball, at_divot, np.zeros((12, 3)), np.zeros((12, 3)))
+    assert np.allclose(fit_tip(pairs).tip_mm, tip)
+    assert np.allclose(fit_tip(pairs).gap_mm, 0.0, atol=1e-9)
+    apart = TipPairs(at_ball, at_divot, np.zeros((12, 3)), np.tile(-gap, (12, 1)))
+    with pytest.raises(BallAndDivotApart, match="CAL-019"):
+        fit_tip(apart)
+
+
+def test_head_and_tip_in_different_orientations_are_refused(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    pairs = pairs_of(observed, observed.readings)
+    turned = pairs.at_divot.copy()
+    turned[:, :3, :3] = turned[:, :3, :3] @ Rotation.from_rotvec([0.0, 0.0, 0.02]).as_matrix()
+    with pytest.raises(DoesNotFit, match="same orientation"):
+        fit_tip(TipPairs(pairs.at_ball, turned, pairs.ball_mm, pairs.dials_mm))
+
+
+def test_a_tip_far_from_its_record_is_refused(read: tuple[TipCell, TipLooks]) -> None:
+    _, observed = read
+    place = observed.start.flange_from_tool
+    x, y, z = place.translation_mm
+    elsewhere = place.model_copy(update={"translation_mm": (x, y, z + 30.0)})
+    start = observed.start.model_copy(update={"flange_from_tool": elsewhere})
+    with pytest.raises(FarFromRecord, match="CAL-017"):
+        calibrate_tip(observed.model_copy(update={"start": start}))

@@ -1,0 +1,105 @@
+"""The guide is brought to the divot only after a confirmed exchange, in the orientations of the ball."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from clinical_case import ClinicalCell, checked_set_up
+from recording_cell import GUIDE, RecordingOperator
+
+from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
+from procedures.calibration.tool_tip.looks import TipLooks
+from procedures.calibration.tool_tip.record import calibrate_tip
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import Topic
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
+from procedures.steps.calibration.tip_readings import readings_step
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Frame
+
+BALL_MM = (650.0, -200.0, 250.0)
+BESIDE_MM = (0.4, -0.3, 0.6)  # the true tip beside its record, in the tool frame of the head
+COUNT, VALIDATION = 9, 3
+Numbers3 = tuple[float, float, float]
+
+
+def stand(cell: ClinicalCell) -> None:
+    """A stand whose dials show the true tip on the cell's arm."""
+    head = cell.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    guide = cell.calibrations.tool_tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    tip = guide.translation_mm + head.rigid.rotation.apply(BESIDE_MM)
+
+    def dials(joints: JointVector) -> Numbers3:
+        x, y, z = (cell.arm.kinematics.flange_pose(joints).apply(tip) - BALL_MM).tolist()
+        return (x, y, z)
+
+    cell.room.dials = dials
+    cell.workcell.spheres_mm = np.array([BALL_MM])
+
+
+def read(cell: ClinicalCell, ball_mm: Numbers3 = BALL_MM) -> TipLooks:
+    cell.carrying(MountedTool.STEREO_HEAD)
+    place = BallPlace(ball_mm=ball_mm, others_mm=())
+    steps = (stand_step(COUNT), readings_step(VALIDATION))
+    return cell.run(checked_set_up(cell), place, *steps).result.observed
+
+
+def test_the_readings_give_the_tip_of_the_cell(cell: ClinicalCell) -> None:
+    stand(cell)
+    observed = read(cell)
+    assert len(observed.readings) == COUNT
+    assert len(observed.validation) == VALIDATION
+    assert max(abs(value) for one in observed.readings for value in one.dials_mm) < 0.3
+    head = cell.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    guide = cell.calibrations.tool_tip.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    true = (head.inverse() @ guide).translation_mm + BESIDE_MM
+    assert np.linalg.norm(calibrate_tip(observed).fit.tip_mm - true) < 0.01
+
+
+def test_ball_then_guide_then_divot_in_that_order(cell: ClinicalCell) -> None:
+    stand(cell)
+    read(cell)
+    assert cell.room.stand == ["ball", "divot"]
+    assert [number for number, _, _ in cell.room.changed] == [GUIDE]
+    assert cell.workcell.at_home
+
+
+@pytest.mark.parametrize("topic", [Topic.CALIBRATION, Topic.TOOL_CHANGE])
+def test_nothing_is_done_that_is_not_confirmed(cell: ClinicalCell, topic: Topic) -> None:
+    stand(cell)
+    cell.operator = RecordingOperator(topic)
+    with pytest.raises(NotConfirmed):
+        read(cell)
+    if topic is Topic.CALIBRATION:
+        assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(37)
+def test_with_another_tool_than_the_guide_nothing_moves_to_the_divot(cell: ClinicalCell) -> None:
+    stand(cell)
+    cell.room.mounts = 7
+    with pytest.raises(WrongTool, match="PRO-009"):
+        read(cell)
+
+
+def test_an_impossible_reading_is_refused_where_it_is_read(cell: ClinicalCell) -> None:
+    stand(cell)
+    cell.room.dials = lambda _joints: (0.0, 350.0, 0.0)
+    with pytest.raises(ReadingImplausible, match="CAL-018"):
+        read(cell)
+
+
+def test_a_stand_out_of_reach_is_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
+    stand(cell)
+    with pytest.raises(PosesOutOfReach, match="CAL-010"):
+        read(cell, (2000.0, 0.0, 300.0))
+    assert cell.operator.asked == []
+
+
+def test_without_a_place_of_the_stand_the_option_is_named(cell: ClinicalCell) -> None:
+    with pytest.raises(NoBall, match="CAL-009") as refused:
+        cell.run(stand_place_step())
+    assert "--ball X Y Z" in refused.value.action
