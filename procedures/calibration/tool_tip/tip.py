@@ -6,9 +6,8 @@ head sees, and hardly contains the arm:
 
     tip = T'^-1 (T ball + dials)    T, T': ROBOT <- TOOL over the ball and in the divot
 
-Pivoting gives a second answer that does not assume ball and divot to be in one place: each of them is the
-point of the room that stays where it is while the tool turns about it. Where
-these differ, so do ball and divot.
+Pivoting about the divot gives a second answer, which does not assume ball and divot to be in one place: what
+turns with the tool is the tip, what stays is the gap between divot and ball. The gap must be small.
 """
 
 from __future__ import annotations
@@ -30,15 +29,15 @@ LEAST_CONE = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies
 SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
 LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
-LARGEST_GAP_MM = 0.15  # of ball and divot, beyond what pivoting leaves open
-SURE = 4.0  # standard errors
+LARGEST_GAP_MM = 0.08  # of ball and divot; what is smaller goes into the tip, so the stand must be good
+SURE = 3.0  # standard errors, where pivoting leaves more open than that
 
 
 @dataclass(frozen=True)
 class TipFit:
     """`tip_mm` (3,) in the tool frame of the head, with its covariance (3, 3) mm2; `scatter_mm` per axis.
 
-    `gap_mm` (3,) is where pivoting puts the divot beside the ball, robot axes, with a standard error of
+    `gap_mm` (3,) is by how much pivoting puts the divot beside the ball, robot axes, with a standard error of
     `gap_error_mm` in space.
     """
 
@@ -67,11 +66,12 @@ def fit_tip(pairs: TipPairs) -> TipFit:
             got=f"{scatter:.2f} mm",
             action="Check that stand, guide and dials are rigid, and x, y, z not mixed up; then repeat.",
         )
-    gap, gap_error = _gap(pairs, scatter)
-    if np.linalg.norm(gap) > LARGEST_GAP_MM + SURE * gap_error:
+    gap, gap_error = _pivoted_gap(pairs)
+    limit = max(LARGEST_GAP_MM, SURE * gap_error)
+    if np.linalg.norm(gap) > limit:
         raise BallAndDivotApart(
             "by pivoting, the divot is not where the ball was",
-            limit=f"{LARGEST_GAP_MM + SURE * gap_error:.2f} mm",
+            limit=f"{limit:.2f} mm",
             got=f"{np.linalg.norm(gap):.2f} mm",
         )
     covariance = scatter**2 / pairs.count * np.eye(3)
@@ -80,8 +80,7 @@ def fit_tip(pairs: TipPairs) -> TipFit:
 
 def tips_of(pairs: TipPairs) -> Array:
     """The tip (m, 3) in the tool frame by each reading alone."""
-    ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
-    reach = ball + pairs.dials_mm - pairs.at_divot[:, :3, 3]
+    reach = _reach_mm(pairs)
     return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], reach))
 
 
@@ -111,22 +110,18 @@ def _require_usable(pairs: TipPairs) -> None:
         )
 
 
-def _gap(pairs: TipPairs, scatter_mm: float) -> tuple[Array, float]:
-    """Where pivoting puts the divot beside the ball, and the standard error of that, in space."""
-    ball, ball_covariance = _pivoted(
-        pairs.at_ball[:, :3, :3],
-        np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3],
-    )
-    divot, divot_covariance = _pivoted(pairs.at_divot[:, :3, :3], pairs.at_divot[:, :3, 3] - pairs.dials_mm)
-    # The scatter of the difference is shared by its two sides; what the arm does in both cancels.
-    error = scatter_mm * float(np.sqrt(np.trace(ball_covariance + divot_covariance) / 2.0))
-    return divot - ball, error
-
-
-def _pivoted(rotations: Array, places_mm: Array) -> tuple[Array, Array]:
-    """The point that stays: places + rotations @ offset = point; also its covariance per unit scatter."""
-    count = len(rotations)
-    rows = np.concatenate([np.tile(np.eye(3), (count, 1, 1)), -rotations], axis=2).reshape(-1, 6)
+def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float]:
+    """The divot beside the ball, and its standard error in space: of `reach = R tip - gap`, both unknown."""
+    rotations, reach = pairs.at_divot[:, :3, :3], _reach_mm(pairs)
+    rows = np.concatenate([rotations, np.tile(-np.eye(3), (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(rows.T @ rows)
-    solution = inverse @ rows.T @ places_mm.ravel()
-    return solution[:3], inverse[:3, :3]
+    solution = inverse @ rows.T @ reach.ravel()
+    misses = rows @ solution - reach.ravel()
+    variance = max(float(misses @ misses) / (len(misses) - 6), LEAST_SCATTER_MM**2)
+    return solution[3:], float(np.sqrt(variance * np.trace(inverse[3:, 3:])))
+
+
+def _reach_mm(pairs: TipPairs) -> Array:
+    """From the tool centre at the divot to the place of the ball and on by the dials, (m, 3), robot axes."""
+    ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
+    return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])
