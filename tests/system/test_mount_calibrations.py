@@ -101,6 +101,19 @@ def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path)
         assert "go with --sim" in " ".join(one_error(done.stderr))
 
 
+@pytest.mark.parametrize("text", [None, "calibration = 3", "[calibration.tip]\nx = 1"])
+@pytest.mark.parametrize("command", [("run",), ("calibrate", "tool-tip")])
+def test_a_folder_without_records_is_refused_before_anything_is_started(
+    command: tuple[str, ...], text: str | None, tmp_path: Path
+) -> None:
+    records = tmp_path / "calibration.toml"
+    if text is not None:
+        records.write_text(text)
+    done = in_this_process(app, *command, "--sim", "--calibration", records, "--out", tmp_path / "out")
+    assert one_error(done.stderr)[0].startswith("CAL-005")
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_a_first_day_is_refused_calibrated_and_runs_through(commands: Commands, tmp_path: Path) -> None:

@@ -7,13 +7,14 @@ OUT/<id>/result.json         what `--json` prints
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from procedures.calibration.errors import BadObservations
 from procedures.reporting.calibration import RESULT_FILE
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.config import BadTheatreFile
+from ronna_hw.config import BadTheatreFile, Calibrations
 from ronna_hw.records import write_whole
 
 CALIBRATION_FILE = "calibration.toml"
@@ -24,6 +25,24 @@ def write_records(records: dict[str, Any], folder: Path) -> None:
     import tomli_w
 
     write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
+
+
+def require_records(folders: Iterable[Path]) -> None:
+    """Raise CAL-005 for a folder, or file, in which no calibration has left records."""
+    for folder in folders:
+        file = folder / CALIBRATION_FILE if folder.is_dir() else folder
+        try:
+            content = read_toml(file, BadObservations)
+        except OSError as error:
+            raise BadObservations(f"cannot read {file}: {error.strerror}") from error
+        found = content.get("calibration")
+        unknown = set(found) - set(Calibrations.model_fields) if isinstance(found, dict) else set()
+        if unknown or not found or not isinstance(found, dict):
+            raise BadObservations(
+                f"{file} has no calibration records",
+                expected=f"[calibration.{'|'.join(Calibrations.model_fields)}]",
+                got=", ".join(sorted(unknown)) or "none",
+            )
 
 
 def write_payload(payload: dict[str, Any], folder: Path) -> None:

@@ -75,6 +75,10 @@ def theatre_request(
         read_theatre_file(config)
     if config is not None and (first_day or records):
         raise UsageMistake("--first-day and --calibration go with --sim")
+    if records:
+        from procedures.cli.calibrating.files import require_records
+
+        require_records(records)
     choice = SceneChoice(scene, seed, calibrated=calibrated, first_day=first_day, records=tuple(records))
     if sim:
         choice.check()

@@ -52,11 +52,13 @@ class CaseRequest(TheatreRequest):
 def check_request(request: CaseRequest) -> None:
     """Raise what can be known to be wrong before a run folder is made."""
     from procedures.calibration.arm.check import require_record
+    from procedures.cli.calibrating.files import require_records
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import require_one_kind
 
     strategy_named(request.strategy)
+    require_records(request.choice.records)
     if request.config is not None:
         theatre = read_theatre_file(request.config)
         require_one_kind(theatre)
