@@ -72,6 +72,8 @@ def plan_of(scene: Scene) -> Plan:
             "implanted": len(scene.head.fiducials),
             "fiducials": "free",
             "tool": "guide",
+            "standoff_mm": 30.0,
+            "instrument_length_mm": 250.0,
             "trajectories": trajectories,
         },
         strict=False,

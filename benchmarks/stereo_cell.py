@@ -228,7 +228,7 @@ class StereoCell:
     def look_from(self, start: Start) -> Look:
         """One look from a start, on whole sensors."""
         self._go(start.expected.as_matrix())
-        self._workcell.read_whole_sensors()
+        self._workcell.sensors.read_whole()
         return self._workcell.look()
 
     def true_offset_mm(self, found: CentredSphere, fiducial: int) -> Array:

@@ -6,7 +6,7 @@ Plain numbers. Poses are given as translation (mm) and scalar-first quaternion.
 from __future__ import annotations
 
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Annotated, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
 from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, model_validator
 
@@ -45,7 +45,7 @@ FocalPixels = Annotated[float, Field(gt=0), AfterValidator(_pixels)]
 
 
 class CalibrationExpired(DataError):
-    """A calibration record has expired, or is dated in the future."""
+    """A calibration record or a tool record has expired, or is dated in the future."""
 
     code = "CAL-001"
     action = "Repeat the calibration, or have the record's owner extend it; no motion until then."
@@ -100,16 +100,15 @@ class CameraCalibration(Strict):
     camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
 
 
-class DatedRecord(Strict):
-    """Fields that all calibration records have in common."""
+class Dated(Strict):
+    """Fields that all dated records have in common."""
+
+    what: ClassVar[str] = "calibration"  # what it is, in messages
 
     identifier: str = Field(description="Name of the record.")
     created: AwareDatetime = Field(description="When it was measured, with the time zone.")
     expires: AwareDatetime = Field(description="When it expires, with the time zone.")
     made_by: str = Field(description="Who or what measured it.")
-    stated_error_mm: Annotated[float, Field(ge=0)] = Field(
-        description="One standard deviation, as stated by who made it."
-    )
 
     def check_valid_at(self, moment: datetime) -> None:
         """Raise CAL-001 when the record has expired at `moment`, or is dated after it.
@@ -118,16 +117,24 @@ class DatedRecord(Strict):
         """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
-                f"calibration {self.identifier} is dated {self.created.isoformat()}, which is still to come",
+                f"{self.what} {self.identifier} is dated {self.created.isoformat()}, which is still to come",
                 got=moment.isoformat(),
                 action="Set this computer's clock, or correct the record's date.",
             )
         if moment > self.expires:
             raise CalibrationExpired(
-                f"calibration {self.identifier} expired",
+                f"{self.what} {self.identifier} expired",
                 limit=self.expires.isoformat(),
                 got=moment.isoformat(),
             )
+
+
+class DatedRecord(Dated):
+    """Fields that all calibration records have in common."""
+
+    stated_error_mm: Annotated[float, Field(ge=0)] = Field(
+        description="One standard deviation, as stated by who made it."
+    )
 
 
 class StereoHeadCalibration(DatedRecord):

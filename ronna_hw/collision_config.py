@@ -89,8 +89,8 @@ class HeadZone(Strict):
         return self
 
 
-def _tool(name: str, start: Numbers3, end: Numbers3, radius: float, enters: bool = False) -> ToolBody:
-    return ToolBody(name=name, start_mm=start, end_mm=end, radius_mm=radius, enters_head=enters)
+def _tool(name: str, start: Numbers3, end: Numbers3, radius: float) -> ToolBody:
+    return ToolBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
 
 
 def _room(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
@@ -108,8 +108,7 @@ STEREO_HEAD = (
 GUIDE = (
     _RISER,
     _tool("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
-    _tool("tube of the guide", (0.0, 0.0, -170.0), (0.0, 0.0, -120.0), 10.0),
-    _tool("needle", (0.0, 0.0, -110.0), (0.0, 0.0, -3.0), 3.0, enters=True),
+    _tool("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -95.0), 10.0),
 )
 AROUND_THE_PATIENT = (
     _room("left pin of the clamp", (95.0, 15.0, 10.0), (125.0, 30.0, 5.0), 8.0),

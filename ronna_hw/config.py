@@ -29,6 +29,7 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.text.counting import counted
+from ronna_hw.tool_record import ToolRecord
 
 MISTAKES_SHOWN = 20  # of one file: more help nobody, and a hostile file has thousands
 
@@ -177,12 +178,28 @@ class TheatreFile(Strict):
         default_factory=dict, description="Name = device of any other kind, such as a force sensor."
     )
     calibration: Calibrations | None = Field(default=None, description="Calibration records.")
+    flange: str = Field(
+        default="", description="Name of the arm's flange, or of the changer on it, as tool records have it."
+    )
+    tools: dict[str, ToolRecord] = Field(
+        default_factory=dict, description="Name = tool that can hang on the arm; the procedure uses `guide`."
+    )
     cell: CollisionConfig = Field(
         default=CollisionConfig(), description="Bodies around the arm, for collision checks."
     )
     procedure: ProcedureSettings = Field(
         default=ProcedureSettings(), description="Assumptions and settings of the procedure."
     )
+
+    @property
+    def cell_with_tools(self) -> CollisionConfig:
+        """The bodies around the arm, with those of the tools whose records have some."""
+        own: dict[str, object] = {
+            name: tool.bodies
+            for name, tool in self.tools.items()
+            if tool.bodies and name in ("stereo_head", "guide")
+        }
+        return self.cell.model_copy(update=own)
 
     @property
     def devices(self) -> dict[str, DeviceConfig]:

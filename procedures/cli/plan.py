@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from procedures.planning.visits import ArmSetting
     from ronna_hw.collision_config import CollisionConfig
     from ronna_hw.devices import RobotArm
+    from ronna_hw.tool_record import GuideBore
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 SixNumbers = tuple[float, float, float, float, float, float]
@@ -34,6 +35,7 @@ class Theatre(NamedTuple):
     arm: ArmSetting
     cell: CollisionConfig
     sight: StereoSight
+    bore: GuideBore
 
 
 app = typer.Typer(
@@ -120,6 +122,7 @@ def check(
         to_fiducials=markers,
         arm=theatre and _in_its_scene(theatre, volume, fiducials_mm),
         sight=theatre and theatre.sight,
+        bore=theatre and theatre.bore,
     )
     result = replace(result, warnings=(*result.warnings, *uncounted))
     for sentence in (*volume.warnings, *result.warnings):
@@ -220,6 +223,7 @@ def _theatre(
             )
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
+    from procedures.workcell.tool_records import ToolRecords
     from procedures.workcell.workcell import MASTER
     from ronna_hw.arm.angles import radians6
     from ronna_hw.arm.motion.planning import require_in_range
@@ -251,7 +255,8 @@ def _theatre(
         approach_mm=theatre.procedure.standoff_mm,
         sizes=ErrorSizes.stated(theatre.procedure.arm_error_mm, theatre.procedure.tool_error_mm),
     )
-    return Theatre(arm, theatre.cell, StereoSight.of(theatre.calibration.stereo_head))
+    bore = ToolRecords.of(theatre).guide.bore
+    return Theatre(arm, theatre.cell_with_tools, StereoSight.of(theatre.calibration.stereo_head), bore)
 
 
 def _in_its_scene(

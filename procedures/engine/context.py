@@ -15,7 +15,7 @@ from procedures.engine.case import Case
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
 from procedures.engine.events import Evidence, Happening, Progress
-from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Topic
+from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Task, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
 from procedures.engine.workspace import Workspace
@@ -70,6 +70,8 @@ class StepContext:
     setting: CaseSetting
     _case: Case
     _ask: Callable[[Question], str]
+    _work: Callable[[Task], tuple[float, ...]]
+    _instrument_out: Callable[[], None]
     _checkpoint: Checkpoint
     _publish: Callable[[Happening], object]
     _find: Callable[[str], None]
@@ -214,6 +216,14 @@ class StepContext:
         )
         if self.choose(question) != YES:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
+
+    def have_done(self, task: Task) -> tuple[float, ...]:
+        """Have hands do something, and record what they read off; raises PRO-002 when nobody reads it."""
+        return self._work(task)
+
+    def have_instrument_out(self) -> None:
+        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless it is said."""
+        self._instrument_out()
 
     def choose(self, question: Question) -> str:
         """Have the operator choose one of a question's answers, and record it."""

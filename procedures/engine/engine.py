@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Protocol
 
 from procedures.engine.acknowledging import acknowledged
@@ -17,6 +18,7 @@ from procedures.engine.closing import close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
+from procedures.engine.hands import have_done, have_instrument_out
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.operator import Topic
@@ -44,8 +46,7 @@ class Recorder(Protocol):
 class Engine:
     """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
-    `on_ending` is called before the arm is stopped for good, `before_result` before a result stands:
-    what it returns is written with it.
+    `on_ending` is called before the arm is stopped for good; what `before_result` returns goes with a result.
     """
 
     def __init__(
@@ -64,7 +65,7 @@ class Engine:
     ) -> None:
         """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`.
 
-        `latest` is the step that was done last, in a run that is taken up again.
+        `latest` is the step that was done last, in a run that goes on.
         """
         self.order = order
         self.case = case
@@ -99,14 +100,13 @@ class Engine:
         return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
 
     def _settled(self, key: StepKey) -> bool:
-        """Whether nothing remains to be done of a step: its result stands, or its trajectory is left out."""
+        """Whether a step's result stands, or its trajectory is left out."""
         return self.case.stands(key) or self.left_out(key) is not None
 
     @property
     def instrument_in(self) -> str | None:
-        """The trajectory in which an instrument is beyond the entry, if it is."""
-        insertion = self.setting.workcell.insertion
-        return None if insertion is None else insertion.trajectory
+        """The trajectory in which an instrument is beyond the entry, or may be."""
+        return self.setting.workcell.instrument.inside
 
     def status(self, key: StepKey) -> str:
         """`done`, `left out`, `next`, `superseded`, or nothing."""
@@ -224,18 +224,19 @@ class Engine:
                 self.case.doubt(key, fault)
 
     def retreat_home(self) -> None:
-        """Leave the head and park: an instrument out along its axis, then home on a way that is clear.
+        """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
 
         Raises PRO-002 unless the operator confirms, and what a motion raises.
         """
         workcell = self.setting.workcell
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
+            self.have_instrument_out()
             workcell.start()
-            if (trajectory := self.instrument_in) is not None:
-                out = [workcell.facts(workcell.insertion.standoff)] if workcell.insertion else []
-                workcell.confirm_motion(Topic.RETREAT, f"retreat from {trajectory}", out, trajectory)
-                workcell.withdraw(trajectory)
+            if (on := workcell.insertion) is not None:
+                out = [workcell.facts(on.standoff)]
+                workcell.confirm_motion(Topic.RETREAT, f"retreat from {on.trajectory}", out, on.trajectory)
+                workcell.withdraw(on.trajectory)
             workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
             workcell.return_home()
         except BaseException:  # also an interruption: the arm comes to rest
@@ -246,6 +247,10 @@ class Engine:
             if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
+
+    def have_instrument_out(self) -> None:
+        """As `hands.have_instrument_out`."""
+        have_instrument_out(self.setting, self._journal, self.questions.ask)
 
     def _forget_latest(self) -> None:
         """What was done last was left, unless the one step that may follow it still may."""
@@ -377,6 +382,8 @@ class Engine:
             setting=self.setting,
             _case=self.case,
             _ask=self.questions.ask,
+            _work=partial(have_done, self.setting, self._journal),
+            _instrument_out=self.have_instrument_out,
             _checkpoint=self.checkpoint,
             _publish=self.events.publish,
             _find=self.find,

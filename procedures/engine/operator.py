@@ -32,8 +32,14 @@ class Topic(StrEnum):
     REGISTRATION_KEPT = "registration_kept"  # after the arm was in fault
     TOOL_CHANGE = "tool_change"
     TOOL_TIP = "tool_tip"
-    APPROACH = "approach"  # to the stand-off over an entry, and on along the axis
-    AT_TARGET = "at_target"  # the arm holds until this is answered
+    TOOL_CHECK = "tool_check"  # of the mounted tool on a gauge
+    APPROACH = "approach"  # over an entry, and along the axis to where the guide is held
+    DEPTH_STOP = "depth_stop"  # of the instrument, as it was computed and set
+    SKIN = "skin"  # opened through the guide
+    DRILL = "drill"  # the skull is drilled
+    DURA = "dura"  # is opened
+    AT_TARGET = "at_target"  # the instrument is at depth; the arm holds until this is answered
+    INSTRUMENT_OUT = "instrument_out"  # of the guide: nothing moves before
     RETREAT = "retreat"
     PARK = "park"
     CALIBRATION = "calibration"
@@ -133,6 +139,20 @@ class Question:
         return self.answers[-1]
 
 
+@dataclass(frozen=True)
+class Task:
+    """What hands are to do, by its name in `ronna_hw.wire.room_tasks`, and what they read off after it.
+
+    `numbers` are what they need for it; `reads` says of each reading what it is, such as `depth stop in mm`.
+    """
+
+    name: str
+    subject: str  # for a person
+    trajectory: str | None = None
+    numbers: tuple[float, ...] = ()
+    reads: tuple[str, ...] = ()
+
+
 class Operator(Protocol):
     """Who decides."""
 
@@ -142,7 +162,7 @@ class Operator(Protocol):
 
 
 class Room(Protocol):
-    """Who acts: whoever changes tools, and wants to know which step is running."""
+    """Who acts: whoever changes tools and works on the patient, and wants to know which step is running."""
 
     def announce(self, step: str) -> None:
         """Hear which step runs now, such as `at_target:T1`."""
@@ -161,6 +181,10 @@ class Room(Protocol):
 
         Raises PRO-002 when nobody reads them.
         """
+        ...
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Do it and read off what is asked for; nothing when nobody does. The step has it confirmed."""
         ...
 
 

@@ -41,6 +41,7 @@ class Questions:
     def ask(self, question: Question) -> str:
         """The operator's answer; anything that is none of the question's answers counts as silence."""
         self._count += 1
+        asked_s = self._now_s()
         self._events.publish(as_shown(question, self._count))
         signatures: list[Signature] = []
         answer = self._operator.ask(
@@ -63,6 +64,7 @@ class Questions:
             value=question.value,
             answer=answer,
             **signed,
+            asked_s=asked_s,
         )
         return answer
 

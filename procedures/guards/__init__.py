@@ -4,6 +4,7 @@ Guards are asked at every checkpoint: before each motion and whenever a step say
 suspends the case with a reason in plain words, until it is met or the operator leaves the step.
 """
 
+from procedures.guards.guide_still import GuideStill
 from procedures.guards.standing import patient_watch, sight_guard, standing_guards
 
-__all__ = ["patient_watch", "sight_guard", "standing_guards"]
+__all__ = ["GuideStill", "patient_watch", "sight_guard", "standing_guards"]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 from procedures.engine.workspace import Workspace
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
@@ -23,7 +24,7 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError
 
 FRAME_S = 1 / 60  # of the tracker's frame counter
@@ -35,6 +36,7 @@ UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracke
 READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
 
 MOVED = "the head, or the tracker, has moved"
+PUSHED = "the guide is pushed or pulled"
 UNSEEN = "the tracker has not seen the head for too long"
 
 
@@ -71,6 +73,7 @@ class MotionWatch:
             self._head,
             lambda why, stop: self._alarm(what, why, stop),
             self.tell,
+            guide=self.workspace.find(GuideAtRest),
         )
         room.begin_motion(self.clock.now_s())
         looking.begin()
@@ -143,7 +146,9 @@ class _Looking:
     unseen_s: float = 0.0
     _overdue: bool = False
     _stopping: threading.Thread | None = None
+    guide: GuideAtRest | None = None  # as it was held, while somebody works through it
     _silence_told: bool = False
+    _pushed: bool = False
 
     def __post_init__(self) -> None:
         self._ending, self._first = threading.Event(), threading.Event()
@@ -194,6 +199,7 @@ class _Looking:
                 self._ending.wait(FRAME_S / 2)
                 continue
             self.head.take(frame)
+            self._meet_push(frame)
             self._first.set()
             now_s = self.clock.now_s()
             if self.head.seen:
@@ -214,6 +220,16 @@ class _Looking:
         if not self._overdue and self.room.overdue(self.clock.now_s()):
             self._overdue = True
             self._begin_alarm(UNSEEN, stop=self.arm_moves)
+
+    def _meet_push(self, frame: TrackerFrame) -> None:
+        """Tell it once each time; the guard at the next checkpoint suspends while it lasts."""
+        if self.guide is None or not self.guide.worked:
+            return
+        self.guide.take(frame, self.workcell.calibrations.tracker_frame.tool)
+        pushed = self.guide.now_mm > PUSHED_MM
+        if pushed and not self._pushed:
+            self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
+        self._pushed = pushed
 
     def _begin_alarm(self, why: str, *, stop: bool) -> None:
         # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.

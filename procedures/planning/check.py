@@ -14,22 +14,26 @@ from procedures.planning.errors import (
     NotReachable,
     NotTheTemplate,
     OutsideField,
+    StopBeyondInstrument,
     UnknownTool,
     WrongMarkerCount,
     WrongOrientation,
     WrongSeries,
     raise_together,
 )
+from procedures.planning.guide_hold import held_trajectories, too_short
 from procedures.planning.layout import layout_warnings, shows_template
 from procedures.planning.plan import FiducialKind, Plan
-from procedures.planning.tissue import way_into_head
+from procedures.planning.tissue import standoff_in_skin, way_into_head
 from ronna_hw.errors import RonnaError
+from ronna_hw.tool_record import GuideBore
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
     from procedures.planning.motions import PreviewedMotion
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
+    from procedures.strategies.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
@@ -86,8 +90,9 @@ def check_plan(
     to_fiducials: bool = True,
     arm: ArmSetting | None = None,
     sight: StereoSight | None = None,
+    bore: GuideBore | None = None,
 ) -> PlanCheck:
-    """Check a plan against its CT series, and against the fiducials (n, 3) in LPS mm and the arm if given.
+    """Check a plan against its CT series, and against fiducials (n, 3) in LPS mm, arm and guide if given.
 
     Without `to_fiducials` they are counted, but the arm's motions to them are left out.
     With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
@@ -95,7 +100,7 @@ def check_plan(
 
     Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
     """
-    findings: list[RonnaError] = _unknown(plan)
+    findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
     warnings: list[str] = []
     for found, warned in (_in_this_series(plan, volume), _this_patient(plan, volume)):
         findings += found
@@ -107,7 +112,9 @@ def check_plan(
     motions: tuple[PreviewedMotion, ...] = ()
     turns: tuple[tuple[str, float], ...] = ()
     if arm is not None:
-        refused, motions, turns = _driven(plan, fiducials_mm if to_fiducials else None, arm, sight)
+        held = tuple(one.trajectory for one in plan.trajectories)
+        held = held if bore is None else held_trajectories(plan, bore)
+        refused, motions, turns = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
         findings += refused
         warnings += _too_near_from_the_start(motions)
     return PlanCheck(plan, tuple(findings), tuple(warnings), motions, turns)
@@ -127,6 +134,8 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
         return findings, []
     into_head = [way_into_head(volume, one) for one in plan.trajectories]
     findings += [finding for finding, _ in into_head if finding]
+    in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
+    findings += [finding for finding in in_skin if finding]
     return findings, [warning for _, warning in into_head if warning]
 
 
@@ -164,7 +173,10 @@ def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
 
 
 def _driven(
-    plan: Plan, fiducials_mm: ArrayLike | None, arm: ArmSetting, sight: StereoSight | None
+    trajectories: tuple[Trajectory, ...],
+    fiducials_mm: ArrayLike | None,
+    arm: ArmSetting,
+    sight: StereoSight | None,
 ) -> tuple[list[RonnaError], tuple[PreviewedMotion, ...], tuple[tuple[str, float], ...]]:
     """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
     from procedures.planning.best_choice import with_best_chosen
@@ -173,7 +185,6 @@ def _driven(
     from procedures.planning.reach import check_paths
     from procedures.planning.visits import Axes
 
-    trajectories = tuple(one.trajectory for one in plan.trajectories)
     fiducials = np.zeros((0, 3)) if fiducials_mm is None else fiducials_mm
     if sight is None:
         axes = Axes.of(arm, trajectories, fiducials)
@@ -222,6 +233,18 @@ def _unknown(plan: Plan) -> list[RonnaError]:
             )
         )
     return found
+
+
+def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
+    """The depth stop must hold on the instrument."""
+    return [
+        StopBeyondInstrument(
+            f"trajectory {one.id}: the depth stop would sit beyond the instrument's end",
+            limit=f"{plan.instrument_length_mm:g} mm",
+            got=f"{stop_mm:.1f} mm",
+        )
+        for one, stop_mm in too_short(plan, bore)
+    ]
 
 
 def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-017.
+"""What can be wrong with a plan, PLAN-001 to PLAN-019.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -125,6 +125,20 @@ class NotTheTemplate(PlanError):
 
     code = "PLAN-017"
     action = "Look whether this is the patient's template; without one, leave template_mm out of the plan."
+
+
+class StandoffInsideSkin(PlanError):
+    """The stand-off would hold the guide's lower end inside the skin."""
+
+    code = "PLAN-018"
+    action = "Give a larger standoff_mm; look at the entry in the CT as well."
+
+
+class StopBeyondInstrument(PlanError):
+    """The depth stop would sit beyond the end of the instrument."""
+
+    code = "PLAN-019"
+    action = "Plan with a longer instrument, or with a smaller standoff_mm."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

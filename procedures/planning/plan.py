@@ -25,6 +25,9 @@ MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more 
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
 ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
 
+LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # what lies inside the skin, its check refuses by name
+MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
+
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
@@ -114,6 +117,18 @@ class Plan(Strict):
         description="Centres of the template's spheres, in any frame, when they were implanted by one.",
     )
     tool: str = Field(min_length=1, max_length=64, description="What is carried to the target.")
+    standoff_mm: float = Field(
+        allow_inf_nan=False,
+        ge=LEAST_STANDOFF_MM,
+        le=MOST_STANDOFF_MM,
+        description="From the entry to the lower end of the guide, which is held outside the skin.",
+    )
+    instrument_length_mm: float = Field(
+        allow_inf_nan=False,
+        gt=0.0,
+        le=MOST_INSTRUMENT_MM,
+        description="Of the instrument, from its tip to the end on which a depth stop still holds.",
+    )
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
         description="In the order in which they are meant to be done."
     )

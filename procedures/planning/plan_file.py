@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,13 @@ from procedures.planning.errors import (
 from procedures.planning.plan import Plan
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes
+
+# What plans of earlier versions do not have, and what to write.
+ADDED = {
+    "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
+    "instrument_length_mm": "add `instrument_length_mm = 250.0`: of the instrument, from its tip to the "
+    "end on which a depth stop still holds, as its packing says",
+}
 
 
 def read_plan(path: Path) -> Plan:
@@ -43,7 +51,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
         lines = describe_mistakes(error, Plan)
         for mistake, line in zip(error.errors(include_url=False), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            found.append(kind(_named(line, mistake["loc"], content)))
+            told = _named(line, mistake["loc"], content) + _to_add(mistake)
+            found.append(kind(told))
     found += [
         DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
         for identifier, count in _ids(content).items()
@@ -66,6 +75,11 @@ def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> 
             known = f"trajectory {name}" if isinstance(name, str) and name else f"trajectory {index + 1}"
             return line.replace(f"trajectories {index + 1}", known, 1)
     return line
+
+
+def _to_add(mistake: Mapping[str, Any]) -> str:
+    key = str(mistake["loc"][-1]) if mistake["loc"] else ""
+    return f"; {ADDED[key]}" if mistake["type"] == "missing" and key in ADDED else ""
 
 
 def _ids(content: dict[str, Any]) -> Counter[str]:

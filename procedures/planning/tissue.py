@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.planning.errors import NotIntoHead
+from procedures.planning.errors import NotIntoHead, StandoffInsideSkin
 from procedures.planning.plan import PlannedTrajectory
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
 OUTSIDE_MM = (15.0, 25.0)  # before the entry: beyond the scalp of a slanting way, still near the head
 SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
+SKIN_WITHIN_MM = 40.0  # outwards from an entry that was planned on the bone
+AIR_RUN_MM = 5.0  # that is the room outside, not a fold of the skin
 
 
 def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
@@ -61,6 +63,29 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
     if in_air > 1.0 - LEAST_SHARE:
         wrong.append(f"{in_air:.0%} of the way from entry to target is in air")
     return wrong, len(before) == 0
+
+
+def standoff_in_skin(
+    volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
+) -> StandoffInsideSkin | None:
+    """The finding that a guide held so far before the entry would end inside the skin, or None.
+
+    Where the CT ends before the skin does, it is not known.
+    """
+    entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
+    outwards = (entry - target) / np.linalg.norm(entry - target)
+    steps = _steps(0.0, SKIN_WITHIN_MM)
+    in_air = sampled_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
+    run = round(AIR_RUN_MM / SAMPLING_MM)
+    outside = (k for k in range(len(in_air) - run + 1) if in_air[k : k + run].all())
+    skin_mm = max(0.0, float(steps[next(outside, 0)]) - SAMPLING_MM)
+    if standoff_mm > skin_mm:
+        return None
+    return StandoffInsideSkin(
+        f"trajectory {trajectory.id}: the guide would be held inside the skin",
+        expected=f"standoff_mm of more than {skin_mm:.0f} mm before the entry",
+        got=f"{standoff_mm:g} mm",
+    )
 
 
 def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:

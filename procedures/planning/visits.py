@@ -26,7 +26,7 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
-APPROACH_MM = 60.0  # outside the head, before the fiducial or the entry
+APPROACH_MM = 60.0  # before the fiducial, or before where the guide is held
 
 
 class VisitKind(StrEnum):
@@ -227,8 +227,7 @@ def localizations_along(
 
 
 def target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
-    """The pose at a target."""
+    """The pose at a target: the guide held outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
-    away_mm = trajectory.depth_mm + setting.approach_mm
     name = trajectory.identifier
-    return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, away_mm)
+    return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)

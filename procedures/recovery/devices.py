@@ -102,4 +102,4 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
         try:
             workcell.insertion.check_on_axis(workcell.tool_pose())
         except TipOffAxis as problem:
-            comparison.differs("instrument", f"in {workcell.insertion.trajectory}", problem)
+            comparison.differs("guide", f"on {workcell.insertion.trajectory}", problem)

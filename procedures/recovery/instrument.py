@@ -1,6 +1,6 @@
-"""An instrument of which the journal does not say that it is inside: a lost block can have taken those lines.
+"""A guide of which the journal does not say that it is held: a lost block can have taken those lines.
 
-Where the arm carries the guide, its tip is held against the axis of every trajectory that is registered.
+Where the arm carries the guide, its place is held against the axis of every trajectory that is registered.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import TipOffAxis
 
-AT_STANDOFF_MM = 1.0  # the tip at the stand-off itself is outside; the arm arrives there far more exactly
+AT_STANDOFF_MM = 1.0  # where the approach begins it is away; the arm arrives there far more exactly
 
 
-def instrument_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
-    """The trajectory on whose axis the guide's tip is, and how far it is beyond the stand-off in mm."""
+def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
+    """The trajectory on whose axis the guide is, and how far it has come along it in mm."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None

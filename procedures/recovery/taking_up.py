@@ -1,6 +1,6 @@
 """Takes a run up again: nothing moves before everything was read again, compared, and accepted.
 
-Then the instrument comes out along its axis, if it is inside, and the arm goes home the way it came; there
+Then an instrument is taken out by hand, the guide comes back along its axis, and the arm goes home; there
 the tracker has its sight, and what it could not see before is compared. Then every step that does not stand
 is run, planned anew from where the arm is.
 """
@@ -19,7 +19,7 @@ from procedures.engine.step import StepKey
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
-from procedures.recovery.instrument import instrument_on_an_axis
+from procedures.recovery.instrument import guide_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
@@ -87,12 +87,12 @@ def _take_up_arm(
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
-    if arm.insertion is None and (found := instrument_on_an_axis(engine)) is not None:
+    if arm.insertion is None and (found := guide_on_an_axis(engine)) is not None:
         insertion, beyond_mm = found
-        workcell.take_up(replace(arm, insertion=insertion, withdrawn_from=None), set_up.home_rad)
-        comparison.note(
-            f"the tip is {beyond_mm:.0f} mm along {insertion.trajectory}: the instrument counts as inside"
-        )
+        name = insertion.trajectory  # the lost lines can also have said that an instrument goes in
+        arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
+        workcell.take_up(arm, set_up.home_rad)
+        comparison.note(f"the guide is {beyond_mm:.0f} mm along {name}: an instrument counts as inside")
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
@@ -130,7 +130,9 @@ def _first(engine: Engine) -> tuple[str, ...]:
     workcell = engine.setting.workcell
     first = []
     if (trajectory := engine.instrument_in) is not None:
-        first.append(f"first the instrument comes out of {trajectory} along its axis")
+        first.append(f"first the instrument is taken out of {trajectory} by hand")
+    if (on := workcell.insertion) is not None:
+        first.append(f"the guide comes back from {on.trajectory} along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
@@ -149,9 +151,9 @@ def _surround(engine: Engine) -> None:
         surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
         return
     if workcell.tool is MountedTool.GUIDE:
-        inside = engine.instrument_in
+        on = None if workcell.insertion is None else workcell.insertion.trajectory
         for key in keys:
-            wanted = key.name == PositionedGuide.kind and inside in (None, key.trajectory)
+            wanted = key.name == PositionedGuide.kind and on in (None, key.trajectory)
             if wanted and case.find(RegisteredRobot, key.trajectory):
                 context = engine.context(key)
                 surround_guide(context, context.result(RegisteredRobot).robot_from_ct.transform)
@@ -164,17 +166,18 @@ def _surround(engine: Engine) -> None:
 
 
 def _way_out(engine: Engine) -> bool:
-    """Bring the instrument out and the arm home; whether anything moved."""
+    """Have the instrument out, the guide back and the arm home; whether anything moved."""
     workcell = engine.setting.workcell
+    engine.have_instrument_out()
     following = engine.upcoming
     if (
-        engine.instrument_in is not None
+        workcell.insertion is not None
         and following is not None
         and engine.order.spec(following).moves
         and not engine.why_refused(following)
     ):
         engine.run_step(following)  # the work at the target is done: what remains is the retreat itself
-    if engine.instrument_in is None and workcell.at_home:
+    if workcell.insertion is None and workcell.at_home:
         return False
     engine.retreat_home()
     return True

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from procedures.engine.journal import Entry, JournalValue, Line, theatre_time_s
 
 # Lines that the timeline, the questions or the list of records show.
-PLAIN = (Entry.OPENED, Entry.INTENT, Entry.MOTION, Entry.MOVED, Entry.CONFIRMATION, Entry.CLOSED)
+PLAIN = (Entry.OPENED, Entry.INTENT, Entry.MOTION, Entry.MOVED, Entry.CONFIRMATION, Entry.WORK, Entry.CLOSED)
 FRAME = ("sequence", "previous", "entry", "host_time", "theatre_time_s", "step")  # of every line
 
 

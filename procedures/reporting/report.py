@@ -20,6 +20,7 @@ from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, k
 from procedures.reporting.happenings import happenings, questions
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
+from procedures.reporting.minutes import times_taken
 from procedures.reporting.outcome import RunError, Truth
 from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
 from procedures.reporting.run_reading import RunReading, read_for_report
@@ -31,6 +32,7 @@ from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -41,6 +43,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
 from ronna_hw.evidence.inspection import PICTURES_FOLDER, hashes_in
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import without_controls
@@ -92,9 +95,12 @@ def write_report(
         "registrations": reading.standing(RegisteredRobot),
         "set_up": reading.find(CheckedSetUp),
         "tools": reading.standing(MountedGuide),
+        "tool_checks": reading.standing(CheckedTool),
+        "worked": reading.standing(ReachedTarget),
         "links": (links := _links(reading)),
         "sessions": sessions(reading.log),
         "questions": questions(reading.run.journal),
+        "times": times_taken(reading.run.journal),
         "happenings": happenings(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),
         "lines": len(reading.run.journal),

@@ -11,13 +11,15 @@ from enum import StrEnum
 
 from procedures.engine.checkpoint import GO_ON as CONTINUE
 from procedures.engine.checkpoint import LEAVE, WAIT
-from procedures.engine.errors import GateFailed, GuardUnmet, OperatorAborted
+from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed, OperatorAborted
+from procedures.engine.hands import INSIDE, IS_OUT
 from procedures.engine.operator import NO, YES, Question, Topic
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.planning.alternatives import BY_ACCURACY
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
+from procedures.steps.clinical.errors import DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 
@@ -30,6 +32,7 @@ def use(strategy: str) -> str:
 
 
 FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
+SETTINGS = 3  # of a depth stop, before the case is held
 MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
@@ -236,6 +239,45 @@ WRONG_TOOL = Branch(
     Topic.TOOL_CHANGE,
     (YES, NO),
 )
+TOOL_BESIDE_GAUGE = Branch(
+    "the mounted guide is not as it was when its tip was calibrated: bent, badly seated, another mandrel, or "
+    "the arm sags under another load than it was told",
+    "dials of a gauge on the table, 0.05 mm and 0.1 deg beside the tool's record",
+    ("tool_check",),
+    "it is mounted again and checked again; nothing moves towards the patient",
+    Ending.HOLD,
+    (ToolBesideGauge,),
+)
+WRONG_STOP = Branch(
+    "the depth stop of the instrument is set wrong",
+    "what is read off its scale against what was computed, 0.2 mm",
+    ("at_target",),
+    f"it is set again and read again, {SETTINGS} times at most; no instrument goes in",
+    Ending.ASK,
+    (DepthStopWrong,),
+    Topic.DEPTH_STOP,
+    (YES, NO),
+)
+GUIDE_PUSHED = Branch(
+    "somebody pushes or pulls the guide, or the arm",
+    "the frame on the mount, which the tracker sees, and the joints, against how the guide was held; 0.2 mm",
+    ("at_target",),
+    "it is told at once; the case is suspended until both are let go, or the operator leaves the step",
+    Ending.ASK,
+    (GuardUnmet,),
+    Topic.GUARD,
+    (WAIT, LEAVE),
+)
+INSTRUMENT_INSIDE = Branch(
+    "the arm is to move while an instrument is in the guide, or may be: also after a restart",
+    "the journal, which says that it goes in before it does",
+    ("at_target", "retreat"),
+    "nothing moves before the operator has said that it is out",
+    Ending.ASK,
+    (NotConfirmed,),
+    Topic.INSTRUMENT_OUT,
+    (IS_OUT, INSIDE),
+)
 ABORTED = Branch(
     "the operator ends the case",
     "any checkpoint, any question of a rest",
@@ -266,5 +308,5 @@ BRANCHES = (
         NOT_CLEAR_NOW,
         ARM_FAULT,
     ),
-    *(KEPT_REGISTRATION, WRONG_TOOL, ABORTED),
+    *(KEPT_REGISTRATION, WRONG_TOOL, TOOL_BESIDE_GAUGE, WRONG_STOP, GUIDE_PUSHED, INSTRUMENT_INSIDE, ABORTED),
 )

@@ -18,6 +18,7 @@ from procedures.steps.clinical import (
     set_up,
     target_measurement,
     tool_change,
+    tool_check,
 )
 
 CLINICAL_STEPS: Steps = (
@@ -31,6 +32,7 @@ CLINICAL_STEPS: Steps = (
     relocalization.STEP,
     registration.STEP,
     tool_change.STEP,
+    tool_check.STEP,
     positioning.STEP,
     at_target.STEP,
     retreat.STEP,

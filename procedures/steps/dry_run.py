@@ -11,6 +11,7 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
 
 MOVE, LINE = "move", "line"
 
@@ -20,6 +21,8 @@ def would_move(case: Case, key: StepKey) -> tuple[str, ...] | None:
     paths = case.find(CheckedPaths, None)
     if paths is None:
         return None
+    if key.name == CheckedTool.kind:
+        return ("move home to the gauge and back; checked for clearance right before",)
     lines = [_described(one) for one in paths.result.motions if _belongs(one, key)]
     if key.name == Retreated.kind:
         lines = [*(f"back: {line}" for line in lines if LINE in line), *(one for one in lines if MOVE in one)]

@@ -1,4 +1,4 @@
-"""The tool at a target: tip on the target, z along the trajectory, x by the free angle."""
+"""The tool at a target: its origin where it comes to rest, z along the trajectory, x by the free angle."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ronna_hw.frames import Frame, Transform
 
 def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
     """The pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
-    return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.target_mm))
+    return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.rest_mm))
 
 
 def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
@@ -25,7 +25,7 @@ def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_c
     require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
     require_frames(planned, Frame.ROBOT, Frame.TOOL)
     orientation = turned_onto(planned.rigid.rotation, _axis(trajectory, robot_from_ct))
-    return tool_pose(orientation, robot_from_ct.apply(trajectory.target_mm))
+    return tool_pose(orientation, robot_from_ct.apply(trajectory.rest_mm))
 
 
 def poses_along(

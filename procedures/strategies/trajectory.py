@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,20 +20,33 @@ SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
 class Trajectory:
     """Entry and target in CT coordinates (LPS, mm) and the free angle about the axis (rad).
 
-    Raises STR-003 when entry and target are one point or a number is not finite.
+    `beyond_mm` is how far beyond the target, along the axis, the origin of the tool comes to rest: a guide is
+    held outside the head, and its tip frame is where its mandrel would end. Raises STR-003 when entry and
+    target are one point or a number is not finite.
     """
 
     identifier: str
     entry_mm: Point
     target_mm: Point
     free_angle_rad: float = 0.0
+    beyond_mm: float = 0.0
 
     def __post_init__(self) -> None:
         """Check that the trajectory has a direction."""
-        if not all(math.isfinite(value) for value in (*self.entry_mm, *self.target_mm, self.free_angle_rad)):
+        numbers = (*self.entry_mm, *self.target_mm, self.free_angle_rad, self.beyond_mm)
+        if not all(map(math.isfinite, numbers)):
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
         if self.depth_mm < SHORTEST_MM:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} are one point")
+
+    def held(self, beyond_mm: float) -> Trajectory:
+        """The same with the tool at rest so far beyond the target."""
+        return replace(self, beyond_mm=beyond_mm)
+
+    @property
+    def rest_mm(self) -> Array:
+        """Where the origin of the tool comes to rest (3,), CT coordinates."""
+        return np.asarray(np.add(self.target_mm, self.beyond_mm * self.axis_ct))
 
     @property
     def depth_mm(self) -> float:

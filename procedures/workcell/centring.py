@@ -67,7 +67,7 @@ class Centring:
         try:
             return self._onto(fiducial, expected, near)
         finally:
-            self.workcell.expose(1.0)
+            self.workcell.sensors.expose(1.0)
 
     def back_off(self) -> None:
         """Back along the tool axis from where the arm looked last."""
@@ -91,7 +91,7 @@ class Centring:
             self._settle(servo.next_pose(pose))
             seen, looks = workcell.look(), looks + 1
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
-                workcell.read_whole_sensors()
+                workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
         workcell.line_to(self._standoff(pose))
         rotation = pose.rotation_matrix
@@ -110,14 +110,14 @@ class Centring:
     def _first_look(self, expected: Transform) -> tuple[Look, int]:
         """Look in the servo's area, on the whole sensors, around in a spiral, then in other light."""
         workcell = self.workcell
-        workcell.read_around_tool(self.area_px)
+        workcell.sensors.read_around_tool(self.area_px)
         try:
             seen, looks = workcell.look(), 1
         except Saturated as error:  # a search would not help
             return self._in_other_light(1, (SHORTER,), error)
         if seen.point is not None:
             return seen, looks
-        workcell.read_whole_sensors()
+        workcell.sensors.read_whole()
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
         telling, pose = seen, expected
@@ -142,7 +142,7 @@ class Centring:
         """Look again with other exposures; raises the refusal when none shows the sphere."""
         workcell = self.workcell
         for share in exposures:
-            workcell.expose(share)
+            workcell.sensors.expose(share)
             try:
                 seen, looks = workcell.look(), looks + 1
             except Saturated:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ronna_hw.errors import LimitError, RefusedError
+from ronna_hw.errors import ConfigurationError, LimitError, RefusedError
 
 
 class WrongTool(LimitError):
@@ -14,18 +14,39 @@ class WrongTool(LimitError):
 
 
 class InstrumentInside(RefusedError):
-    """An instrument is beyond the entry: only motion along its own axis is possible."""
+    """The guide is held before an entry: only motion along its own axis is possible."""
 
     code = "PRO-014"
     action = "First retreat along the named trajectory."
 
 
 class TipOffAxis(LimitError):
-    """The tip is not on the axis along which it has to be withdrawn."""
+    """The guide is not on the axis along which it has to be withdrawn."""
 
     code = "PRO-015"
-    action = "Do not move the arm. Free the instrument by hand, then find out what moved."
+    action = "Do not move the arm. Free the guide by hand, then find out what moved."
     exit_code = RefusedError.exit_code
+
+
+class InstrumentInGuide(RefusedError):
+    """An instrument is in the guide, beyond the entry: nothing moves at all."""
+
+    code = "TOOL-001"
+    action = "Take the instrument out of the guide, and confirm that it is out."
+
+
+class NoToolRecord(ConfigurationError):
+    """The theatre file has no record of a tool that the case needs, or one that does not fit the others."""
+
+    code = "TOOL-002"
+    action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
+
+
+class ForeignTool(RefusedError):
+    """A tool record was made on another flange, or with another tip than the calibration that is in use."""
+
+    code = "TOOL-003"
+    action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
 
 
 class SphereNotFound(RefusedError):

@@ -1,4 +1,4 @@
-"""How a run left its arm, as its journal tells it: the way it came, and the instrument that is inside."""
+"""How a run left its arm, as its journal tells it: the way it came, the guide on its axis, the instrument."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from ronna_hw.evidence.errors import JournalCorrupt
 class LeftArm:
     """`trail` is where the arm was since it left home, `motions` how many it made.
 
-    An instrument counts as inside from the intent to insert it to the end of its withdrawal.
+    A guide counts as on its axis from the intent to approach along it to the end of its withdrawal, an
+    instrument as inside from before it goes in until it was confirmed to be out.
     """
 
     trail: tuple[JointVector, ...] = ()
     insertion: Insertion | None = None
     withdrawn_from: str | None = None
     motions: int = 0
+    instrument_in: str | None = None
 
 
 def left_arm(lines: Iterable[Line]) -> LeftArm:
@@ -32,11 +34,14 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
     withdrawn_from: str | None = None
     motion: Line = {}
     motions = 0
+    instrument_in: str | None = None
     for line in lines:
         if line["entry"] == Entry.MOTION:
             motion, motions = line, motions + 1
             if line.get("what") == "insert":
                 insertion, withdrawn_from = _insertion(line), None
+        elif line["entry"] == Entry.INSTRUMENT:
+            instrument_in = str(line.get("trajectory")) if line.get("inside") else None
         elif line["entry"] == Entry.MOVED and "joints_rad" in line:
             what = motion.get("what")
             if what == "withdraw" and insertion is not None:
@@ -46,11 +51,11 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
                 trail.clear()
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
-    return LeftArm(tuple(trail), insertion, withdrawn_from, motions)
+    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in)
 
 
 def _insertion(line: Line) -> Insertion:
     try:
         return Insertion.from_plain(str(line["trajectory"]), line["axis"])
     except (KeyError, TypeError, ValueError) as error:
-        raise JournalCorrupt(f"line {line.get('sequence')} does not say where the instrument went") from error
+        raise JournalCorrupt(f"line {line.get('sequence')} does not say where the guide went") from error

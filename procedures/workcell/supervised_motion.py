@@ -24,7 +24,7 @@ IN_WORDS = {
     "step": "straight to the next place",
     "settle": "to the next place, each joint from its own side",
     "line": "in a straight line",
-    "insert": "along the axis onto the target",
+    "insert": "along the axis to where the guide is held",
     "withdraw": "out along the axis",
 }
 

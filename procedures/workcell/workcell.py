@@ -1,7 +1,8 @@
 """Arm, mounted tool, surroundings, stereo head and tracker as one: how procedures look and move.
 
-It exists only with an open journal, and every motion is an intent and a result in it. While an instrument is
-beyond the entry, nothing but motion along its own axis is possible, whatever asks for it.
+It exists only with an open journal, and every motion is an intent and a result in it. While the guide is held
+before an entry, nothing but motion along its own axis is possible, whatever asks for it; while an instrument
+is in it, nothing moves at all.
 """
 
 from __future__ import annotations
@@ -19,13 +20,16 @@ from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, calibrated_arm
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
+from procedures.workcell.instrument import Instrument
 from procedures.workcell.left_arm import LeftArm
 from procedures.workcell.motion_facts import MotionFacts, motion_facts
 from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
+from procedures.workcell.sensors import Sensors
 from procedures.workcell.starting import start
-from procedures.workcell.stereo_look import Look, area_around_tool, look, whole_sensor
+from procedures.workcell.stereo_look import Look, look
 from procedures.workcell.supervised_motion import SupervisedMotion
+from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.config import Calibrations
@@ -42,7 +46,7 @@ MASTER = "master"  # the arm that carries stereo head and guide
 APPROACH_RAD = math.radians(0.2)
 TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
 AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
-AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way into the head
+AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 
 
 class Workcell:
@@ -65,11 +69,13 @@ class Workcell:
         self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
         self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
+        self.tools = ToolRecords.of(theatre.file)
+        self.instrument = Instrument(journal, theatre.clock)
         self._insertion: Insertion | None = None
         self._withdrawn_from: str | None = None
         self._home_rad: JointVector | None = None
-        self._exposure_share = 1.0  # of the configured one
         self.surroundings: Surroundings | None = None  # as the arm was last told
+        self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
 
     @property
     def arm(self) -> ArmView:
@@ -186,18 +192,19 @@ class Workcell:
         self._home_rad = home_rad
         self._trail = deque(left.trail, maxlen=TRAIL)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
+        self.instrument.take_up(left.instrument_in)
         self._motion.count_from(left.motions)
 
     # Moving
 
     @property
     def insertion(self) -> Insertion | None:
-        """The instrument that is beyond the entry, or on its way there."""
+        """The axis on which the guide is held, or on its way there."""
         return self._insertion
 
     @property
     def withdrawn_from(self) -> str | None:
-        """The trajectory out of which the instrument came last, if it is outside."""
+        """The trajectory from which the guide came last, if it is on none."""
         return self._withdrawn_from
 
     def surround(self, surroundings: Surroundings) -> None:
@@ -271,25 +278,31 @@ class Workcell:
         return self._move("line", pose, lambda: self._arm.move_linear(flange))
 
     def insert(self, insertion: Insertion) -> ArmReading:
-        """From the stand-off of a trajectory along its axis onto the target.
+        """From where the approach of a trajectory begins along its axis to where the guide is held.
 
-        Raises PRO-009 unless the guide is mounted, PRO-015 unless its tip is on the axis.
+        Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
         self._require_outside("insert")
         self.check_mounted(MountedTool.GUIDE)
         insertion.check_on_axis(self.tool_pose())
         self._insertion, self._withdrawn_from = insertion, None
-        return self._along_axis("insert", insertion.target, insertion, AXIAL_SPEED_FRACTION)
+        return self._along_axis("insert", insertion.held, insertion, AXIAL_SPEED_FRACTION)
+
+    def hold(self) -> None:
+        """Stand still, with the standstill watched by the link: out of it leads only the next motion."""
+        if self._arm.state is Lifecycle.ACTIVE:
+            self._arm.stop()
 
     def withdraw(self, trajectory: str) -> ArmReading:
-        """Back along the axis to outside the entry.
+        """Back along the axis to where the approach began.
 
-        Raises PRO-014 when the instrument is not in that trajectory, PRO-015 when its tip is not on the axis.
+        Raises PRO-014 when the guide is not on that trajectory, PRO-015 when it is beside its axis, TOOL-001
+        while an instrument is in it.
         """
         insertion = self._insertion
         if insertion is None or insertion.trajectory != trajectory:
-            inside = "no trajectory" if insertion is None else insertion.trajectory
-            raise InstrumentInside(f"the instrument is not in {trajectory}", expected=trajectory, got=inside)
+            on = "no trajectory" if insertion is None else insertion.trajectory
+            raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         insertion.check_on_axis(self.tool_pose())
         reached = self._along_axis("withdraw", insertion.standoff, insertion, 1.0)
         self._insertion, self._withdrawn_from = None, trajectory
@@ -301,7 +314,7 @@ class Workcell:
         device.recover(by)
         if device is self._arm:
             self._motion.begin_anew()
-            if self._insertion is None:  # an instrument that is inside is the guide
+            if self._insertion is None:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
     # Looking
@@ -309,23 +322,6 @@ class Workcell:
     def look(self) -> Look:
         """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
         return look(self.stereo, self.calibrations.stereo_head)
-
-    def read_around_tool(self, size_px: tuple[int, int]) -> None:
-        """Read the part of each sensor, columns and rows, where the tool centre appears: faster than all."""
-        head = self.calibrations.stereo_head
-        left, right = (area_around_tool(side, size_px) for side in (head.left, head.right))
-        self.stereo.set_areas(left, right)
-
-    def expose(self, share: float) -> None:
-        """Expose both sensors by that share of the configured time."""
-        if share != self._exposure_share:
-            self.stereo.scale_exposure(share)
-            self._exposure_share = share
-
-    def read_whole_sensors(self) -> None:
-        """Read all of both sensors."""
-        head = self.calibrations.stereo_head
-        self.stereo.set_areas(whole_sensor(head.left), whole_sensor(head.right))
 
     # Ending
 
@@ -359,6 +355,8 @@ class Workcell:
     def _along_axis(
         self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float
     ) -> ArmReading:
+        self.instrument.require_out(what)
+
         def move() -> ArmReading:
             insertion.check_on_axis(self.tool_pose())
             return self._arm.move_linear(
@@ -393,8 +391,9 @@ class Workcell:
             self._arm.resume()
 
     def _require_outside(self, what: str) -> None:
+        self.instrument.require_out(what)
         if self._insertion is not None:
             raise InstrumentInside(
-                f"{what}: the instrument is beyond the entry of {self._insertion.trajectory}",
+                f"{what}: the guide is held before the entry of {self._insertion.trajectory}",
                 expected=f"a retreat along {self._insertion.trajectory}",
             )

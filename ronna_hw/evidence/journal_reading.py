@@ -34,6 +34,8 @@ class Entry(StrEnum):
     MISREAD = "misread"  # what was to be read back was not; the question stands
     MOTION = "motion"  # the intent of one motion
     MOVED = "moved"  # what came of it
+    INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
+    WORK = "work"  # what hands did, and what they read off
     FAILED = "failed"
     INTERRUPTED = "interrupted"
     VOIDED = "voided"  # results that no longer hold: something has moved

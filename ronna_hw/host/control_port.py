@@ -2,8 +2,8 @@
 
 JSON lines over TCP, one answer per line. The first shows the token that the READY line tells with the
 endpoint, `{"token": "..."}`; then requests follow: `{"do": "step", "name": "at_target:T1"}`,
-`{"do": "mount", "number": 2}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. No driver and
-no step knows of it.
+`{"do": "mount", "number": 2}`, `{"do": "work", "task": "insert", ...}`,
+`{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. No driver and no step knows of it.
 """
 
 from __future__ import annotations

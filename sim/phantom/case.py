@@ -17,12 +17,14 @@ from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scanner.planes import Planes
 from sim.theatre.scene.model import Scene
+from sim.theatre.scene.plan_feasibility import STANDOFF_MM
 
 SERIES_FOLDER = "ct"
 PLAN_FILE = "plan.toml"
 TRUTH_FILE = "truth.json"
 PLAN_SCHEMA = 1
 TOOL = "guide"
+INSTRUMENT_LENGTH_MM = 250.0  # a biopsy needle
 WORKERS = 2  # NumPy works outside the interpreter lock; more only compete for memory
 
 Progress = Callable[[float], None]
@@ -81,6 +83,8 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
         "fiducials": FREE if scan.fiducials == FREE else XFRAME,
         **({"template_mm": [list(one) for one in template]} if (template := scene.head.template_mm) else {}),
         "tool": TOOL,
+        "standoff_mm": STANDOFF_MM,
+        "instrument_length_mm": INSTRUMENT_LENGTH_MM,
         "trajectories": [
             {
                 "id": target.identifier,

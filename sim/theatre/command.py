@@ -183,6 +183,24 @@ def dials(
     typer.echo(f"{x:.2f} {y:.2f} {z:.2f}")
 
 
+def work(
+    task: Annotated[str, typer.Argument(help="What hands do, such as depth_stop, insert, out or gauge.")],
+    numbers: Annotated[
+        list[float] | None, typer.Argument(help="What they need for it, as the question says.")
+    ] = None,
+    trajectory: Annotated[str, typer.Option(help="Of the plan, where it is done for one.")] = "",
+    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")] = "",
+) -> None:
+    """Work with guide and instrument in a running theatre, as the staff would; prints what is read off."""
+    from ronna_hw.host.control_port import ask_control_port
+
+    if not control:
+        raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")
+    answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
+    for reading in answer.get("readings", ()):
+        typer.echo(f"{reading:g}")
+
+
 def fault(
     line: Annotated[
         str | None,

@@ -1,8 +1,9 @@
 """What can be asked for at the control port, the only access of the scripted operator to the simulated room.
 
 `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`,
-`{"do": "dials"}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. Naming the step
-`at_target:<id>` samples the truth at that target.
+`{"do": "dials"}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and
+`{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`. An
+instrument that is inserted samples the truth at that target.
 """
 
 from __future__ import annotations
@@ -14,13 +15,12 @@ from typing import Any
 
 from ronna_hw.errors import RonnaError
 from sim.theatre.faults import DEVICES, begin_now, check_faults, parse_faults, parse_request
+from sim.theatre.hands import Hands
 from sim.theatre.left_world import write_left_world
 from sim.theatre.on_stand import OnStand
 from sim.theatre.stand import read_dials
-from sim.theatre.truth import append_sample, sample_tip
 from sim.theatre.world import World
 
-AT_TARGET = "at_target:"
 LONGEST_REASON = 500  # characters: it may quote the request
 
 
@@ -46,12 +46,14 @@ class Room:
         self._folder = folder
         self._devices = devices
         self._loaded = loaded
+        self._hands = Hands(world, folder)
         self._one_at_a_time = threading.Lock()  # several connections may ask
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """Carry out one request; an unknown or wrong one is answered with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
             "step": self._step,
+            "work": self._work,
             "mount": self._mount,
             "stand": self._stand,
             "dials": self._dials,
@@ -77,10 +79,12 @@ class Room:
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
 
     def _step(self, request: dict[str, Any]) -> None:
-        name = str(request["name"])
-        self._world.enter_step(name)
-        if name.startswith(AT_TARGET) and self._folder is not None:
-            append_sample(sample_tip(self._world, name.removeprefix(AT_TARGET)), self._folder)
+        self._world.enter_step(str(request["name"]))
+
+    def _work(self, request: dict[str, Any]) -> dict[str, Any]:
+        numbers = [float(number) for number in request.get("numbers", ())]
+        readings = self._hands.work(str(request["task"]), str(request.get("trajectory", "")), numbers)
+        return {"readings": list(readings)}
 
     def _mount(self, request: dict[str, Any]) -> None:
         number = int(request["number"])

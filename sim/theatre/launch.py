@@ -18,6 +18,7 @@ from sim.theatre.control_port import ControlPort
 from sim.theatre.left_world import LeftWorld, write_left_world
 from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file
+from sim.theatre.tool_records import refer_to_tip
 from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
@@ -77,6 +78,7 @@ class Theatre:
                 calibrated_at(self.file) if left is not None else None,
             )
             content["calibration"] |= records
+            refer_to_tip(content)
             write_theatre_file(content, self.file)
         except BaseException:  # also an interruption: no device process is left behind
             self.close()

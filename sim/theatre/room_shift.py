@@ -1,11 +1,11 @@
-"""How far what stands in the room is moved now, by the faults of device `room`."""
+"""How far what stands in the room is moved now, and the arm pushed, by the faults of device `room`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.room import CART, DEVICE, HEAD, SHIFT, TRACKER
+from sim.theatre.faults.room import CART, DEVICE, HEAD, PUSH, SHIFT, TRACKER
 from sim.theatre.world import World
 
 Vector = tuple[float, float, float]
@@ -18,6 +18,7 @@ class RoomShift:
 
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
+    guide_mm: Vector = STILL  # by which a hand displaces what hangs on the arm
 
 
 NOTHING_MOVED = RoomShift()
@@ -28,6 +29,7 @@ class ShiftedRoom:
 
     def __init__(self, world: World) -> None:
         self._board = FaultBoard(world, DEVICE)
+        self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
 
     def now(self) -> RoomShift:
         """What is moved at this moment."""
@@ -35,7 +37,10 @@ class ShiftedRoom:
             return NOTHING_MOVED
         faults = self._board.active(SHIFT.name)
         cart = _sum(faults, CART)
-        return RoomShift(_apart(_sum(faults, HEAD), cart), _apart(_sum(faults, TRACKER), cart))
+        pushes = self._board.active(PUSH.name)
+        x_N, y_N, z_N = (sum(float(one.arguments[axis]) for one in pushes) for axis in range(3))
+        give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
+        return RoomShift(_apart(_sum(faults, HEAD), cart), _apart(_sum(faults, TRACKER), cart), give)
 
 
 def _sum(faults: tuple[Fault, ...], what: str) -> Vector:

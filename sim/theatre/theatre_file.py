@@ -24,6 +24,7 @@ from sim.theatre.noise import noise
 from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.theatre.scene.model import CalibrationError, CameraTruth, Scene
 from sim.theatre.scene.stereo_head import TOOL_ERROR_MM, WORKING_DISTANCE_MM
+from sim.theatre.tool_records import refer_to_tip, tool_records
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
@@ -35,6 +36,7 @@ DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
 DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be believed
 BANNER = "SIMULATED THEATRE"
+FLANGE = "changer of the simulated arm"
 
 
 def theatre_content(
@@ -51,7 +53,8 @@ def theatre_content(
     `cycle_ms` where the robot runs at another cycle than its context's; `calibrated` where the records were
     not made now.
     """
-    return {
+    made = calibrated or datetime.now(UTC).replace(microsecond=0)
+    content: dict[str, Any] = {
         "schema": 1,
         "theatre": f"{scene.name} scene, seed {scene.seed}",
         "banner": BANNER,
@@ -80,7 +83,9 @@ def theatre_content(
                 "right_serial": scene.right.serial,
             },
         },
-        "calibration": _calibrations(scene, calibrated or datetime.now(UTC).replace(microsecond=0)),
+        "calibration": _calibrations(scene, made),
+        "flange": FLANGE,
+        "tools": tool_records(scene, lambda name: _dated(scene, name, made), FLANGE),
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
@@ -89,6 +94,8 @@ def theatre_content(
             "seating_error_mm": scene.head.seating_error_mm,
         },
     }
+    refer_to_tip(content)
+    return content
 
 
 def _tool(name: str, rom: Path) -> dict[str, str]:
@@ -133,10 +140,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
 
     def record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
         return {
-            "identifier": f"{name}-{scene.name}-{scene.seed}",
-            "created": created,
-            "expires": created + RECORD_LIFE,
-            "made_by": MADE_BY,
+            **_dated(scene, name, created),
             "stated_error_mm": stated_error_mm,
             **more,
         }
@@ -174,6 +178,15 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             tool_from_marker=_pose(pose_of(marker)),
         ),
         **_arm(scene, record),
+    }
+
+
+def _dated(scene: Scene, name: str, created: datetime) -> dict[str, Any]:
+    return {
+        "identifier": f"{name}-{scene.name}-{scene.seed}",
+        "created": created,
+        "expires": created + RECORD_LIFE,
+        "made_by": MADE_BY,
     }
 
 

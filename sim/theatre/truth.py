@@ -1,4 +1,4 @@
-"""Ground truth of the guide's tip, for the verifier only."""
+"""Ground truth of the instrument's tip, for the verifier only."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import describe_mistakes
 from sim.errors import BadTruth
-from sim.theatre.rigid import matrix_of
 from sim.theatre.room_shift import STILL, ShiftedRoom
+from sim.theatre.true_guide import TrueGuide
 from sim.theatre.world import World
 
 TRUTH_FILE = "truth.jsonl"
@@ -22,29 +22,29 @@ MOST_MISTAKES = 5  # that an error lists
 
 
 class TipSample(Strict):
-    """Where the tip of the guide really was at one moment, robot frame."""
+    """Where the tip of the instrument really was at one moment, robot frame."""
 
     target: str
     theatre_time_s: float
     mounted_tool: int
     arm_at_rest: bool
     tip_mm: Numbers3
-    axis: Numbers3  # direction of the guide, unit vector
+    axis: Numbers3  # direction of the guide's bore, unit vector
     head_shift_mm: Numbers3 = STILL  # by which the head lay beside its place in the scene, robot frame
 
 
-def sample_tip(world: World, target: str) -> TipSample:
-    """Take the true tip pose at a target of the plan, whatever its name."""
-    arm = world.arm()
-    tip = arm.robot_from_flange @ matrix_of(world.scene.mount.flange_from_tool_true)
-    tip = tip @ matrix_of(world.scene.mount.tool_from_tip_true)
+def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
+    """Take the true tip of an instrument that is in up to its stop, at a target of the plan by any name.
+
+    `draw` tells one insertion there from another: where in the play of the bore it lies.
+    """
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
         mounted_tool=world.mounted_tool(),
-        arm_at_rest=arm.at_rest,
-        tip_mm=_three(tip[:3, 3]),
-        axis=_three(tip[:3, 2]),
+        arm_at_rest=world.arm().at_rest,
+        tip_mm=_three(guide.instrument_tip_mm(stop_mm, target, draw)),
+        axis=_three(guide.tip_frame()[:3, 2]),
         head_shift_mm=ShiftedRoom(world).now().head_mm,
     )
 

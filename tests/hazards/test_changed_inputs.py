@@ -16,6 +16,7 @@ from clinical_case import (
     ClinicalCell,
     checked_paths,
     checked_plan,
+    checked_tool,
     coarse,
     given,
     localized_fiducials,
@@ -70,7 +71,7 @@ def engine(tmp_path: Path) -> Engine:
         made_from(ImportedCt, localized_fiducials()),
         made_from(LocalizedFiducials, checked_plan()),
         made_from(CheckedPlan, registered_robot()),
-        *(mounted_guide(), checked_paths(cell), *coarse(), positioning.STEP),
+        *(mounted_guide(), checked_tool(), checked_paths(cell), *coarse(), positioning.STEP),
     )
     assert engine.setting.clinical is not None
     engine.checkpoint.guards.append(UnchangedInputs(engine, engine.setting.clinical))

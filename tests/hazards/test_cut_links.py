@@ -28,6 +28,7 @@ from procedures.steps.clinical import (
     relocalization,
     retreat,
     tool_change,
+    tool_check,
 )
 from procedures.workcell import MountedTool
 from ronna_hw.devices.last_known import LastKnown
@@ -35,7 +36,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import EXIT_LINK_LOST, LinkTimeout
 
 WORKING = (
-    relocalization.STEP, registration.STEP, tool_change.STEP,
+    relocalization.STEP, registration.STEP, tool_change.STEP, tool_check.STEP,
     positioning.STEP, at_target.STEP, retreat.STEP,
 )  # fmt: skip
 USES = (

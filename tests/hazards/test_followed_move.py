@@ -15,6 +15,7 @@ from clinical_case import (
     ClinicalCell,
     checked_paths,
     checked_plan,
+    checked_tool,
     coarse,
     localized_fiducials,
     mounted_guide,
@@ -52,8 +53,8 @@ def under_the_guide(cell: ClinicalCell) -> Engine:
     """Everything is registered, and the guide hangs on the arm at home."""
     cell.carrying(MountedTool.STEREO_HEAD)
     before = (*coarse(), checked_plan(), localized_fiducials(), relocalization(), checked_paths(cell))
-    engine = cell.begin(*before, registration.STEP, mounted_guide(), positioning.STEP)
-    engine.run_to(engine.order.find("tool_change"))
+    engine = cell.begin(*before, registration.STEP, mounted_guide(), checked_tool(), positioning.STEP)
+    engine.run_to(engine.order.find("tool_check"))
     cell.carrying(MountedTool.GUIDE)
     return engine
 

@@ -13,6 +13,7 @@ from clinical_case import (
     ClinicalCell,
     checked_paths,
     checked_plan,
+    checked_tool,
     coarse,
     localized_fiducials,
     mounted_guide,
@@ -218,7 +219,7 @@ def shift(cell: ClinicalCell, by_mm: float) -> None:
 
 def before_the_approach(cell: ClinicalCell) -> Engine:
     cell.carrying(MountedTool.GUIDE)
-    given = (*before(cell), registered_robot(), mounted_guide())
+    given = (*before(cell), registered_robot(), mounted_guide(), checked_tool())
     engine = cell.begin(*given, positioning.STEP)
     engine.run_to(engine.order.sequence[len(given) - 1])
     return engine

@@ -36,6 +36,7 @@ from procedures.steps.clinical import (
     relocalization,
     retreat,
     tool_change,
+    tool_check,
 )
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies
@@ -62,8 +63,8 @@ POST_FROM_SPHERES_MM = np.array([-130.0, 15.0, 0.0])
 POST_MM = 120.0
 FEWEST_REFUSED = 3  # short cuts, or this test would not notice a check that is gone
 STEPS = (
-    path_check.STEP, relocalization.STEP, registration.STEP, tool_change.STEP, positioning.STEP,
-    at_target.STEP, retreat.STEP,
+    path_check.STEP, relocalization.STEP, registration.STEP, tool_change.STEP, tool_check.STEP,
+    positioning.STEP, at_target.STEP, retreat.STEP,
 )  # fmt: skip
 
 

@@ -138,9 +138,10 @@ def test_work_at_a_target_that_was_not_watched_is_not_done_unasked(tmp_path: Pat
 
     def cover_and_answer(question: Question) -> str:
         if question.topic is Topic.AT_TARGET:
+            before = cell.arm.stops  # it stands in hold
             cell.tracker.spheres_mm = NOTHING_MM
             eventually(lambda: any("too long" in str(one.what) for one in reader.read(0.1).events))
-            told.append(f"at once, after {cell.arm.stops} stops")
+            told.append(f"at once, after {cell.arm.stops - before} stops")
         return "leave" if question.topic is Topic.HEAD_UNSEEN else answer(question)
 
     cell.operator.ask = cover_and_answer  # type: ignore[method-assign]

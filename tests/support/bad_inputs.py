@@ -76,6 +76,8 @@ patient_orientation = "HFS"
 implanted = 4
 fiducials = "free"
 tool = "guide"
+standoff_mm = 30.0
+instrument_length_mm = 250.0
 [[trajectories]]
 id = "T1"
 entry_mm = [10.0, -50.0, 60.0]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.planning.guide_hold import held_trajectories
 from procedures.planning.head_shape import HeadEllipsoid
 from procedures.planning.plan import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
@@ -33,6 +34,7 @@ from procedures.steps.clinical.registration import Prediction, RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import target_pose
@@ -230,8 +232,17 @@ def plan(**changes: object) -> Plan:
         implanted=len(CENTRES_CT_MM),
         fiducials=FiducialKind.FREE,
         tool="guide",
+        standoff_mm=30.0,
+        instrument_length_mm=250.0,
         trajectories=tuple(trajectories),
     )
+
+
+def far_away(one: PlannedTrajectory) -> PlannedTrajectory:
+    """The same, below the table."""
+    (x, y, z), (left, posterior, superior) = one.entry_mm, one.target_mm
+    moved = {"entry_mm": (x, y + 900.0, z), "target_mm": (left, posterior + 900.0, superior)}
+    return one.model_copy(update=moved)
 
 
 def checked_plan(**changes: object) -> CheckedPlan:
@@ -241,7 +252,11 @@ def checked_plan(**changes: object) -> CheckedPlan:
 
 def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
     return CheckedSetUp(
-        identities={}, notices=(), calibrations=cell.calibrations, home_rad=cell.arm.joints_rad
+        identities={},
+        notices=(),
+        calibrations=cell.calibrations,
+        tools=cell.theatre.tools,
+        home_rad=cell.arm.joints_rad,
     )
 
 
@@ -293,8 +308,8 @@ def checked_paths(
 ) -> CheckedPaths:
     """Poses as the cell's strategy has them, in the branch of home, every trajectory turned alike."""
     turned = [
-        Trajectory(one.id, one.entry_mm, one.target_mm, one.trajectory.free_angle_rad + turn_rad)
-        for one in plan().trajectories
+        replace(one, free_angle_rad=one.free_angle_rad + turn_rad)
+        for one in held_trajectories(plan(), cell.workcell.tools.guide.bore)
     ]
     centres = CENTRES_CT_MM[list(fiducials)]
     arm = ArmInBranch(
@@ -333,7 +348,7 @@ def checked_paths(
 
 def _target(cell: RecordingCell, trajectory: Trajectory, robot_from_ct: Transform) -> TargetPose:
     pose = target_pose(trajectory, robot_from_ct)
-    standoff = back_along_axis(pose, trajectory.depth_mm + STANDOFF_MM)
+    standoff = back_along_axis(pose, STANDOFF_MM)
     return TargetPose(
         tool_pose=FramedPose.of(pose),
         standoff_rad=joints_at(cell, standoff),
@@ -379,6 +394,17 @@ def registered_robot(robot_from_ct: Transform = ROBOT_FROM_CT) -> RegisteredRobo
 
 def mounted_guide() -> MountedGuide:
     return MountedGuide(tool_number=GUIDE, calibration="tip-1", link=LINK)
+
+
+def checked_tool() -> CheckedTool:
+    return CheckedTool(
+        tool_record="tool-guide",
+        readings_mm=((0.0,) * 5,) * 2,
+        offset_mm=(0.0, 0.0, 0.0),
+        off_mm=0.0,
+        tilt_deg=0.0,
+        joints_rad=HOME_RAD,
+    )
 
 
 def shifted(pose: Transform, by_mm: Numbers3) -> Transform:

@@ -14,7 +14,7 @@ from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
-from procedures.engine.operator import Question, Topic
+from procedures.engine.operator import Question, Task, Topic
 from procedures.engine.order import CaseOrder
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
@@ -40,6 +40,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
+from ronna_hw.wire.room_tasks import DEPTH_STOP, GAUGE
 from sim.theatre.scene.model import Scene
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
@@ -204,7 +205,7 @@ class RecordingOperator:
 
 @dataclass
 class RecordingRoom:
-    """Changes tools on the arm, and remembers which steps were announced and how the arm stood meanwhile."""
+    """Changes tools on the arm, does what it is told, and remembers all that."""
 
     arm: RecordingArm
     mounts: int | None = None  # in place of what is asked for
@@ -212,6 +213,9 @@ class RecordingRoom:
     stand: list[str] = field(default_factory=list)  # what it was to hold, in turn
     dials: Callable[[JointVector], tuple[float, float, float]] = lambda _joints: (0.0, 0.0, 0.0)
     changed: list[tuple[int, Lifecycle, JointVector]] = field(default_factory=list)
+    worked: list[Task] = field(default_factory=list)
+    dials_mm: tuple[float, ...] = (0.0,) * 5  # of the gauge
+    stop_off_mm: float = 0.0  # by which a depth stop is set beside what was asked for
 
     def announce(self, step: str) -> None:
         self.announced.append(step)
@@ -225,6 +229,14 @@ class RecordingRoom:
 
     def read_dials(self, where: str) -> tuple[float, float, float]:
         return self.dials(self.arm.joints_rad)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        self.worked.append(task)
+        if task.name == GAUGE:
+            return self.dials_mm
+        if task.name == DEPTH_STOP:
+            return (task.numbers[0] + self.stop_off_mm,)
+        return ()
 
 
 class RecordingTheatre(Theatre):

@@ -10,6 +10,7 @@ from clinical_case import (
     checked_paths,
     checked_plan,
     checked_set_up,
+    checked_tool,
     coarse,
     localized_fiducials,
     mounted_guide,
@@ -36,11 +37,18 @@ def watched(cell: ClinicalCell) -> Engine:
     """An engine that stands before the first positioning, with the guide mounted."""
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
-        *(checked_set_up(cell), *coarse(), registered_robot(), mounted_guide(), checked_paths(cell)),
+        *(
+            checked_set_up(cell),
+            *coarse(),
+            registered_robot(),
+            mounted_guide(),
+            checked_tool(),
+            checked_paths(cell),
+        ),
         *(checked_plan(), localized_fiducials(), positioning.STEP, at_target.STEP),
     )
     engine.checkpoint.watching = patient_watch(engine, voiding(engine)).watching
-    engine.run_to(engine.order.sequence[7])
+    engine.run_to(engine.order.sequence[8])
     return engine
 
 

@@ -31,7 +31,7 @@ WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record:
 # The set-up and the change of tools name ports and dates, which differ from run to run.
 MEASURED = {
     "ct_import", "fiducial_localization", "plan_check", "global_localization", "correspondence", "path_check",
-    "relocalization", "registration",
+    "relocalization", "registration", "tool_check",
 }  # fmt: skip
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
 
@@ -88,7 +88,7 @@ def test_nobody_else_may_read_anything_of_the_run(finished: MiniRun) -> None:
 def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None:
     records = records_of(finished.folder)
     known = {record.identifier for record in records}
-    assert len(records) == 13
+    assert len(records) == 14
     for record in records:
         assert set(record.parents) <= known
         assert record.parents or record.kind in ("ct_import", "set_up")

@@ -25,6 +25,8 @@ patient_orientation = "HFS"
 implanted = 4
 fiducials = "free"
 tool = "guide"
+standoff_mm = 30.0
+instrument_length_mm = 250.0
 
 [[trajectories]]
 id = "T1"
@@ -75,6 +77,14 @@ def theatre(tmp_path: Path) -> Path:
             "tracker_frame": {**record, "tool": "M", "tool_from_marker": POSE},
         },
     }
+    guide = {
+        **{key: record[key] for key in ("identifier", "created", "expires", "made_by")},
+        **{"purpose": "needle_guide", "number": 2, "flange": "changer", "tip": "r", "mass_kg": 1.0},
+        "centre_of_gravity_mm": [0.0, 0.0, 50.0],
+        "bore": {"reach_mm": 80.0, "length_mm": 90.0, "play_mm": 0.05},
+        "gauge": {"joints_deg": [0.0, -90.0, 90.0, 0.0, 60.0, 0.0]},
+    }
+    content |= {"flange": "changer", "tools": {"guide": guide}}
     path = tmp_path / "theatre.toml"
     path.write_text(tomli_w.dumps(content))
     return path

@@ -51,7 +51,20 @@ def write_payload(payload: dict[str, Any], folder: Path) -> None:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
-    """The theatre file `source` with the new records, as `target`; comments are lost, nothing else."""
+    """The theatre file `source` with new calibration records, as `target`; only comments are lost."""
+    write_theatre_tables(source, target, {"calibration": records})
+
+
+def _refer_to_new_tip(content: dict[str, Any], before: object) -> None:
+    """Tools that referred to the former calibration of the tip refer to the one that took its place."""
+    now = content["calibration"].get("tool_tip", {}).get("identifier")
+    for tool in content.get("tools", {}).values():
+        if before is not None and tool.get("tip") == before:
+            tool["tip"] = now
+
+
+def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
+    """The same with new entries in whichever tables."""
     import tomli_w
 
     if target.resolve().parent != source.resolve().parent:
@@ -60,5 +73,8 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
             action="Name a file in the folder of the theatre file.",
         )
     content = read_toml(source, BadTheatreFile)
-    content["calibration"] = {**content["calibration"], **records}
+    before = content["calibration"].get("tool_tip", {}).get("identifier")
+    for name, entries in tables.items():
+        content[name] = {**content.get(name, {}), **entries}
+    _refer_to_new_tip(content, before)
     write_whole(target, tomli_w.dumps(content).encode())

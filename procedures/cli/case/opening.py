@@ -150,7 +150,7 @@ def opened_engine(
             raise
         finally:
             if engine.instrument_in is not None:
-                tell(f"the instrument is still in {engine.instrument_in}: the arm rests and will not move it")
+                tell(f"an instrument is still in {engine.instrument_in}: the arm rests and does not move")
             with interruption_deferred():
                 engine.close(outcome, ended_by)
 
@@ -277,7 +277,7 @@ def _make_engine(
     from procedures.engine.journal import Entry, Journal, JournalValue
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.engine.step import StepKey
-    from procedures.guards import patient_watch, sight_guard, standing_guards
+    from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
     from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.moved_head import void_moved
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
@@ -346,7 +346,7 @@ def _make_engine(
             operator=operator,
             room=room,
             settings=theatre.file.procedure,
-            surroundings=theatre.file.cell,
+            surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
         ),
         journal,
@@ -363,5 +363,6 @@ def _make_engine(
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
         void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
         engine.checkpoint.guards.append(sight_guard(engine, void))
+        engine.checkpoint.guards.append(GuideStill(workcell, theatre.clock, engine.setting.workspace))
         engine.checkpoint.watching = patient_watch(engine, void).watching
     return engine

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import termios
 import time
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from types import MappingProxyType
 
 from typer import style
 
 from procedures.engine.errors import NotConfirmed
-from procedures.engine.operator import Operator, Question, Topic, words
+from procedures.engine.operator import Operator, Question, Task, Topic, words
 from ronna_hw.calibration import Numbers3
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
@@ -81,6 +82,17 @@ class SimulatedRoom:
         """What the stand shows."""
         x, y, z = ask_control_port(self._control, "dials")["dials_mm"]
         return (float(x), float(y), float(z))
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Have it done, and what the scene shows read off."""
+        answer = ask_control_port(
+            self._control,
+            "work",
+            task=task.name,
+            trajectory=task.trajectory or "",
+            numbers=list(task.numbers),
+        )
+        return tuple(float(reading) for reading in answer.get("readings", ()))
 
 
 class TerminalOperator:
@@ -162,6 +174,35 @@ class TerminalRoom:
         if self._simulated:
             sys.stderr.write(f"In the simulated room: ronna-sim {command} --control 'ENDPOINT FROM READY'\n")
         sys.stderr.flush()
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Say what to do, and have typed what is read off; nothing without a terminal."""
+        with self._asking():
+            sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
+            if self._simulated:
+                numbers = "".join(f" {number:g}" for number in task.numbers)
+                trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
+                sys.stderr.write(
+                    f"In the simulated room: ronna-sim work {task.name}{numbers}{trajectory}"
+                    " --control 'ENDPOINT FROM READY'\n"
+                )
+            sys.stderr.flush()
+            readings: list[float] = []
+            for what in task.reads if sys.stdin.isatty() else ():
+                if (number := _typed_number(what)) is None:
+                    break
+                readings.append(number)
+            return tuple(readings)
+
+
+def _typed_number(what: str) -> float | None:
+    """A finite number; what is none is asked again. None when the terminal is gone."""
+    while typed := _typed(what, None):
+        with suppress(ValueError):
+            if math.isfinite(number := float(typed.replace(",", "."))):
+                return number
+        _say(f"{typed!r} is not a number.")
+    return None
 
 
 def _say(line: str) -> None:

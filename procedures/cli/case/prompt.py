@@ -72,7 +72,7 @@ class Prompt:
             elif name in QUIT:
                 if engine.instrument_in is None:
                     return False
-                self._say(f"the instrument is in {engine.instrument_in}: home brings it out along its axis")
+                self._say(f"an instrument is in {engine.instrument_in}: home has it taken out, then parks")
             elif self._resumes and (name == "resume" or engine.upcoming is None):
                 return True
             else:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import Line
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, Task
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from ronna_hw.calibration import Numbers3
 
@@ -30,8 +30,15 @@ class RecordedOperator:
         raise NotRecorded(f"the run did not ask {question.name}: {question.subject}")
 
 
-class EmptyRoom:
-    """Nobody hears, nobody changes tools: the controller's inputs are recorded."""
+class RecordedRoom:
+    """Nobody hears, nobody changes tools: the controller's inputs are recorded, and what was read off."""
+
+    def __init__(self) -> None:
+        self._work: list[Line] = []
+
+    def begin(self, work: Sequence[Line]) -> None:
+        """From here on what hands did is among these lines."""
+        self._work = list(work)
 
     def announce(self, step: str) -> None:
         """As `Room`."""
@@ -45,6 +52,15 @@ class EmptyRoom:
     def read_dials(self, where: str) -> Numbers3:
         """Calibrations are computed again from their readings, not replayed. Raises PRO-024."""
         raise NotRecorded(f"the dials at {where} are not in the journal")
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """What was read off after the next task of that name. Raises PRO-024 when it was not done."""
+        for place, line in enumerate(self._work):
+            if line["task"] == task.name:
+                del self._work[: place + 1]
+                readings = line["readings"]
+                return tuple(map(float, readings)) if isinstance(readings, list) else ()
+        raise NotRecorded(f"in the run nobody did: {task.subject}")
 
 
 class RecordedClock:

@@ -17,7 +17,7 @@ from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
 from procedures.engine.replay.recorded_answers import RecordedAnswers
-from procedures.engine.replay.recorded_people import EmptyRoom, RecordedClock, RecordedOperator
+from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom
 from procedures.engine.replay.replayed_device import replayed
 from procedures.engine.replay.sections import BEGINS
 from procedures.engine.run_folder import RunFolder
@@ -71,6 +71,7 @@ class _Replay:
         self._run = run
         self._answers = answers
         self._operator = RecordedOperator()
+        self._room = RecordedRoom()
         self._uncomputed = Verdict.DIFFERENT  # what was said of the last step that could not be computed
         clock = RecordedClock(answers)
         theatre = Theatre(given.theatre, clock, make)
@@ -80,9 +81,9 @@ class _Replay:
             workcell=Workcell(theatre, journal),
             clock=clock,
             operator=self._operator,
-            room=EmptyRoom(),
+            room=self._room,
             settings=given.theatre.procedure,
-            surroundings=given.theatre.cell,
+            surroundings=given.theatre.cell_with_tools,
             clinical=given.clinical,
             today=lambda: began,
         )
@@ -94,6 +95,7 @@ class _Replay:
         for begin, line, following in self._sections():
             self._answers.begin(begin)
             self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
+            self._room.begin([one for one in following if one["entry"] == Entry.WORK])
             end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)
             if line["entry"] == Entry.HOME:
                 with suppress(RonnaError):
@@ -106,6 +108,8 @@ class _Replay:
             for number, one in enumerate(following, begin + 1):
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.acknowledge(str(one["by"]))
+                elif one["entry"] == Entry.INSTRUMENT and not one.get("inside"):
+                    self._engine.setting.workcell.instrument.take_up(None)  # also between the steps
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest()
                     self._take_up(number)

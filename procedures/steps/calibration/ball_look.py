@@ -39,7 +39,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
     for camera, serial in zip((head.left, head.right), stereo.serials, strict=True):
         check_serial(camera, serial)
     stereo.configure()
-    workcell.read_whole_sensors()
+    workcell.sensors.read_whole()
     stereo.activate()
     return _kept(context, workcell.look())
 

@@ -60,7 +60,7 @@ class BaselineVisit:
         tool = workcell.flange_from(MountedTool.STEREO_HEAD)
         workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
         workcell.start(cameras=True)
-        workcell.read_whole_sensors()
+        workcell.sensors.read_whole()
         seen = []
         for visit in range(self.visits):
             for number, one in enumerate(first):

@@ -43,6 +43,6 @@ def bring_over_ball(context: StepContext, place: BallPlace, purpose: str, poses:
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
     workcell.surround(around_ball(context.setting.surroundings, tool, ball_mm, place.others_mm))
     workcell.start(cameras=True)
-    workcell.read_whole_sensors()
+    workcell.sensors.read_whole()
     context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
     return watcher

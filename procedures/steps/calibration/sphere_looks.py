@@ -135,7 +135,7 @@ class SphereLooks:
         tool = workcell.flange_from(MountedTool.STEREO_HEAD)
         workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
         workcell.start(cameras=True)
-        workcell.read_whole_sensors()
+        workcell.sensors.read_whole()
         x, y, z = place.ball_mm
         named = f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
         try:

@@ -1,70 +1,183 @@
-"""At the target: the arm rests; what the controller reports is compared with what was commanded."""
+"""At the target: the guide is held outside the skin, and somebody works through it, stage by stage.
+
+From before the first stage until the instrument is confirmed to be out, nothing moves. The instrument's tip
+is at the target when its depth stop rests on the guide.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed, NotConfirmed
-from procedures.engine.operator import Question, Topic
+from procedures.engine.operator import Question, Task, Topic
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.steps.clinical.conditions import inserted
+from procedures.steps.clinical.depth_stop import DepthStop, set_depth_stop
+from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room_check import head_must_show
+from ronna_hw.wire import room_tasks
 
-POSITION_LIMIT_MM = 0.05  # nominal tip against the commanded one; more means the arm did not arrive
+POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
-STAYS = "The instrument stays on its target. Repeat the step, or send the arm home."
-DONE = "done"  # the one word that ends the hold
+STAYS = "Nothing moves. Repeat the step, or take the instrument out and send the arm home."
+DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
 
 
-class ReachedTarget(StepResult, kind="at_target"):
-    """Where the tip is as far as the controller knows."""
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the work through the guide: what hands do, and what is confirmed then."""
+
+    task: str
+    topic: Topic
+    does: str
+    confirms: str
+
+
+STAGES = (
+    Stage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
+    Stage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
+    Stage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
+    Stage(
+        room_tasks.INSERT,
+        Topic.AT_TARGET,
+        "insert the instrument until its stop rests on the guide",
+        "the instrument is at depth and the work there is done",
+    ),
+)
+
+
+class ReachedTarget(StepResult, kind="at_target", version=2):
+    """How the guide was held, and how deep the instrument went."""
 
     tool_pose: FramedPose = Field(description="Nominal pose robot <- tool at the measured joints.")
-    nominal_error_mm: float = Field(description="Of that tip against the commanded one.")
+    nominal_error_mm: float = Field(description="Of its origin against the commanded one.")
+    depth_stop: DepthStop = Field(description="Of the instrument.")
+    pushed_mm: float = Field(description="The most that the guide was beside its place after a stage.")
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Read the arm at rest and record where the tip is as far as the controller knows."""
+    """Read the arm at rest, have the depth stop set, the work done stage by stage, the instrument out."""
+    workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
-    reached = context.workcell.tool_pose()
+    reached = workcell.tool_pose()
     error_mm = float(np.linalg.norm(reached.translation_mm - commanded.translation_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(
             "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
         )
+    workcell.hold()
+    with head_must_show(context), _watched_guide(context) as rest:
+        begun = _begun(context)
+        for stage in STAGES:
+            if stage.task not in begun.done:
+                _work(context, stage, begun.stop)
+                _look_at_guide(context, rest, begun)
+                share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
+                context.progress(share, f"{stage.confirms} at {trajectory}")
+                begun.done.append(stage.task)
+        context.have_instrument_out()
+        context.progress(1.0, f"the instrument is out of {trajectory}")
+    if begun.pushed_mm > PUSHED_MM:
+        context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
+    return Outcome(
+        ReachedTarget(
+            tool_pose=FramedPose.of(reached),
+            nominal_error_mm=error_mm,
+            depth_stop=begun.stop,
+            pushed_mm=begun.pushed_mm,
+        ),
+        summary=f"guide within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
+    )
+
+
+@dataclass
+class BegunWork:
+    """What was done through the guide before the step was left, so that it goes on there."""
+
+    trajectory: str
+    stop: DepthStop
+    done: list[str] = field(default_factory=list)  # tasks
+    pushed_mm: float = 0.0
+
+
+def _begun(context: StepContext) -> BegunWork:
+    """What was begun and left with the instrument inside; else anew, with the depth stop set."""
+    workspace, instrument = context.setting.workspace, context.workcell.instrument
+    begun = workspace.find(BegunWork)
+    if begun is not None and begun.trajectory == context.trajectory == instrument.inside:
+        return begun
+    context.have_instrument_out()
+    begun = BegunWork(context.trajectory, set_depth_stop(context))
+    workspace.keep(begun)
+    context.progress(0.1, f"the depth stop for {context.trajectory} is set")  # nobody pushes the guide
+    instrument.goes_in(context.trajectory)
+    return begun
+
+
+def _work(context: StepContext, stage: Stage, stop: DepthStop) -> None:
+    """Have one stage done and confirmed; raises PRO-002 unless it is said to be done."""
+    trajectory = context.trajectory
+    context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
-        Topic.AT_TARGET,
-        f"at {context.trajectory}: the arm holds until the work there is done",
-        f"nominal tip {error_mm:.3f} mm from where it was sent",
+        stage.topic,
+        f"at {trajectory}: {stage.does}; {stage.confirms}",
+        f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
+        f"{stop.standoff_mm:.0f} mm before the entry",
         (DONE, HOLD),
-        trajectory=context.trajectory,
+        trajectory=trajectory,
         timeout_s=None,
     )
-    with head_must_show(context):
-        with context.watching(f"the hold at {context.trajectory}"):
-            answer = context.choose(question)
-        if answer != DONE:
-            raise NotConfirmed(f"nobody said that the work at {context.trajectory} is done", action=STAYS)
-        context.progress(1.0, f"the work at {context.trajectory} is done")
-    return Outcome(
-        ReachedTarget(tool_pose=FramedPose.of(reached), nominal_error_mm=error_mm),
-        summary=f"nominal tip within {error_mm:.4f} mm of the command",
-    )
+    with context.watching(f"the hold at {trajectory}"):
+        answer = context.choose(question)
+    if answer != DONE:
+        raise NotConfirmed(f"nobody said at {trajectory} that {stage.confirms}", action=STAYS)
+
+
+def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:
+    """After a stage: the guard at the next checkpoint suspends when it is beside its place."""
+    now_mm = rest.look(context.workcell, context.setting.clock)
+    rest.fresh = True
+    begun.pushed_mm = max(begun.pushed_mm, now_mm)
+
+
+@contextmanager
+def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
+    """Within, the guide is compared with how it had come to rest, before anybody touched it."""
+    workspace = context.setting.workspace
+    rest = workspace.find(GuideAtRest)
+    if rest is None or rest.trajectory != context.trajectory:
+        rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory)
+        workspace.keep(rest)
+    if rest.frame_mm is None:
+        context.find(
+            f"at {context.trajectory} the tracker does not see the frame on the arm: a push at the guide "
+            "shows by the joints only"
+        )
+    rest.worked = True
+    try:
+        yield rest
+    finally:
+        rest.worked = False
 
 
 STEP = StepSpec(
     ReachedTarget,
-    "Hold at the target",
+    "Work through the guide",
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide,),
+    reads=(PositionedGuide, CheckedPlan),
     continues=True,
     preconditions=inserted,
 )

@@ -9,7 +9,7 @@ from procedures.workcell import MountedTool
 
 
 def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries that tool, and no instrument is beyond the entry. What is unchecked is read again."""
+    """The arm carries that tool, and it is on no axis. What is unchecked is read again."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         reasons = []
@@ -19,7 +19,7 @@ def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
         if workcell.tool is not tool:
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}")
         if workcell.insertion is not None:
-            reasons.append(f"the instrument is beyond the entry of {workcell.insertion.trajectory}")
+            reasons.append(f"the guide is held before the entry of {workcell.insertion.trajectory}")
         return tuple(reasons)
 
     return unmet
@@ -33,16 +33,16 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 
 def inserted(context: StepContext) -> tuple[str, ...]:
-    """The instrument is in this step's trajectory."""
+    """The guide is held before this step's entry."""
     insertion = context.workcell.insertion
     if insertion is not None and insertion.trajectory == context.trajectory:
         return ()
-    inside = "outside" if insertion is None else f"in {insertion.trajectory}"
-    return (f"the instrument is {inside}, not in {context.trajectory}",)
+    where = "on no axis" if insertion is None else f"held before the entry of {insertion.trajectory}"
+    return (f"the guide is {where}, not before that of {context.trajectory}",)
 
 
 def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
-    """The instrument is in this step's trajectory, or came out of it and went nowhere else."""
+    """The guide is held before this step's entry, or came back from it and went nowhere else."""
     workcell = context.workcell
     if workcell.insertion is None and workcell.withdrawn_from == context.trajectory:
         return ()

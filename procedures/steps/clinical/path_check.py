@@ -12,6 +12,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.planning.free_angle import TurnedPaths
+from procedures.planning.guide_hold import held_trajectories
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
@@ -39,11 +40,11 @@ class LocalizationPose(Values):
 
 
 class TargetPose(Values):
-    """How one target is to be reached, by the coarse registration."""
+    """How the guide comes to where it is held for one target, by the coarse registration."""
 
-    tool_pose: FramedPose = Field(description="Pose robot <- tool with the tip on the target.")
-    standoff_rad: Numbers6 = Field(description="Joints at the stand-off outside the entry.")
-    joints_rad: Numbers6 = Field(description="Joints at the target.")
+    tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
+    standoff_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
+    joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
     approach_signs: tuple[int, ...] = Field(description="Direction in which each joint arrives, +1 or -1.")
 
 
@@ -115,7 +116,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         localization.centres_mm[matched],
         StereoSight.of(workcell.calibrations.stereo_head),
     )
-    turned = search.paths([one.trajectory for one in plan.plan.trajectories])
+    turned = search.paths(held_trajectories(plan.plan, workcell.tools.guide.bore))
     check = turned.check
     motions = previews_of(setting, scene, check, turned.axes.targeted)
     replaced = {name: one.name for name, one in search.replaced.items()}

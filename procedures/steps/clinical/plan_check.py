@@ -56,7 +56,9 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
             action="Start a new run with this plan.",
         )
     volume = volume_of(context)
-    check = check_plan(plan, volume, fiducials_mm=localization.centres_mm)
+    check = check_plan(
+        plan, volume, fiducials_mm=localization.centres_mm, bore=context.workcell.tools.guide.bore
+    )
     check, spheres = _counted(context, check, localization.markers)
     check.require()
     _confirm_patient(context, plan)
@@ -95,7 +97,8 @@ def _shown(plan: Plan) -> str:
     """What is confirmed, without a name: the series is told by a hash of its UID."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = ", ".join(f"{one.id} {one.depth_mm:.1f} mm deep" for one in plan.trajectories)
-    return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {ways}"
+    instrument = f"instrument {plan.instrument_length_mm:g} mm, stand-off {plan.standoff_mm:g} mm"
+    return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {instrument}; {ways}"
 
 
 def _counted(

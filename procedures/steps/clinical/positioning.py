@@ -1,4 +1,4 @@
-"""Carry the guide to a target: a joint move to the stand-off, then a straight line along the axis."""
+"""Carry the guide before an entry: a joint move over it, then a straight line along the axis, to a halt."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.operator import YES, Topic
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.guards.guide_still import guide_at_rest
 from procedures.planning.errors import NotReachable
+from procedures.planning.guide_hold import held_trajectory
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.head_surroundings import READS, surround_guide
@@ -28,6 +30,7 @@ from procedures.steps.clinical.room_check import (
     require_head_seen,
 )
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
@@ -41,18 +44,20 @@ REFUSED_BEFORE = (Unreachable, Singular, OutOfJointRange, NotClear)  # anything 
 class PositionedGuide(StepResult, kind="positioning"):
     """Where the guide was sent, and the joints that took it there."""
 
-    tool_pose: FramedPose = Field(description="Pose robot <- tool with the tip on the target, as commanded.")
+    tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held, as commanded.")
     joints_rad: Numbers6 = Field(description="Measured joints on arrival.")
 
 
 def run(context: StepContext) -> Outcome[PositionedGuide]:
-    """Move the tip of the guide onto the target; the tool is read again right before."""
+    """Bring the guide to where it is held before the entry; the tool is read again right before."""
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
+    context.result(CheckedTool)
     mounted = workcell.check_mounted(MountedTool.GUIDE)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
+    standoff_mm = context.result(CheckedPlan).plan.standoff_mm
     expected = expected_sight(context, surround_guide(context, robot_from_ct))
     planned = paths.targets[trajectory]
     with refused_by_name(trajectory):
@@ -62,8 +67,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell.confirm_motion(
         Topic.APPROACH,
         f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
-        f"{insertion.travel_mm:.0f} mm along the axis onto the target, {insertion.depth_mm:.0f} mm beyond "
-        f"the entry{UNWATCHED if hidden else ''}",
+        f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm before the entry"
+        f"{UNWATCHED if hidden else ''}",
         [workcell.facts(workcell.home_rad if by_home else standoff_rad)],
         trajectory,
     )
@@ -82,21 +87,21 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.insert(insertion)
         check_room(context, f"at {trajectory}")
+    context.setting.workspace.keep(guide_at_rest(workcell, context.setting.clock, trajectory))
     return Outcome(
-        PositionedGuide(tool_pose=FramedPose.of(insertion.target), joints_rad=reached.joints_rad),
-        summary="the guide is on its axis",
+        PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
+        summary=f"the guide is held {standoff_mm:.0f} mm before the entry",
     )
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
-    """The axis along which the guide goes in, by this trajectory's registration."""
+    """Where the guide is held and how it comes there, by this trajectory's registration."""
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
-    planned = context.result(CheckedPlan).trajectory(trajectory)
-    target = refined_target_pose(
-        paths.targets[trajectory].tool_pose.transform, planned.trajectory, robot_from_ct
-    )
-    return Insertion(trajectory, target, planned.depth_mm, context.setting.settings.standoff_mm)
+    checked = context.result(CheckedPlan)
+    along = held_trajectory(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
+    held = refined_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
+    return Insertion(trajectory, held, context.setting.settings.standoff_mm)
 
 
 @contextmanager
@@ -130,11 +135,11 @@ def _kept_registration(context: StepContext) -> RegisteredRobot:
 
 STEP = StepSpec(
     PositionedGuide,
-    "Carry the guide to the target",
+    "Carry the guide before the entry",
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(RegisteredRobot, MountedGuide, CheckedPaths, *ROOM_READS, *READS),
+    reads=(RegisteredRobot, MountedGuide, CheckedTool, CheckedPaths, *ROOM_READS, *READS),
     moves=True,
     preconditions=carries(MountedTool.GUIDE),
 )

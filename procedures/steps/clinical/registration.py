@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -33,6 +33,8 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.instrument_error import SOURCE as INSTRUMENT
+from procedures.steps.clinical.instrument_error import instrument_covariance_mm2
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
@@ -170,9 +172,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
         context.workcell.identify_mounted()
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
-    predictions = tuple(
-        predict_tip_error(context, fit, pairs, one.id, one.target_mm, move) for one in trajectories
-    )
+    predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _beyond_margin(context, trajectories, predictions)
@@ -267,16 +267,18 @@ def predict_tip_error(
     context: StepContext,
     fit: Registration,
     pairs: _Pairs,
-    target: str,
-    target_mm: ArrayLike,
+    planned: PlannedTrajectory,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Error of the tip at a target (3,) mm in the CT, from all that is known of spheres, arm and guide.
+    """Error of the instrument's tip at a target, from all that is known of spheres, arm, guide, instrument.
 
     What spheres and target share is counted as what is left of it; a `move` that is followed has an error of
     its own.
     """
-    tip_mm = np.asarray(fit.transform.apply(np.asarray(target_mm, dtype=float)), dtype=float)
+    target = planned.id
+    tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
+    held = context.result(CheckedPaths).targets[target].tool_pose.transform.rotation_matrix
+    plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
         "stereo head calibration": calibrations.stereo_head.stated_error_mm,
@@ -293,6 +295,7 @@ def predict_tip_error(
             OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
             *arm_errors(context, pairs.fiducials, fit.physical_mm, target, tip_mm),
             shared_with_target(context, pairs.tool_mm, target),
+            OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, held)),
             *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
         ],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
@@ -336,7 +339,7 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 def _outside(context: StepContext) -> tuple[str, ...]:
     """With the guide mounted the head is measured again, at home."""
     insertion = context.workcell.insertion
-    return () if insertion is None else (f"the instrument is beyond the entry of {insertion.trajectory}",)
+    return () if insertion is None else (f"the guide is held before the entry of {insertion.trajectory}",)
 
 
 STEP = StepSpec(

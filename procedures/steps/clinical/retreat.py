@@ -1,4 +1,4 @@
-"""Retreat along the axis, and park after the last target."""
+"""Retreat along the axis, and park after the last target. An instrument is out before."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from procedures.steps.clinical.room_check import ROOM_READS, check_room
 
 
 class Retreated(StepResult, kind="retreat"):
-    """The guide is outside the entry again."""
+    """The guide is back where its approach began."""
 
     parked: bool = Field(description="Whether the arm went on to where the case began.")
     joints_rad: Numbers6 = Field(description="Measured joints at the end.")
@@ -26,9 +26,10 @@ class Retreated(StepResult, kind="retreat"):
 def run(context: StepContext) -> Outcome[Retreated]:
     """Back out along the trajectory; after the last one to the pose where the case began."""
     workcell = context.workcell
-    # The surroundings are those of the way in. No record is read before the instrument is out: a damaged
-    # file must not keep it inside.
+    # The surroundings are those of the way in. No record is read before the guide is away from the head: a
+    # damaged file must not keep it there.
     if workcell.insertion is not None:
+        context.have_instrument_out()
         workcell.start()
         way_out = [workcell.facts(workcell.insertion.standoff)]
         workcell.confirm_motion(
@@ -40,7 +41,7 @@ def run(context: StepContext) -> Outcome[Retreated]:
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
         check_room(context, f"after {context.trajectory}")
-        return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "outside the entry")
+        return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "away from the entry")
     workcell.start()
     workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
     reached = workcell.return_home()

@@ -12,6 +12,7 @@ from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.tool_record import ToolRecord
 
 
 class DeviceIdentity(Values):
@@ -39,16 +40,19 @@ class CheckedSetUp(StepResult, kind="set_up"):
     identities: dict[str, DeviceIdentity] = Field(description="By role: tracker, arm, stereo.")
     notices: tuple[str, ...] = Field(description="What the drivers say the operator should know.")
     calibrations: Calibrations = Field(description="The calibration records in use.")
+    tools: dict[str, ToolRecord] = Field(description="The records of the tools, by name.")
     home_rad: Numbers6 = Field(description="Where the arm stood, and parks: measured joints.")
 
 
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
-    Raises CAL-001 for an expired record, STE-010 for another camera, PRO-009 for another tool.
+    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, STE-010
+    for another camera, PRO-009 for another tool.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today())
+    workcell.tools.check(calibrations, context.setting.today())
     devices = workcell.devices
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):
@@ -65,6 +69,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             identities=identities,
             notices=notices,
             calibrations=calibrations,
+            tools=dict(workcell.tools.records),
             home_rad=workcell.set_home(),
         ),
         summary="; ".join([", ".join(identity.model for identity in identities.values()), *notices]),

@@ -101,9 +101,9 @@ def _look(context: StepContext) -> tuple[Look | None, str]:
     why = ""
     for whole in (False, True):
         if whole:
-            workcell.read_whole_sensors()
+            workcell.sensors.read_whole()
         else:
-            workcell.read_around_tool(context.setting.settings.servo_area_px)
+            workcell.sensors.read_around_tool(context.setting.settings.servo_area_px)
         try:
             seen = workcell.look()
         except Saturated as problem:

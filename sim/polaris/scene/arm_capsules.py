@@ -40,7 +40,7 @@ class ArmBody:
             for joint in description(scene.arm.variant).joints[: WRIST + 1]
         ]
         self._flange_from_tool = matrix_of(mount.flange_from_tool_true)
-        tip_mm = matrix_of(mount.tool_from_tip_true)[:3, 3]
+        ends_of_guide_mm = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
         # Per camera, tool frame: the lens' centre and the back of the housing.
         ends_mm = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]
         cameras_mm = [
@@ -48,7 +48,7 @@ class ArmBody:
             for camera in (scene.left, scene.right)
         ]
         self._carried_mm = {
-            mount.tool_number_guide: tip_mm[None],
+            mount.tool_number_guide: apply(matrix_of(mount.tool_from_tip_true), ends_of_guide_mm),
             mount.tool_number_stereo: np.vstack(cameras_mm),
         }
 
@@ -69,7 +69,8 @@ class ArmBody:
         if mounted_tool in self._carried_mm:
             carried = apply(tool, self._carried_mm[mounted_tool])
             if mounted_tool == self._mount.tool_number_guide:
-                limbs.append((side, carried[0], GUIDE_RADIUS_MM))
+                lower, upper = carried
+                limbs += [(side, upper, MOUNT_RADIUS_MM), (upper, lower, GUIDE_RADIUS_MM)]
             else:
                 for lens, back in zip(carried[::2], carried[1::2], strict=True):
                     limbs += [(side, lens, MOUNT_RADIUS_MM), (lens, back, CAMERA_RADIUS_MM)]

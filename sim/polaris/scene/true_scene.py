@@ -94,7 +94,11 @@ class TrueScene:
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """The reference frame M on the mount, whether loaded or not."""
         tool = self.frame_on_mount
-        pose = self._tracker_from(disturbance.room) @ arm.robot_from_flange @ self._tool_from_marker
+        flange = arm.robot_from_flange
+        if any(disturbance.room.guide_mm):
+            flange = flange.copy()
+            flange[:3, 3] += disturbance.room.guide_mm
+        pose = self._tracker_from(disturbance.room) @ flange @ self._tool_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
 

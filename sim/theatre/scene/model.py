@@ -135,12 +135,48 @@ class ArmTruth(Strict):
     sag_rad: tuple[float, float] = Field(description="Of A2 and A3 when stretched out horizontally.")
     backlash_rad: Numbers6 = Field(description="Dead way of each joint; it lies half of it to either side.")
     repeatability_mm: NotNegative = Field(description="Per axis at the tool, one standard deviation.")
+    stiffness_N_mm: Positive = Field(
+        default=80.0, description="At the tool: a hand's load displaces what hangs there."
+    )
+    sag_mm_kg: NotNegative = Field(
+        default=0.15, description="By which a load beyond the one that was told lowers the flange."
+    )
     thermal_drift_mm: NotNegative = Field(
         default=0.0,
         description="By which the flange has wandered when the arm is warm; by motion, not by time.",
     )
     thermal_time_s: Positive = Field(
         default=1200.0, description="Of motion until the arm is warm to two thirds."
+    )
+
+
+class Guide(Strict):
+    """The guide as it really is, beside what was measured when its records were made, and its instrument.
+
+    Its tip frame is that of the mandrel with which the tip was calibrated; z leads down the bore.
+    """
+
+    reach_mm: Positive = Field(default=85.0, description="Of the mandrel, beyond the guide's lower end.")
+    bore_mm: Positive = Field(default=85.0, description="From the upper end to the lower one.")
+    play_mm: NotNegative = Field(default=0.04, description="Diameter of the bore less the instrument's.")
+    depth_stop_mm: NotNegative = Field(
+        default=0.03, description="How exactly hands set a depth stop, one standard deviation."
+    )
+    seat_mm: NotNegative = Field(
+        default=0.008, description="How alike the changer seats, per axis, one standard deviation."
+    )
+    bent_mm: Numbers3 = Field(default=(0.0, 0.0, 0.0), description="Its mandrel's end beside its place.")
+    tilt_deg: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="Its bore beside its direction, about x and y of the tip frame."
+    )
+    mass_kg: Positive = Field(default=1.4, description="Of all that hangs below the changer.")
+
+
+class Hands(Strict):
+    """What the room's hands do, and how exactly."""
+
+    gauge_mm: NotNegative = Field(
+        default=0.005, description="How exactly a dial on the gauge is read, one standard deviation."
     )
 
 
@@ -153,6 +189,7 @@ class Mount(Strict):
     tool_from_marker_true: PoseRecord = Field(
         description="Pose of the reference frame M, which stays on the mount."
     )
+    guide: Guide = Field(default=Guide(), description="The guide, and the instrument in it.")
     tool_number_stereo: ToolNumber = Field(default=1, description="As the controller reports the head.")
     tool_number_guide: ToolNumber = Field(default=2, description="As they report the guide.")
 
@@ -280,6 +317,7 @@ class Scene(Strict):
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")
+    hands: Hands = Field(default=Hands(), description="What the room's hands do.")
     servo_area_px: tuple[Count, Count] = Field(
         default=(1024, 1024), description="Area of interest that holds a sphere with room to move."
     )

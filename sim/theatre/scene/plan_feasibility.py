@@ -1,8 +1,9 @@
 """Whether the arm can carry out a drawn plan, so that every drawn scene is feasible.
 
 A trajectory is served when some turn about its axis brings the tool to every sphere in the orientation of
-the trajectory, then to the target, and each time from a point above, with all poses in one posture of the
-arm. Robot frame, mm.
+the trajectory, then to where the guide is held before the entry, and the stereo head to the target as well,
+for a phantom with a ball there; each time from a point above, with all poses in one posture of the arm. Robot
+frame, mm.
 """
 
 from __future__ import annotations
@@ -16,11 +17,13 @@ from numpy.typing import NDArray
 from sim.kuka.arm.posture import axes_of_status
 from sim.kuka.arm.robot_description import Variant, description
 from sim.theatre.rigid import inverse, matrix_from
+from sim.theatre.scene.model import Guide
 from sim.theatre.scene.stereo_head import TOOL_IN_FLANGE_MM
 
 Vector = NDArray[np.float64]
 
 APPROACH_MM = 60.0  # of the tool, outside the sphere or the skin
+STANDOFF_MM = 30.0  # from the entry to the guide, in the plan of a phantom
 TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
 # Postures of the arm, the usual one first. The wrist's own two are alike: its ranges are symmetric.
 STATUSES = (2, 0, 3, 1)
@@ -50,6 +53,7 @@ class PlanFeasibility:
             axis = way / depth_mm
             places = [(point, APPROACH_MM) for point in self._spheres_mm]
             places.append((target_mm, depth_mm + APPROACH_MM))
+            places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
             tips = np.array([tip for place, back in places for tip in (place, place - back * axis)])
             self._known[key] = any(
                 self._serves(tips, orientation, status) for orientation in _orientations(axis, target_mm)

@@ -10,6 +10,8 @@ import pytest
 from procedures.cli.case import operators
 from procedures.cli.case.operators import TerminalRoom
 from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import Task
+from ronna_hw.wire.room_tasks import DEPTH_STOP
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -44,3 +46,14 @@ def test_without_a_terminal_nobody_reads_the_dials(monkeypatch: pytest.MonkeyPat
 def test_what_the_stand_is_to_hold_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     TerminalRoom(simulated=True).prepare_stand("divot")
     assert capsys.readouterr().err.startswith("Put the divot on the calibration stand.\n")
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_work_is_told_and_without_a_terminal_nothing_is_read(
+    simulated: bool, capsys: pytest.CaptureFixture[str]
+) -> None:
+    task = Task(DEPTH_STOP, "set the depth stop for T1 to 165.00 mm", "T1", (165.0,), ("depth stop in mm",))
+    assert TerminalRoom(simulated=simulated).work(task) == ()
+    told = capsys.readouterr().err
+    assert told.startswith("Set the depth stop for T1 to 165.00 mm.\n")
+    assert ("ronna-sim work depth_stop 165 --trajectory T1 --control" in told) == simulated

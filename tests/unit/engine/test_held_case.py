@@ -14,7 +14,7 @@ from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
 
-def with_the_guide_inside(cell: RecordingCell, *refusing: Topic) -> Engine:
+def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state, cell.arm.mounted = Lifecycle.ACTIVE, GUIDE
     cell.workcell.check_mounted(MountedTool.GUIDE)
@@ -27,7 +27,7 @@ def with_the_guide_inside(cell: RecordingCell, *refusing: Topic) -> Engine:
         translation_mm=here.apply([0.0, 0.0, 110.0]),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    cell.workcell.insert(Insertion("T1", target, depth_mm=50.0, standoff_mm=60.0))
+    cell.workcell.insert(Insertion("T1", target, 110.0))
     cell.operator.asked.clear()
     return engine
 
@@ -73,43 +73,66 @@ def test_what_hangs_on_an_arm_that_was_recovered_counts_as_unchecked(cell: Recor
 
 
 @pytest.mark.hazard(24)
-def test_an_instrument_inside_comes_out_along_its_axis_before_the_arm_parks(cell: RecordingCell) -> None:
-    engine = with_the_guide_inside(cell)
+def test_a_guide_before_an_entry_comes_back_along_its_axis_before_the_arm_parks(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell)
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
     assert cell.arm.joints_rad == HOME
-    assert engine.instrument_in is None
+    assert cell.workcell.insertion is None
     assert engine.machine.state == "held"
 
 
 @pytest.mark.hazard(36)
-def test_without_a_yes_to_the_retreat_the_instrument_stays_where_it_is(cell: RecordingCell) -> None:
-    engine = with_the_guide_inside(cell, Topic.RETREAT)
+def test_without_a_yes_to_the_retreat_the_guide_stays_where_it_is(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
-    assert engine.instrument_in == "T1"
+    assert cell.workcell.insertion is not None
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
 def test_a_retreat_that_fails_is_repeated_from_where_the_arm_stands(cell: RecordingCell) -> None:
-    engine = with_the_guide_inside(cell)
+    engine = with_the_guide_on_its_axis(cell)
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
         engine.retreat_home()
-    assert engine.instrument_in == "T1"
+    assert cell.workcell.insertion is not None
     cell.arm.failing = None
     engine.retreat_home()
-    assert engine.instrument_in is None
+    assert cell.workcell.insertion is None
 
 
 @pytest.mark.branch("ABORTED")
-def test_after_an_abort_the_instrument_still_comes_out_along_its_axis(cell: RecordingCell) -> None:
-    engine = with_the_guide_inside(cell)
+def test_after_an_abort_the_guide_still_comes_back_along_its_axis(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell)
     engine.checkpoint.abort()
     with pytest.raises(OperatorAborted):
         engine.run_step(engine.order.find("image"))
     engine.retreat_home()
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", "joints"]
-    assert engine.instrument_in is None
+    assert cell.workcell.insertion is None
     assert engine.machine.state == "aborted"
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("INSTRUMENT_INSIDE")
+def test_on_the_way_home_an_instrument_is_taken_out_before_anything_moves(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell)
+    cell.workcell.instrument.goes_in("T1")
+    engine.retreat_home()
+    assert [task.name for task in cell.room.worked] == ["out"]
+    assert cell.operator.asked[0].topic is Topic.INSTRUMENT_OUT
+    assert engine.instrument_in is None
+    assert cell.arm.joints_rad == HOME
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("INSTRUMENT_INSIDE")
+def test_while_nobody_says_that_the_instrument_is_out_the_arm_stays(cell: RecordingCell) -> None:
+    engine = with_the_guide_on_its_axis(cell, Topic.INSTRUMENT_OUT)
+    cell.workcell.instrument.goes_in("T1")
+    with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
+        engine.retreat_home()
+    assert engine.instrument_in == "T1"
+    assert [kind for kind, _ in cell.arm.motions] == ["line"]

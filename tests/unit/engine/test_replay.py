@@ -143,7 +143,7 @@ def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> Non
 
 
 @pytest.mark.hazard(2)
-def test_a_run_that_was_killed_with_its_instrument_inside_is_equal_to_itself(tmp_path: Path) -> None:
+def test_a_run_that_was_killed_with_its_guide_before_an_entry_is_equal_to_itself(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
         context.workcell.check_mounted(MountedTool.GUIDE)
         moves(context)
@@ -152,7 +152,7 @@ def test_a_run_that_was_killed_with_its_instrument_inside_is_equal_to_itself(tmp
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
         if cell.insertion is None:
-            cell.insert(Insertion("T1", cell.tool_pose(), depth_mm=5.0, standoff_mm=5.0))
+            cell.insert(Insertion("T1", cell.tool_pose(), 10.0))
             raise Killed
         cell.withdraw("T1")
         return Outcome(Approach(number=1))
@@ -164,6 +164,24 @@ def test_a_run_that_was_killed_with_its_instrument_inside_is_equal_to_itself(tmp
         recorded.run("approach:T1")
     restarted(recorded)
     recorded.run("approach:T1")
+    assert {one.verdict for one in recorded.replayed()} == {EQUAL}
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.hazard(44)
+def test_a_run_that_was_killed_with_an_instrument_in_its_guide_is_equal_to_itself(tmp_path: Path) -> None:
+    def goes_in(context: StepContext) -> Outcome[Localization]:
+        moves(context)  # refused while it is inside
+        if not context.done_before:
+            context.workcell.instrument.goes_in("T1")
+        return looks(context)
+
+    recorded = Recorded(tmp_path, localization=goes_in)
+    recorded.run(*CASE[:2])
+    restarted(recorded)
+    recorded.cell.workcell.instrument.take_up("T1")
+    recorded.engine.have_instrument_out()
+    recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
 

@@ -16,6 +16,8 @@ from procedures.planning.errors import (
     NotTheTemplate,
     OutsideField,
     PlanMistakes,
+    StandoffInsideSkin,
+    StopBeyondInstrument,
     UnknownTool,
     WrongMarkerCount,
     WrongOrientation,
@@ -23,6 +25,7 @@ from procedures.planning.errors import (
 )
 from procedures.planning.plan_file import read_plan
 from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
+from ronna_hw.tool_record import GuideBore
 
 FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
 
@@ -143,3 +146,32 @@ def test_the_field_ends_at_the_faces_of_the_outermost_voxels_which_is_warned_abo
     result = check_plan(plan, make_volume())
     assert result.passed
     assert any("entry of trajectory T1" in one for one in result.warnings)
+
+
+BORE = GuideBore(reach_mm=85.0, length_mm=90.0, play_mm=0.05)
+
+
+@pytest.mark.hazard(45)
+def test_a_stand_off_inside_the_skin_is_refused(plan, make_volume):
+    inside = plan.model_copy(update={"standoff_mm": -5.0})
+    with pytest.raises(StandoffInsideSkin, match=r"PLAN-018.*standoff_mm of more than 0 mm.*got -5 mm"):
+        check_plan(inside, make_volume()).require()
+
+
+@pytest.mark.hazard(45)
+def test_an_entry_on_the_bone_needs_a_stand_off_beyond_the_skin(plan_text, plan_path, make_volume):
+    deeper = plan_text.replace("[10.0, -50.0, 60.0]", "[8.0, -38.0, 44.0]")  # 20 mm below the skin
+    plan = read_plan(plan_path(deeper)).model_copy(update={"standoff_mm": 15.0})
+    found = check_plan(plan, make_volume()).findings
+    assert any(isinstance(one, StandoffInsideSkin) for one in found)
+    farther = plan.model_copy(update={"standoff_mm": 35.0})
+    assert not any(isinstance(one, StandoffInsideSkin) for one in check_plan(farther, make_volume()).findings)
+
+
+@pytest.mark.hazard(45)
+def test_a_depth_stop_beyond_the_instrument_is_refused(plan, make_volume):
+    short = plan.model_copy(update={"instrument_length_mm": 160.0})
+    one = short.model_copy(update={"trajectories": short.trajectories[:1]})
+    assert check_plan(short, make_volume()).passed  # without the guide nobody knows
+    with pytest.raises(StopBeyondInstrument, match=r"PLAN-019: .*limit 160 mm, got 170\.2 mm"):
+        check_plan(one, make_volume(), bore=BORE).require()

@@ -134,3 +134,10 @@ def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
     text = text.replace("target_mm = [-15.5, -10.0, 25.0]", "target_mm = [-20, -40, 70]")
     with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*2 mistakes.*trajectory T1.*trajectory T2"):
         read_plan(plan_path(text))
+
+
+@pytest.mark.parametrize("key", ["instrument_length_mm", "standoff_mm"])
+def test_a_plan_of_an_earlier_version_is_told_what_to_add(plan_text, plan_path, key):
+    older = "\n".join(line for line in plan_text.splitlines() if not line.startswith(key))
+    with pytest.raises(PlanMistakes, match=f"PLAN-002: .*{key}.*add `{key} = "):
+        read_plan(plan_path(older))

@@ -48,14 +48,12 @@ def test_every_localization_and_target_is_visited_in_order(make_arm):
     ]
 
 
-def test_the_approach_to_a_target_begins_outside_the_entry(make_arm):
+def test_the_approach_begins_60_mm_before_the_tool_comes_to_rest(make_arm):
     visit = visits(make_arm())[-1]
-    entry = make_arm().robot_from_ct.apply(TRAJECTORIES[1].entry_mm)
-    outside = (
-        visit.pose.inverse().apply(entry)[2] - visit.pose.inverse().apply(visit.approach.translation_mm)[2]
-    )
+    rest = make_arm().robot_from_ct.apply(TRAJECTORIES[1].rest_mm)
+    before = visit.approach.inverse().apply(rest)
     assert visit.kind is VisitKind.TARGET
-    assert outside == pytest.approx(60.0)
+    assert before == pytest.approx([0.0, 0.0, 60.0])
 
 
 def test_the_joints_reach_the_poses(checked, make_arm):

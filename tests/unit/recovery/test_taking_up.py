@@ -13,6 +13,7 @@ from clinical_case import (
     checked_paths,
     checked_plan,
     checked_set_up,
+    checked_tool,
     correspondence,
     given,
     global_localization,
@@ -25,10 +26,10 @@ from recording_cell import GUIDE, STEREO_HEAD
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import NotConfirmed, RecoveryRefused
 from procedures.engine.journal import JOURNAL_FILE, Entry
 from procedures.engine.left_run import LeftRun
-from procedures.engine.operator import Topic
+from procedures.engine.operator import Question, Topic
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepSpec
@@ -62,7 +63,7 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
         for one in (localized_fiducials(), checked_plan(), set_up, global_localization(), correspondence())
     ]
     localized = [per_trajectory(one) for one in (relocalization(), registered_robot())]
-    steps = [*before, given(checked_paths(cell)), *localized, given(mounted_guide())]
+    steps = [*before, given(checked_paths(cell)), *localized, given(mounted_guide()), given(checked_tool())]
     return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP], [FIRST])
 
 
@@ -98,7 +99,7 @@ def test_nothing_moves_before_what_was_found_is_accepted(cell: ClinicalCell) -> 
 
 
 @pytest.mark.hazard(2)
-def test_a_case_whose_instrument_is_outside_goes_on_with_its_next_step(cell: ClinicalCell) -> None:
+def test_a_case_whose_guide_is_away_goes_on_with_its_next_step(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     recover(engine, left)
     assert again.arm.motions == []  # it was home
@@ -108,7 +109,7 @@ def test_a_case_whose_instrument_is_outside_goes_on_with_its_next_step(cell: Cli
 
 
 @pytest.mark.hazard(2)
-def test_an_instrument_inside_comes_out_before_anything_else(cell: ClinicalCell) -> None:
+def test_a_guide_before_an_entry_comes_back_before_anything_else(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     before = len(again.motions("withdraw"))
     recover(engine, left)
@@ -120,9 +121,7 @@ def test_an_instrument_inside_comes_out_before_anything_else(cell: ClinicalCell)
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("lost_from", [b'"what":"insert"', b'"step":"tool_change"'])
-def test_an_instrument_whose_lines_were_lost_is_found_by_where_its_tip_is(
-    cell: ClinicalCell, lost_from: bytes
-) -> None:
+def test_a_guide_whose_lines_were_lost_is_found_by_where_it_is(cell: ClinicalCell, lost_from: bytes) -> None:
     order = case_order(cell)
     cell.engine(order).run_to(order.find(f"positioning:{FIRST}"))
     broken_off(cell)
@@ -134,6 +133,52 @@ def test_an_instrument_whose_lines_were_lost_is_found_by_where_its_tip_is(
     recover(engine, left)
     assert len(again.motions("withdraw")) == 1
     assert again.workcell.at_home
+    # the lost lines can have said that an instrument goes in
+    assert [one.topic for one in again.operator.asked][1] is Topic.INSTRUMENT_OUT
+
+
+def left_with_an_instrument_inside(cell: ClinicalCell) -> tuple[ClinicalCell, Engine, LeftRun]:
+    """Killed while somebody works through the guide."""
+    order, ask = case_order(cell), cell.operator.ask
+
+    def killed(question: Question) -> str:
+        if question.topic is Topic.DURA:
+            raise MemoryError
+        return ask(question)
+
+    cell.operator.ask = killed  # type: ignore[method-assign]
+    with pytest.raises(MemoryError):
+        cell.engine(order).run_to()
+    broken_off(cell)
+    return opened_again(cell, order)
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("INSTRUMENT_INSIDE")
+def test_after_a_kill_during_the_insertion_it_is_asked_whether_the_instrument_is_out(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_with_an_instrument_inside(cell)
+    recover(engine, left)
+    topics = [one.topic for one in again.operator.asked]
+    assert topics[:3] == [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.FIRST_MOTION] or topics[1] is (
+        Topic.INSTRUMENT_OUT
+    )
+    assert again.workcell.at_home
+    assert str(engine.upcoming) == f"positioning:{FIRST}"
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("INSTRUMENT_INSIDE")
+@pytest.mark.parametrize("way", [recover, bring_home])
+def test_after_a_kill_during_the_insertion_nothing_moves_while_the_instrument_is_inside(
+    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+) -> None:
+    again, engine, left = left_with_an_instrument_inside(cell)
+    again.operator.refusing = (Topic.INSTRUMENT_OUT,)
+    with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
+        way(engine, left)
+    assert again.arm.motions == []
 
 
 def test_after_the_work_at_the_target_the_retreat_is_all_that_remains(cell: ClinicalCell) -> None:
@@ -171,9 +216,7 @@ class TestBringingHome:
         assert "activate" not in again.arm.calls
 
     @pytest.mark.hazard(2)
-    def test_an_instrument_comes_out_first_and_the_run_is_taken_up_as_it_was(
-        self, cell: ClinicalCell
-    ) -> None:
+    def test_the_guide_comes_back_first_and_the_run_is_taken_up_as_it_was(self, cell: ClinicalCell) -> None:
         order = case_order(cell)
         again, engine, left = left_after(cell, f"positioning:{FIRST}")
         assert bring_home(engine, left)
@@ -250,11 +293,11 @@ def test_what_was_swapped_meanwhile_is_refused_and_nothing_is_asked(
 
 
 @pytest.mark.hazard(2)
-def test_an_arm_that_was_moved_with_the_instrument_inside_is_refused(cell: ClinicalCell) -> None:
+def test_an_arm_that_was_moved_with_the_guide_before_an_entry_is_refused(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     A1, *others = again.arm.joints_rad
     again.arm.joints_rad = (A1 + 0.02, *others)  # type: ignore[assignment]
-    with pytest.raises(RecoveryRefused, match="instrument"):
+    with pytest.raises(RecoveryRefused, match="guide"):
         recover(engine, left)
     assert again.arm.motions == []
 

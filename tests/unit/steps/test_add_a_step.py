@@ -63,4 +63,4 @@ def test_with_one_line_in_the_catalogue_it_has_its_place_in_the_case_and_in_the_
     steps = (*CLINICAL_STEPS[:place], force_check.STEP, *CLINICAL_STEPS[place:])
     names = [str(key) for key in order_of(steps, ("T1",)).sequence]
     assert names.index("tool_change") < names.index("force_check") < names.index("positioning:T1")
-    assert "tool_change --> force_check" in mermaid(steps)
+    assert "tool_check --> force_check" in mermaid(steps)

@@ -13,6 +13,7 @@ from clinical_case import (
     SERIES,
     ClinicalCell,
     checked_paths,
+    checked_tool,
     correspondence,
     mounted_guide,
     registered_robot,
@@ -38,6 +39,7 @@ from procedures.steps.calibration.procedures import (
 )
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.depth_stop import DepthStop
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
@@ -55,7 +57,7 @@ PROCEDURES: dict[str, Steps] = {
     "look where it stands": look_where_it_stands(),
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
-UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz")
+UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg")
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
     *("quality", "confidence", "rim_fraction", "distortion"),
@@ -77,7 +79,7 @@ def test_no_two_steps_leave_results_of_one_kind() -> None:
 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("step", [step for step in STEPS.values() if step.moves], ids=lambda step: step.name)
-def test_a_step_that_moves_begins_only_with_a_checked_tool_or_with_its_own_instrument_inside(
+def test_a_step_that_moves_begins_only_with_a_checked_tool_or_with_the_guide_on_its_axis(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
     assert cell.workcell.tool is MountedTool.UNKNOWN
@@ -133,7 +135,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     )
     return [
         *up_to_correspondence(cell),
-        *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide()),
+        *(checked_paths(cell), relocalization(), registered_robot(), mounted_guide(), checked_tool()),
         MeasuredTarget(
             tool_pose=pose,
             error_mm=0.1,
@@ -142,7 +144,14 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
             joints_rad=HOME_RAD,
         ),
         PositionedGuide(tool_pose=FramedPose.of(pose.transform), joints_rad=HOME_RAD),
-        ReachedTarget(tool_pose=pose, nominal_error_mm=0.1 + 0.2),
+        ReachedTarget(
+            tool_pose=pose,
+            nominal_error_mm=0.1 + 0.2,
+            depth_stop=DepthStop(
+                bore_mm=90.0, standoff_mm=25.0, depth_mm=50.0, computed_mm=165.0, read_mm=165.05
+            ),
+            pushed_mm=0.01,
+        ),
         Retreated(parked=True, joints_rad=HOME_RAD, link=LINK),
         BallPlace(ball_mm=(1.0, 2.0, 1 / 3), others_mm=((0.0, 0.0, 0.0),)),
         ObservedBall(observed=observed, remarks=("a remark",)),

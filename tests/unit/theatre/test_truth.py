@@ -4,18 +4,26 @@ import pytest
 
 from sim.errors import BadTruth
 from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.truth import TRUTH_FILE, append_sample, read_samples, sample_tip
+from sim.theatre.true_guide import TrueGuide
+from sim.theatre.truth import TRUTH_FILE, TipSample, append_sample, read_samples, sample_instrument
 from sim.theatre.world import World
+
+STOP_MM = 165.0
+
+
+def sampled() -> TipSample:
+    world = World.create(named_scene("mini"), paced=False)
+    return sample_instrument(world, TrueGuide(world), "T1", STOP_MM, 0)
 
 
 def test_samples_are_read_as_they_were_taken(tmp_path: Path) -> None:
-    sample = sample_tip(World.create(named_scene("mini"), paced=False), "T1")
+    sample = sampled()
     append_sample(sample, tmp_path)
     assert read_samples(tmp_path) == [sample]
 
 
 def test_every_bad_line_of_the_truth_is_named(tmp_path: Path) -> None:
-    append_sample(sample_tip(World.create(named_scene("mini"), paced=False), "T1"), tmp_path)
+    append_sample(sampled(), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')
     with pytest.raises(BadTruth, match=r"SIM-007: .* bad lines: line 2: .*line 3: "):

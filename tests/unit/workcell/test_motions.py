@@ -1,4 +1,4 @@
-"""The workcell's motions: each an intent and a result in the journal, none past an instrument in the head."""
+"""The workcell's motions: each an intent and a result in the journal, none past a guide before an entry."""
 
 import math
 import os
@@ -10,7 +10,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.errors import InstrumentInside, TipOffAxis, WrongTool
+from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
 from procedures.workcell.workcell import APPROACH_RAD
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -18,7 +18,7 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
-DEPTH_MM, STANDOFF_MM = 50.0, 60.0
+WAY_MM = 60.0
 
 
 def turned(by_rad: float) -> JointVector:
@@ -43,10 +43,10 @@ def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
     target = Transform.of(
         here.target,
         here.source,
-        translation_mm=here.apply([0.0, 0.0, DEPTH_MM + STANDOFF_MM]),
+        translation_mm=here.apply([0.0, 0.0, WAY_MM]),
         quaternion_wxyz=here.quaternion_wxyz,
     )
-    return Insertion(trajectory, target, DEPTH_MM, STANDOFF_MM)
+    return Insertion(trajectory, target, WAY_MM)
 
 
 def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
@@ -139,7 +139,7 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     made = inserted(cell)
     assert cell.workcell.insertion == made
     reached = tool_pose(cell.arm.joints_rad, cell)
-    assert math.dist(reached.translation_mm, made.target.translation_mm) < 1e-6
+    assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
     cell.workcell.withdraw("T1")
     assert cell.workcell.insertion is None
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
@@ -157,12 +157,12 @@ OTHER_MOTIONS: dict[str, Anything] = {
 
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("what", OTHER_MOTIONS)
-def test_while_an_instrument_is_inside_nothing_moves_but_along_its_axis(
+def test_while_the_guide_is_before_an_entry_nothing_moves_but_along_its_axis(
     cell: RecordingCell, what: str
 ) -> None:
     inserted(cell)
     moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInside, match=r"PRO-014.*beyond the entry of T1"):
+    with pytest.raises(InstrumentInside, match=r"PRO-014.*before the entry of T1"):
         OTHER_MOTIONS[what](cell)
     assert len(cell.arm.motions) == moved
 
@@ -171,7 +171,7 @@ def test_while_an_instrument_is_inside_nothing_moves_but_along_its_axis(
 def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
     inserted(cell, "T2")
     moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInside, match="not in T1; expected T1, got T2"):
+    with pytest.raises(InstrumentInside, match="not on T1; expected T1, got T2"):
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
 
@@ -182,14 +182,14 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
     moved = len(cell.arm.motions)
-    with pytest.raises(TipOffAxis, match="PRO-015: the tip is not on the axis of T1"):
+    with pytest.raises(TipOffAxis, match="PRO-015: the guide is not on the axis of T1"):
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
     assert cell.workcell.insertion is not None
 
 
 @pytest.mark.hazard(24)
-def test_an_insertion_that_fails_half_way_leaves_the_instrument_known_to_be_inside(
+def test_an_approach_that_fails_half_way_leaves_the_guide_known_to_be_on_its_axis(
     cell: RecordingCell,
 ) -> None:
     with_guide(cell)
@@ -199,6 +199,19 @@ def test_an_insertion_that_fails_half_way_leaves_the_instrument_known_to_be_insi
     cell.arm.failing = None
     with pytest.raises(InstrumentInside):
         cell.workcell.go_home()
+    cell.workcell.withdraw("T1")
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("what", ["withdraw", *OTHER_MOTIONS])
+def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
+    inserted(cell)
+    cell.workcell.instrument.goes_in("T1")
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInGuide, match=r"TOOL-001.*beyond the entry of T1"):
+        {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.withdraw("T1")}[what](cell)
+    assert len(cell.arm.motions) == moved
+    cell.workcell.instrument.is_out()
     cell.workcell.withdraw("T1")
 
 

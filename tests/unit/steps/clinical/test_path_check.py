@@ -10,6 +10,7 @@ from clinical_case import (
     checked_plan,
     checked_set_up,
     correspondence,
+    far_away,
     joints_at,
     localized_fiducials,
     shifted,
@@ -69,12 +70,10 @@ def test_a_head_out_of_reach_is_refused_with_every_pose_that_fails(cell: Clinica
 
 
 def plan_with_one_out_of_reach() -> CheckedPlan:
-    """The last trajectory leads up out of the table: no angle about its axis helps."""
+    """The last trajectory is where the arm does not reach: no angle about its axis helps."""
     checked = checked_plan()
     *others, last = checked.plan.trajectories
-    left, posterior, superior = last.entry_mm
-    upwards = last.model_copy(update={"entry_mm": (left, posterior + 900.0, superior)})
-    plan = checked.plan.model_copy(update={"trajectories": (*others, upwards)})
+    plan = checked.plan.model_copy(update={"trajectories": (*others, far_away(last))})
     return checked.model_copy(update={"plan": plan})
 
 

@@ -9,6 +9,7 @@ from clinical_case import (
     TRAJECTORIES,
     ClinicalCell,
     checked_plan,
+    far_away,
     global_localization,
     imported_ct,
     localized_fiducials,
@@ -17,6 +18,7 @@ from clinical_case import (
 
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
+from procedures.planning.guide_hold import held_trajectory
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
@@ -56,7 +58,7 @@ def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed
 ) -> None:
     done = [step for _, step in once.entries("result")]
     assert done[6:] == [
-        *("path_check", "relocalization", "registration", "tool_change"),
+        *("path_check", "relocalization", "registration", "tool_change", "tool_check"),
         *(f"{name}:{one}" for one in TRAJECTORIES for name in ("positioning", "at_target", "retreat")),
     ]
 
@@ -67,8 +69,9 @@ def test_its_one_registration_is_the_parent_of_every_positioning(once: ClinicalC
     for name in TRAJECTORIES:
         positioned = once.case.get(PositionedGuide, name)
         assert positioned.record.parents[registered.record.identifier] == registered.record.sha256
-        target_mm = ROBOT_FROM_CT.apply(plan().trajectory(name).target_mm)
-        assert positioned.result.tool_pose.translation_mm == pytest.approx(target_mm, abs=1e-3)
+        held = held_trajectory(PLAN, PLAN.trajectory(name), once.workcell.tools.guide.bore)
+        held_mm = ROBOT_FROM_CT.apply(held.rest_mm)
+        assert positioned.result.tool_pose.translation_mm == pytest.approx(held_mm, abs=1e-3)
 
 
 def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) -> None:
@@ -84,9 +87,7 @@ def test_without_a_trajectory_that_cannot_be_reached_the_others_are_done_to_the_
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     first, *others = PLAN.trajectories
-    left, posterior, superior = first.entry_mm
-    from_below = first.model_copy(update={"entry_mm": (left, posterior + 900.0, superior)})
-    changed = PLAN.model_copy(update={"trajectories": (from_below, *others)})
+    changed = PLAN.model_copy(update={"trajectories": (far_away(first), *others)})
     cell = ClinicalCell(tmp_path, strategy=strategy)
     engine = cell.begin(*steps(checked_plan().model_copy(update={"plan": changed})))
     engine.run_to()

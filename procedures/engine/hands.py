@@ -1,0 +1,57 @@
+"""Has the room's hands do something, and writes down what they read off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.operator import Question, Task, Topic
+from ronna_hw.wire.room_tasks import OUT
+
+if TYPE_CHECKING:
+    from procedures.engine.context import CaseSetting
+
+IS_OUT, INSIDE = "out", "inside"
+
+
+def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
+    """What was read off; raises PRO-002 when nobody reads it."""
+    began_s = setting.clock.now_s()
+    readings = setting.room.work(task)
+    journal.write(
+        Entry.WORK,
+        setting.clock.now_s(),
+        task=task.name,
+        subject=task.subject,
+        trajectory=task.trajectory,
+        readings=list(readings),
+        began_s=began_s,
+    )
+    if len(readings) != len(task.reads):
+        raise NotConfirmed(f"nobody read it off: {task.subject}", expected=", ".join(task.reads))
+    return readings
+
+
+def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Question], str]) -> None:
+    """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless it is said."""
+    instrument = setting.workcell.instrument
+    if (trajectory := instrument.inside) is None:
+        return
+    subject = f"take the instrument out of {trajectory}, and out of the guide"
+    have_done(setting, journal, Task(OUT, subject, trajectory))
+    question = Question(
+        Topic.INSTRUMENT_OUT,
+        f"the instrument is out of {trajectory} and out of the guide",
+        "while it is inside, nothing moves",
+        (IS_OUT, INSIDE),
+        trajectory,
+        timeout_s=None,
+    )
+    if ask(question) != IS_OUT:
+        raise NotConfirmed(
+            f"an instrument is still in {trajectory}: nothing moves",
+            action="Take it out of the guide, then repeat the step, or send the arm home.",
+        )
+    instrument.is_out()

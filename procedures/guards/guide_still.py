@@ -1,0 +1,109 @@
+"""While somebody works through the guide, it stays where it was held.
+
+The encoders do not see how an arm gives way under a hand; the tracker does, by the frame on the mount. What
+the arm's own joints say is compared as well.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.workspace import Workspace
+from procedures.workcell import Workcell
+from procedures.workcell.tracker_look import frames_at_rest, mean_pose
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import TrackerFrame, Validity
+
+Array = NDArray[np.float64]
+
+PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
+# The place of the frame on the mount has a noise of 0.1 mm in one frame: 0.03 mm between two such means.
+FRAMES = 30
+LEAST_FRAMES = 15  # that must show it
+BETWEEN_LOOKS_S = 1.0  # while the case waits for it to be let go
+RUNNING_FRAMES = 15  # readings of a watch while it lasts, every fourth frame
+
+
+@dataclass
+class GuideAtRest:
+    """How the guide was held when it had come to rest.
+
+    `frame_mm` (3,) is the place of the frame on the mount, tracker frame, and None where it is not seen.
+    `worked` says that somebody works through it now: else nothing waits for it. `now_mm` is how far it was
+    from its place when it was seen last, which is `fresh` until a guard has met it.
+    """
+
+    trajectory: str
+    tool_mm: Array
+    frame_mm: Array | None
+    now_mm: float = 0.0
+    worked: bool = False
+    fresh: bool = False
+    _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=RUNNING_FRAMES))
+
+    def take(self, frame: TrackerFrame, tool: str) -> None:
+        """Add one reading of a watch: the mean of the last ones is compared."""
+        if self.frame_mm is None:
+            return
+        seen = frame.tool(tool)
+        if seen.validity is Validity.OK and seen.position_mm is not None:
+            self._recent.append(np.asarray(seen.position_mm, dtype=float))
+        if len(self._recent) == RUNNING_FRAMES:
+            self.compare(np.mean(self._recent, axis=0))
+
+    def compare(self, frame_mm: Array | None, tool_mm: Array | None = None) -> float:
+        """How far it is from where it was held, by whichever says more."""
+        ways = [0.0]
+        if frame_mm is not None and self.frame_mm is not None:
+            ways.append(float(np.linalg.norm(frame_mm - self.frame_mm)))
+        if tool_mm is not None:
+            ways.append(float(np.linalg.norm(tool_mm - self.tool_mm)))
+        self.now_mm = max(ways)
+        return self.now_mm
+
+    def look(self, workcell: Workcell, clock: Clock) -> float:
+        """How far it is from its place now. Raises what the tracker raises."""
+        frame_mm = None if self.frame_mm is None else frame_place_mm(workcell, clock)
+        return self.compare(frame_mm, workcell.tool_pose().translation_mm)
+
+
+@dataclass
+class GuideStill:
+    """Asked at checkpoints while the workspace keeps a `GuideAtRest` through which somebody works."""
+
+    workcell: Workcell
+    clock: Clock
+    workspace: Workspace
+    name: str = "guide"
+    looks_again_s: float = 0.0  # theatre time, while it is pushed
+
+    def unmet(self) -> str | None:
+        """By how much it is pushed. Raises what the tracker raises."""
+        rest = self.workspace.find(GuideAtRest)
+        if rest is None or not rest.worked:
+            return None
+        if rest.fresh or self.clock.now_s() >= self.looks_again_s:
+            if not rest.fresh:
+                rest.look(self.workcell, self.clock)
+            rest.fresh = False
+            pushed = rest.now_mm > PUSHED_MM
+            self.looks_again_s = self.clock.now_s() + BETWEEN_LOOKS_S if pushed else 0.0
+        if rest.now_mm <= PUSHED_MM:
+            return None
+        return f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of guide and arm"
+
+
+def guide_at_rest(workcell: Workcell, clock: Clock, trajectory: str) -> GuideAtRest:
+    """How it is held now. Raises what the tracker raises."""
+    return GuideAtRest(trajectory, workcell.tool_pose().translation_mm, frame_place_mm(workcell, clock))
+
+
+def frame_place_mm(workcell: Workcell, clock: Clock) -> Array | None:
+    """The mean place of the frame on the mount (3,), tracker frame; None where too few frames show it."""
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=FRAMES)
+    pose = mean_pose(frames, workcell.calibrations.tracker_frame.tool, LEAST_FRAMES)
+    return None if pose is None else np.asarray(pose.translation_mm, dtype=float)

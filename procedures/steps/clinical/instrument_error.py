@@ -1,0 +1,25 @@
+"""What the instrument adds to the error at the target: the play of the guide's bore, and its depth stop.
+
+It may lie anywhere in the play, at the upper and at the lower end of the bore on its own. Its place at an end
+is uniform in a disc of radius r, half the play, whose variance along either axis is r^2 / 4; beyond the lower
+end the difference of both grows with the distance.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.planning.plan import Plan, PlannedTrajectory
+from procedures.steps.clinical.depth_stop import SET_BY_HAND_MM
+from ronna_hw.tool_record import GuideBore
+
+Array = NDArray[np.float64]
+SOURCE = "instrument"
+
+
+def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: GuideBore, held: Array) -> Array:
+    """Covariance (3, 3) at the target, of a guide held in an orientation (3, 3) with its axis last."""
+    share = (plan.standoff_mm + planned.depth_mm) / bore.length_mm  # of the bore, beyond its lower end
+    across_mm2 = (bore.play_mm / 4.0) ** 2 * ((1.0 + share) ** 2 + share**2)
+    return np.asarray(held @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ held.T)

@@ -1,0 +1,44 @@
+"""An instrument in the guide: while it is beyond the entry, or may be, nothing moves at all."""
+
+from __future__ import annotations
+
+from procedures.engine.journal import Entry, Journal
+from procedures.workcell.errors import InstrumentInGuide
+from ronna_hw.clock import Clock
+
+
+class Instrument:
+    """The journal says that it goes in before it does, and that it is out when somebody has confirmed it."""
+
+    def __init__(self, journal: Journal, clock: Clock) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._inside: str | None = None
+
+    @property
+    def inside(self) -> str | None:
+        """The trajectory in which it is, or may be; None while it is out."""
+        return self._inside
+
+    def goes_in(self, trajectory: str) -> None:
+        """From here on it counts as inside."""
+        self._journal.write(Entry.INSTRUMENT, self._clock.now_s(), trajectory=trajectory, inside=True)
+        self._inside = trajectory
+
+    def is_out(self) -> None:
+        """Somebody confirmed that it is out."""
+        if self._inside is not None:
+            self._journal.write(Entry.INSTRUMENT, self._clock.now_s(), trajectory=self._inside, inside=False)
+            self._inside = None
+
+    def take_up(self, trajectory: str | None) -> None:
+        """Take for true how a run that is taken up again left it."""
+        self._inside = trajectory
+
+    def require_out(self, what: str) -> None:
+        """Raises TOOL-001 while it is inside."""
+        if self._inside is not None:
+            raise InstrumentInGuide(
+                f"{what}: an instrument is in the guide, beyond the entry of {self._inside}",
+                expected="that it is out, and confirmed to be",
+            )

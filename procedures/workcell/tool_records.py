@@ -1,0 +1,85 @@
+"""The records of the tools that can hang on the arm, as the theatre file has them, and whether they fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+
+from procedures.workcell.errors import ForeignTool, NoToolRecord
+from procedures.workcell.mounted_tool import STEREO_HEAD_NUMBER
+from ronna_hw.calibration import ToolTipCalibration
+from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
+
+GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
+
+
+@dataclass(frozen=True)
+class GuideRecord:
+    """What is known of the guide: its record, and what a guide's record always has."""
+
+    record: ToolRecord
+    bore: GuideBore
+    gauge: Gauge
+
+
+@dataclass(frozen=True)
+class ToolRecords:
+    """By name, and the flange on which they have to have been measured."""
+
+    records: Mapping[str, ToolRecord]
+    flange: str
+
+    @classmethod
+    def of(cls, file: TheatreFile) -> ToolRecords:
+        """Those of a theatre file."""
+        return cls(file.tools, file.flange)
+
+    @property
+    def guide(self) -> GuideRecord:
+        """Raises TOOL-002 when there is none, or one that is no guide's."""
+        found = self.records.get(GUIDE)
+        if found is None:
+            raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
+        if found.purpose not in GUIDES or found.bore is None or found.gauge is None:
+            raise NoToolRecord(
+                f"tool record {found.identifier} is no guide's",
+                expected=" or ".join(one.value for one in GUIDES),
+                got=found.purpose.value,
+            )
+        return GuideRecord(found, found.bore, found.gauge)
+
+    def check(self, calibrations: Calibrations, moment: datetime) -> None:
+        """Raises CAL-001 for a record that is not valid at that moment, TOOL-002, TOOL-003."""
+        for name, record in self.records.items():
+            record.check_valid_at(moment)
+            check_flange(record, self.flange)
+            numbers = {GUIDE: calibrations.tool_tip.tool_number, STEREO_HEAD: STEREO_HEAD_NUMBER}
+            if record.number != numbers.get(name, record.number):
+                raise NoToolRecord(
+                    f"tool record {record.identifier} has another number than the {name}",
+                    expected=str(numbers[name]),
+                    got=str(record.number),
+                )
+        check_tip(self.guide.record, calibrations.tool_tip)
+
+
+def check_flange(record: ToolRecord, flange: str) -> None:
+    """Raises TOOL-003 unless a tool was measured on that flange."""
+    if record.flange != flange:
+        raise ForeignTool(
+            f"tool record {record.identifier} is of another flange",
+            expected=flange or "a name: the theatre file has no key `flange`",
+            got=record.flange,
+        )
+
+
+def check_tip(record: ToolRecord, tip: ToolTipCalibration) -> None:
+    """Raises TOOL-003 unless a tool's record refers to that calibration of its tip."""
+    if record.tip != tip.identifier:
+        raise ForeignTool(
+            f"tool record {record.identifier} refers to another calibration of its tip",
+            expected=tip.identifier,
+            got=record.tip or "none",
+        )

@@ -1,0 +1,94 @@
+"""Records of what can hang on the arm: table `[tools.NAME]` of the theatre file.
+
+A record says what a tool is, for what it is there, and what it needs around it. Where its tip is says a
+calibration record of its own, to which it refers.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, ClassVar, Self
+
+from pydantic import Field, model_validator
+
+from ronna_hw.calibration import Dated, Length, Numbers3, Strict
+from ronna_hw.collision_config import ToolBody
+
+Angles6 = tuple[float, float, float, float, float, float]
+
+
+class ToolPurpose(StrEnum):
+    """What a tool is there for."""
+
+    STEREO_HEAD = "stereo_head"
+    NEEDLE_GUIDE = "needle_guide"
+    DRILL_GUIDE = "drill_guide"
+    DRILL = "drill"
+    GRIPPER = "gripper"
+    POINTER = "pointer"
+
+
+GUIDES = (ToolPurpose.NEEDLE_GUIDE, ToolPurpose.DRILL_GUIDE)
+WITH_TIP = (*GUIDES, ToolPurpose.DRILL, ToolPurpose.POINTER)
+
+
+class GuideBore(Strict):
+    """The bore of a guide, along the axis of its tip frame.
+
+    The tip frame is that of the mandrel with which the tip was calibrated: its end, beyond the guide's.
+    """
+
+    reach_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
+        description="From the lower end of the guide to the end of the mandrel."
+    )
+    length_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
+        description="From the upper end, on which a depth stop rests, to the lower one."
+    )
+    play_mm: Annotated[float, Field(ge=0, le=2.0)] = Field(
+        description="Diameter of the bore less that of the instrument."
+    )
+
+
+class Gauge(Strict):
+    """Where the tool is compared with itself, and what a gauge on the table showed when it was measured."""
+
+    joints_deg: Angles6 = Field(description="Of the arm, with the mandrel in the gauge.")
+    reading_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="Of the dials at the end, along x, y and z of the tool."
+    )
+    upper_reading_mm: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="Of the dials higher up on the mandrel, along x and y."
+    )
+    base_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
+        default=60.0, description="Between both heights."
+    )
+
+
+class ToolRecord(Dated):
+    """One tool: identity, purpose, what it weighs, what it needs around it, where its tip or bore is."""
+
+    what: ClassVar[str] = "tool record"
+
+    purpose: Annotated[ToolPurpose, Field(strict=False)] = Field(description="What it is there for.")
+    number: Annotated[int, Field(ge=1, le=16)] = Field(description="As the controller's inputs report it.")
+    flange: Annotated[str, Field(min_length=1)] = Field(
+        description="Name of the flange, or of the changer on it, that it was measured on."
+    )
+    mass_kg: Annotated[float, Field(gt=0, le=10)] = Field(description="Of all that hangs below the changer.")
+    centre_of_gravity_mm: Numbers3 = Field(description="In the frame of the flange.")
+    bodies: tuple[ToolBody, ...] = Field(
+        default=(), description="Its geometry for clearance, in its tip frame; else that of `[cell]`."
+    )
+    tip: str | None = Field(default=None, description="Identifier of the calibration record of its tip.")
+    bore: GuideBore | None = Field(default=None, description="Of a guide.")
+    gauge: Gauge | None = Field(default=None, description="How it is checked after it was mounted.")
+
+    @model_validator(mode="after")
+    def _is_whole(self) -> Self:
+        if self.purpose in WITH_TIP and not self.tip:
+            raise ValueError(f"a {self.purpose.value} needs `tip`, the identifier of its tip's calibration")
+        if self.purpose in GUIDES and self.bore is None:
+            raise ValueError(f"a {self.purpose.value} needs `bore`")
+        if self.purpose in GUIDES and self.gauge is None:
+            raise ValueError(f"a {self.purpose.value} needs `gauge`: where it is checked after mounting")
+        return self

@@ -1,0 +1,11 @@
+"""What hands do in an operating room, by the names that a procedure and a simulated room share."""
+
+from __future__ import annotations
+
+DEPTH_STOP = "depth_stop"  # set it: one number, tip to stop in mm; the scale is read
+SKIN = "skin"
+DRILL = "drill"
+DURA = "dura"
+INSERT = "insert"  # the instrument, up to its stop
+OUT = "out"  # the instrument out of the guide
+GAUGE = "gauge"  # read it: the joints at which it stands in deg, and the height between its dials in mm

@@ -1,0 +1,51 @@
+"""Records of the tools in the theatre file, as a laboratory has them: measured when all was well."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from sim.theatre.scene.model import Scene
+
+STEREO_HEAD_KG = 2.1
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool with the common mount, flange frame
+# From home, the arm turned aside: the gauge stands on the table beside the patient.
+GAUGE_TURN_DEG = -40.0
+GAUGE_BASE_MM = 60.0
+
+
+def refer_to_tip(content: dict[str, Any]) -> None:
+    """Have the guide's record in a theatre file refer to the calibration of its tip that is in it."""
+    content["tools"]["guide"]["tip"] = content["calibration"]["tool_tip"]["identifier"]
+
+
+def tool_records(
+    scene: Scene, dated: Callable[[str], dict[str, Any]], flange: str
+) -> dict[str, dict[str, Any]]:
+    """By name; `dated` makes the fields that all dated records have."""
+    mount = scene.mount
+    guide = mount.guide
+    A1, *others = scene.arm.home_deg
+    common = {"flange": flange, "centre_of_gravity_mm": list(CENTRE_OF_GRAVITY_MM)}
+    return {
+        "stereo_head": {
+            **dated("tool-stereo-head"),
+            **common,
+            "purpose": "stereo_head",
+            "number": mount.tool_number_stereo,
+            "mass_kg": STEREO_HEAD_KG,
+        },
+        "guide": {
+            **dated("tool-guide"),
+            **common,
+            "purpose": "needle_guide",
+            "number": mount.tool_number_guide,
+            "mass_kg": guide.mass_kg,
+            "bore": {
+                "reach_mm": guide.reach_mm,
+                "length_mm": guide.bore_mm,
+                "play_mm": guide.play_mm,
+            },
+            "gauge": {"joints_deg": [A1 + GAUGE_TURN_DEG, *others], "base_mm": GAUGE_BASE_MM},
+        },
+    }

@@ -1,0 +1,91 @@
+"""A hand on the guide, a bent tip, a wrong depth stop: scripted and live, each with its promised outcome."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
+from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.host.control_port import ask_control_port
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
+MINI = ("--sim", "--scene", "mini", "--seed", "3")
+CONTROL = re.compile(r"control port (\S+)")
+
+
+@dataclass(frozen=True)
+class Promise:
+    """What a fault of a step promises: an error, or how far the guide was pushed."""
+
+    fault: str
+    step: str
+    code: str = ""
+    pushed_mm: float = 0.0
+
+
+HAND_MM = 10.0 / 80.0  # ten newtons on the stiffness of the scene
+FAULTS = {
+    "a hand load of 10 N": Promise("push guide 0 10 0 N", "at_target", pushed_mm=HAND_MM),
+    "the surgeon pulling the guide": Promise("push guide 0 -30 -26 N", "at_target", "PRO-017"),
+    "a bent tip": Promise("bent tip 0.07 0.07 0 mm", "tool_check", "TOOL-005"),
+    "a wrong mandrel": Promise("wrong mandrel 2 mm", "tool_check", "TOOL-005"),
+    "a badly seated changer": Promise("bad seat 0.1 mm 0.2 deg", "tool_check", "TOOL-005"),
+    "a wrong load": Promise("wrong load 1 kg", "tool_check", "TOOL-005"),
+    "a depth stop set wrong": Promise("depth stop off by 2 mm", "at_target", "TOOL-004"),
+}
+
+
+def judge(promise: Promise, lines: list[Line], folder: Path) -> None:
+    """The step ended as promised; an instrument is in only where it was when the guide was pulled."""
+    of_step = [line for line in lines if str(line.get("step", "")).partition(":")[0] == promise.step]
+    if promise.code:
+        assert [line.get("code") for line in of_step if line["entry"] == "failed"] == [promise.code]
+        assert not [line for line in lines if line.get("topic") == "skin:T1"]
+        return
+    (done,) = (line for line in of_step if line["entry"] == "result")
+    record = json.loads((folder / "records" / f"{done['record']}.json").read_text())
+    assert record["payload"]["pushed_mm"] == pytest.approx(promise.pushed_mm, abs=0.08)
+
+
+@pytest.mark.hazard(45)
+@pytest.mark.hazard(46)
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize("what", FAULTS)
+def test_a_scripted_fault_ends_as_promised(commands: Commands, tmp_path: Path, what: str) -> None:
+    promise = FAULTS[what]
+    faults = tmp_path / "faults.txt"
+    faults.write_text(f"when step == {promise.step}: room {promise.fault}\n")
+    options = ("--faults", str(faults), "--out", str(tmp_path / "runs"), "--json")
+    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=200)
+    assert ran.returncode == (EXIT_REFUSED if promise.code else 0), ran.stderr
+    (folder,) = (tmp_path / "runs").iterdir()
+    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder)
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.parametrize("what", ["a hand load of 10 N", "the surgeon pulling the guide", "a bent tip"])
+def test_a_live_fault_ends_as_promised(commands: Commands, tmp_path: Path, what: str) -> None:
+    promise = FAULTS[what]
+    before = "tool_change" if promise.step == "tool_check" else "positioning:T1"
+    step = promise.step if promise.step == "tool_check" else f"{promise.step}:T1"
+    stepping = commands.start(
+        "ronna-procedure", "step", *MINI, "--out", str(tmp_path / "runs"), stdin=subprocess.PIPE
+    )
+    assert stepping.stdin is not None
+    assert stepping.stdout is not None
+    assert stepping.stderr is not None
+    stepping.stdin.write(f"to {before}\n")
+    stepping.stdin.flush()
+    control = next(found for line in stepping.stderr if (found := CONTROL.search(line)))
+    assert any(line.startswith(f"done {before}") for line in stepping.stdout)
+    ask_control_port(control[1], "fault", line=f"now: room {promise.fault}")
+    stepping.communicate(f"run {step}\nhome\nquit\n", timeout=100)
+    (folder,) = (tmp_path / "runs").iterdir()
+    judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder)

@@ -1,0 +1,133 @@
+"""The guide is compared with itself on the gauge before it goes near the head; its record must fit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from clinical_case import FIRST, ClinicalCell, checked_plan, coarse, localized_fiducials, mounted_guide
+from recording_cell import RecordingOperator
+
+from procedures.engine.errors import NotConfirmed, StepRefused
+from procedures.engine.operator import Topic
+from procedures.steps.clinical import positioning
+from procedures.steps.clinical.errors import ToolBesideGauge
+from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import ForeignTool, NoToolRecord
+from procedures.workcell.tool_records import ToolRecords
+from ronna_hw.calibration import CalibrationExpired
+from ronna_hw.tool_record import ToolPurpose
+
+NOW = datetime(2031, 1, 1, tzinfo=UTC)
+
+
+def check(cell: ClinicalCell, *dials_mm: float) -> CheckedTool:
+    cell.carrying(MountedTool.GUIDE)
+    cell.room.dials_mm = dials_mm
+    cell.run(mounted_guide(), *coarse(), checked_plan(), localized_fiducials(), STEP)
+    return cell.case.get(CheckedTool).result
+
+
+def test_the_arm_brings_the_guide_to_the_gauge_from_the_same_side_and_goes_home(cell: ClinicalCell) -> None:
+    checked = check(cell, 0.02, 0.0, 0.02, 0.02, 0.0)
+    *approaches, home = (to for _, to in cell.arm.motions)
+    for back, there in zip(approaches[::2], approaches[1::2], strict=True):
+        assert all(before < after for before, after in zip(back, there, strict=True))
+        assert checked.joints_rad == there
+    assert home == cell.workcell.home_rad
+    assert checked.off_mm == pytest.approx(0.0283, abs=1e-4)
+    assert checked.tilt_deg == 0.0
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.branch("TOOL_BESIDE_GAUGE")
+@pytest.mark.parametrize(
+    "dials_mm",
+    [
+        (1.2 * TIP_LIMIT_MM, 0.0, 0.0, 0.0, 0.0),  # bent
+        (0.0, 0.0, -1.2 * TIP_LIMIT_MM, 0.0, 0.0),  # not seated
+        (0.0, 0.0, 0.0, 0.12, 0.0),  # tilted: 0.11 deg on 60 mm
+    ],
+)
+def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
+    cell: ClinicalCell, dials_mm: tuple[float, ...]
+) -> None:
+    with pytest.raises(ToolBesideGauge, match=r"TOOL-005: .*limit 0\.05 mm, 0\.1 deg"):
+        check(cell, *dials_mm)
+    assert cell.workcell.at_home
+
+
+@pytest.mark.hazard(47)
+def test_a_gauge_that_nobody_reads_is_no_check(cell: ClinicalCell) -> None:
+    with pytest.raises(NotConfirmed, match="PRO-002: nobody read it off"):
+        check(cell)
+
+
+@pytest.mark.hazard(47)
+def test_without_the_check_the_guide_does_not_go_near_the_head(cell: ClinicalCell) -> None:
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(mounted_guide(), *coarse(), checked_plan(), localized_fiducials()), STEP, positioning.STEP
+    )
+    engine.run_to(engine.order.sequence[4])
+    with pytest.raises(StepRefused, match=r"PRO-001: .*tool_check comes first"):
+        engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+@pytest.mark.hazard(36)
+def test_the_gauge_is_not_approached_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.TOOL_CHECK)
+    with pytest.raises(NotConfirmed, match="move the guide over to the gauge"):
+        check(cell, *(0.0,) * 5)
+    assert cell.arm.motions == []
+
+
+def records(cell: ClinicalCell, **changes: object) -> ToolRecords:
+    """The tools of the cell, valid at `NOW`, with the guide's record changed."""
+    dated = {"created": NOW - timedelta(days=1), "expires": NOW + timedelta(days=1)}
+    tools = cell.workcell.tools
+    found = {name: one.model_copy(update=dated) for name, one in tools.records.items()}
+    return replace(tools, records={**found, "guide": found["guide"].model_copy(update=changes)})
+
+
+Damage = Callable[[ClinicalCell], ToolRecords]
+UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
+    "expired": (
+        lambda cell: records(cell, expires=NOW - timedelta(hours=1)),
+        CalibrationExpired,
+        "CAL-001: tool record tool-guide-mini-3 expired",
+    ),
+    "another flange": (
+        lambda cell: records(cell, flange="changer 7"),
+        ForeignTool,
+        "TOOL-003: .*another flange; expected changer of the simulated arm, got changer 7",
+    ),
+    "another tip": (
+        lambda cell: records(cell, tip="tool-tip-of-may"),
+        ForeignTool,
+        "TOOL-003: .*another calibration of its tip",
+    ),
+    "another number": (lambda cell: records(cell, number=5), NoToolRecord, "TOOL-002: .*expected 2, got 5"),
+    "no guide": (
+        lambda cell: records(cell, purpose=ToolPurpose.GRIPPER),
+        NoToolRecord,
+        "TOOL-002: .*no guide's",
+    ),
+    "none": (
+        lambda cell: replace(records(cell), records={}),
+        NoToolRecord,
+        r"TOOL-002: .*no record of the guide.*\[tools.guide\]",
+    ),
+}
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize("what", UNFIT)
+def test_a_tool_record_that_does_not_fit_is_refused(cell: ClinicalCell, what: str) -> None:
+    damage, error, said = UNFIT[what]
+    records(cell).check(cell.calibrations, NOW)
+    with pytest.raises(error, match=said):
+        damage(cell).check(cell.calibrations, NOW)

@@ -1,0 +1,175 @@
+"""The depth stop is right, then the instrument goes in, stage by stage; nothing moves before it is out."""
+
+import pytest
+from clinical_case import (
+    FIRST,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_tool,
+    coarse,
+    localized_fiducials,
+    mounted_guide,
+    plan,
+    registered_robot,
+)
+from recording_cell import RecordingOperator
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import GuardUnmet, NotConfirmed
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.operator import Question, Topic
+from procedures.guards import GuideStill
+from procedures.guards.guide_still import PUSHED_MM
+from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.depth_stop import STOP_LIMIT_MM
+from procedures.steps.clinical.errors import DepthStopWrong
+from procedures.workcell import MountedTool
+
+STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
+
+
+@pytest.fixture(autouse=True)
+def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
+
+
+def before_the_entry(cell: ClinicalCell) -> Engine:
+    """An engine whose guide is held before the first entry."""
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(registered_robot(), mounted_guide(), checked_tool(), checked_paths(cell)),
+        *(checked_plan(), localized_fiducials(), *coarse()),
+        *(positioning.STEP, at_target.STEP, retreat.STEP),
+    )
+    setting = engine.setting
+    engine.checkpoint.guards.append(GuideStill(setting.workcell, setting.clock, setting.workspace))
+    engine.run_to(engine.order.find(f"positioning:{FIRST}"))
+    cell.operator.asked.clear()
+    return engine
+
+
+def work(engine: Engine) -> None:
+    engine.run_step(engine.order.find(f"at_target:{FIRST}"))
+
+
+def instrument_lines(cell: ClinicalCell) -> list[object]:
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    return [line["inside"] for line in lines if line["entry"] == "instrument"]
+
+
+@pytest.mark.hazard(44)
+def test_every_stage_is_confirmed_and_the_instrument_is_out_at_the_end(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    work(engine)
+    topics = [one.topic for one in cell.operator.asked]
+    assert topics == [Topic.DEPTH_STOP, *STAGES, Topic.INSTRUMENT_OUT]
+    done = [task.name for task in cell.room.worked]
+    assert done == ["depth_stop", "skin", "drill", "dura", "insert", "out"]
+    assert instrument_lines(cell) == [True, False]
+    assert engine.instrument_in is None
+
+
+@pytest.mark.hazard(45)
+def test_the_depth_stop_is_bore_stand_off_and_depth_and_all_of_it_is_shown(cell: ClinicalCell) -> None:
+    work(before_the_entry(cell))
+    stop = cell.case.get(ReachedTarget, FIRST).result.depth_stop
+    depth_mm = plan().trajectory(FIRST).depth_mm
+    assert stop.computed_mm == pytest.approx(85.0 + 30.0 + depth_mm)
+    shown = f"bore 85.0 + stand-off 30.0 + depth {depth_mm:.1f} = {stop.computed_mm:.1f} mm"
+    assert shown in cell.operator.asked[0].value
+
+
+@pytest.mark.hazard(45)
+@pytest.mark.branch("WRONG_STOP")
+def test_a_depth_stop_that_stays_wrong_lets_no_instrument_in(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    cell.room.stop_off_mm = 2 * STOP_LIMIT_MM
+    with pytest.raises(DepthStopWrong, match=r"TOOL-004: .*T1 is set wrong"):
+        work(engine)
+    assert [task.name for task in cell.room.worked] == ["depth_stop"] * 3
+    assert instrument_lines(cell) == []
+
+
+@pytest.mark.hazard(45)
+@pytest.mark.branch("WRONG_STOP")
+def test_a_depth_stop_that_comes_right_is_confirmed(cell: ClinicalCell) -> None:
+    class Corrects(RecordingOperator):
+        def ask(self, question: Question) -> str:
+            cell.room.stop_off_mm = 0.0
+            return super().ask(question)
+
+    engine = before_the_entry(cell)
+    cell.room.stop_off_mm = -2 * STOP_LIMIT_MM
+    corrects = Corrects()
+    engine.questions._operator = corrects
+    work(engine)
+    assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
+
+
+def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    cell.room.work = lambda _task: ()  # type: ignore[method-assign]
+    with pytest.raises(NotConfirmed, match="nobody read it off"):
+        work(engine)
+    assert instrument_lines(cell) == []
+
+
+@pytest.mark.hazard(44)
+def test_work_that_was_left_goes_on_where_it_was(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    cell.operator.refusing = (Topic.DRILL,)
+    with pytest.raises(NotConfirmed, match="nobody said at T1 that the skull is drilled"):
+        work(engine)
+    assert engine.instrument_in == FIRST
+    cell.operator.refusing = ()
+    cell.operator.asked.clear()
+    work(engine)
+    assert [one.topic for one in cell.operator.asked] == [*STAGES[1:], Topic.INSTRUMENT_OUT]
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+@pytest.mark.parametrize(("push_mm", "suspends"), [(0.6 * PUSHED_MM, False), (1.5 * PUSHED_MM, True)])
+def test_a_guide_that_is_pushed_suspends_the_case_until_it_is_let_go(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, push_mm: float, suspends: bool
+) -> None:
+    monkeypatch.setattr("procedures.engine.checkpoint.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
+    engine = before_the_entry(cell)
+
+    class LetsGo(RecordingOperator):
+        def ask(self, question: Question) -> str:
+            pushed = question.topic is Topic.DRILL
+            cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
+            return super().ask(question)
+
+    operator = LetsGo()
+    engine.questions._operator = operator
+    work(engine)
+    guards = [one for one in operator.asked if one.topic is Topic.GUARD]
+    assert [f"pushed or pulled by {push_mm:.2f} mm" in one.subject for one in guards] == [True] * suspends
+    assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
+
+
+@pytest.mark.hazard(46)
+@pytest.mark.branch("GUIDE_PUSHED")
+def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("procedures.engine.checkpoint.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
+    engine = before_the_entry(cell)
+    cell.operator.refusing = (Topic.GUARD,)
+    ask = cell.operator.ask
+
+    def push(question: Question) -> str:
+        if question.topic is Topic.SKIN:
+            cell.tracker.frame_shift_mm = (0.0, 0.0, 0.5)
+        return ask(question)
+
+    cell.operator.ask = push  # type: ignore[method-assign]
+    with pytest.raises(GuardUnmet, match=r"pushed or pulled by 0\.50 mm, limit 0\.2 mm: let go"):
+        work(engine)
+    assert engine.instrument_in == FIRST

@@ -1,0 +1,89 @@
+"""What hands do in the simulated room: the depth stop, the instrument, a push, by the faults that act."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire.room_tasks import DEPTH_STOP, INSERT, SKIN
+from sim.theatre.control import Room
+from sim.theatre.hands import Hands
+from sim.theatre.rigid import matrix_of
+from sim.theatre.scene.model import Guide
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.truth import read_samples
+from sim.theatre.world import ArmState, World
+
+SCENE = named_scene("mini", seed=3)
+EXACT = SCENE.mount.guide.model_copy(update={"play_mm": 0.0, "depth_stop_mm": 0.0, "seat_mm": 0.0})
+FLANGE = np.diag([1.0, -1.0, -1.0, 1.0])  # pointing down, at the robot's origin
+STOP_MM = 165.0
+
+
+def a_world(guide: Guide = EXACT) -> World:
+    mount = SCENE.mount.model_copy(update={"guide": guide})
+    world = World.create(SCENE.model_copy(update={"mount": mount}), paced=False)
+    world.publish_arm(ArmState((0.0,) * 6, FLANGE, 1, True))
+    world.mount_tool(mount.tool_number_guide)
+    return world
+
+
+def tip_mm(world: World, folder: Path) -> np.ndarray:
+    hands = Hands(world, folder)
+    hands.work(DEPTH_STOP, "T1", (STOP_MM,))
+    hands.work(INSERT, "T1", ())
+    return np.array(read_samples(folder)[-1].tip_mm)
+
+
+def planned_mm() -> np.ndarray:
+    """On the axis of the bore, as deep as the depth stop says."""
+    tip = FLANGE @ matrix_of(SCENE.mount.flange_from_tool_true) @ matrix_of(SCENE.mount.tool_from_tip_true)
+    beyond_mm = STOP_MM - EXACT.bore_mm - EXACT.reach_mm
+    return np.asarray((tip @ np.array([0.0, 0.0, beyond_mm, 1.0]))[:3])
+
+
+def test_an_instrument_goes_down_the_bore_as_deep_as_its_stop(tmp_path: Path) -> None:
+    assert tip_mm(a_world(), tmp_path) == pytest.approx(planned_mm(), abs=1e-9)
+
+
+def test_in_a_bore_with_play_it_lies_beside_the_axis_by_no_more_than_the_play_allows(tmp_path: Path) -> None:
+    guide = EXACT.model_copy(update={"play_mm": 0.1})
+    beyond_mm = STOP_MM - guide.bore_mm
+    most_mm = 0.05 * (1.0 + 2.0 * beyond_mm / guide.bore_mm)
+    away = [float(np.linalg.norm(tip_mm(a_world(guide), tmp_path) - planned_mm()))]
+    assert 0.0 < max(away) <= most_mm
+
+
+@pytest.mark.parametrize(
+    ("fault", "moved_mm"),
+    [
+        ("push guide 8 0 -4 N", (0.1, 0.0, -0.05)),  # over 80 N/mm
+        ("wrong load 1 kg", (0.0, 0.0, -0.15)),
+        ("depth stop off by 2 mm", (0.0, 0.0, -2.0)),
+        ("wrong mandrel 5 mm", (0.0, 0.0, 0.0)),  # that is not the instrument
+        ("bad seat 0.1 mm 0 deg", (0.0, 0.0, 0.1)),
+    ],
+)
+def test_faults_move_the_tip_as_they_say(
+    tmp_path: Path, fault: str, moved_mm: tuple[float, float, float]
+) -> None:
+    world = a_world()
+    world.set_fault_script(f"at 0 s: room {fault}")
+    assert tip_mm(world, tmp_path) - planned_mm() == pytest.approx(moved_mm, abs=1e-9)
+
+
+def test_a_depth_stop_that_is_set_wrong_is_read_as_it_is() -> None:
+    world = a_world()
+    world.set_fault_script("at 0 s: room depth stop off by -2 mm")
+    assert Hands(world, None).work(DEPTH_STOP, "T1", (STOP_MM,)) == (STOP_MM - 2.0,)
+
+
+def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> None:
+    room = Room(a_world(), tmp_path)
+    assert room.answer({"do": "work", "task": SKIN})["readings"] == []
+    for request in ({"do": "work", "task": INSERT}, {"do": "work", "task": "tea"}, {"do": "work"}):
+        answer = room.answer(request)
+        assert not answer["ok"]
+        assert "bad request" in answer["reason"]
