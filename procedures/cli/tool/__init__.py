@@ -1,0 +1,1 @@
+"""`ronna-tool`: records of the tools that can hang on the arm."""

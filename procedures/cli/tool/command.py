@@ -1,0 +1,143 @@
+"""`ronna-tool`: define a tool's record, check the records of a theatre file, list them."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from procedures.cli.tool.purposes import Purpose
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+app = typer.Typer(
+    name="ronna-tool",
+    help="The tools of an arm: define their records, check that these fit, list them.",
+    epilog="Example: ronna-tool list --config theatre.toml",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
+SixDegrees = tuple[float, float, float, float, float, float]
+
+
+@app.callback()
+def tool() -> None:
+    """The tools of an arm: define their records, check that these fit, list them."""
+
+
+@app.command()
+def define(
+    name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
+    config: ConfigOption,
+    write: Annotated[
+        Path, typer.Option(metavar="FILE", help="Theatre file to write, with the record, beside --config.")
+    ],
+    purpose: Annotated[Purpose, typer.Option(help="What it is there for.")],
+    number: Annotated[int, typer.Option(min=1, max=16, help="As the controller's inputs report it.")],
+    mass_kg: Annotated[float, typer.Option(help="Of all that hangs below the changer.")],
+    centre_of_gravity_mm: Annotated[
+        tuple[float, float, float], typer.Option(metavar="X Y Z", help="In the frame of the flange.")
+    ],
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who measured it.")],
+    flange: Annotated[
+        str | None, typer.Option(help="Flange, or changer, it was measured on [default: the file's].")
+    ] = None,
+    reach_mm: Annotated[
+        float | None, typer.Option(help="Of a guide: from its lower end to its mandrel's.")
+    ] = None,
+    bore_mm: Annotated[float | None, typer.Option(help="Of a guide: length of its bore.")] = None,
+    play_mm: Annotated[
+        float | None, typer.Option(help="Of a guide: diameter of its bore less the instrument's.")
+    ] = None,
+    gauge_deg: Annotated[
+        SixDegrees | None,
+        typer.Option(metavar="A1 ... A6", help="Of a guide: axes with the mandrel in the gauge."),
+    ] = None,
+    gauge_base_mm: Annotated[float, typer.Option(help="Between both heights of the gauge's dials.")] = 60.0,
+    days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Write a theatre file with the record of a tool. Its tip is that of the file's calibration of now.
+
+    Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 the file has
+    mistakes, 2 usage.
+    """
+    console.set_up_logging(verbose)
+    from procedures.cli.calibrating.files import write_theatre_tables
+    from procedures.cli.tool.records import record_of
+
+    if write.resolve() == config.resolve():
+        raise UsageMistake("--write names the file that it is made from", action="Name another file.")
+    made = datetime.now(UTC).replace(microsecond=0)
+    guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
+    record = record_of(
+        config,
+        {
+            "identifier": f"{name}-{made:%Y%m%dT%H%M%S}",
+            "created": made,
+            "expires": made + timedelta(days=days),
+            "made_by": by,
+            "purpose": purpose.value,
+            "number": number,
+            "flange": flange,
+            "mass_kg": mass_kg,
+            "centre_of_gravity_mm": list(centre_of_gravity_mm),
+            "bore": {key: value for key, value in guide.items() if value is not None},
+            "gauge": {} if gauge_deg is None else {"joints_deg": list(gauge_deg), "base_mm": gauge_base_mm},
+        },
+        name,
+    )
+    write_theatre_tables(config, write, {"tools": {name: record}})
+    if as_json:
+        console.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
+    else:
+        typer.echo(f"{record['identifier']} written to {write}; until {made + timedelta(days=days):%Y-%m-%d}")
+
+
+@app.command()
+def check(config: ConfigOption, verbose: console.VerboseOption = False) -> None:
+    """Check the records of a theatre file as a case does: valid, of this flange, of this tip.
+
+    Exit codes: 0 they fit, 1 the file has mistakes, 3 refused.
+    """
+    console.set_up_logging(verbose)
+    from procedures.workcell.tool_records import ToolRecords
+    from ronna_hw.config import read_theatre_file
+
+    theatre = read_theatre_file(config)
+    if theatre.calibration is None:
+        raise UsageMistake(f"{config.name} has no [calibration] to hold the tools against")
+    tools = ToolRecords.of(theatre)
+    tools.check(theatre.calibration, datetime.now(UTC))
+    typer.echo(f"{', '.join(one.identifier for one in tools.records.values())}: fit")
+
+
+@app.command(name="list")
+def list_tools(
+    config: ConfigOption, as_json: console.JsonOption = False, verbose: console.VerboseOption = False
+) -> None:
+    """List the tools of a theatre file."""
+    console.set_up_logging(verbose)
+    from procedures.cli.tool.records import row_of
+    from ronna_hw.config import read_theatre_file
+
+    theatre, now = read_theatre_file(config), datetime.now(UTC)
+    rows = [row_of(name, record, theatre.flange, now) for name, record in theatre.tools.items()]
+    if as_json:
+        console.print_json({"flange": theatre.flange, "tools": rows})
+        return
+    console.print_table(
+        f"tools on {theatre.flange or 'a flange without name'}",
+        list(rows[0]) if rows else ["name"],
+        [[str(value) for value in row.values()] for row in rows],
+    )
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    console.run(app)

@@ -1,0 +1,67 @@
+"""`ronna-tool` as a user runs it: a record is defined, listed and checked; what is wrong is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import tomli_w
+from recording_cell import ENDPOINTS
+from user_commands import in_this_process, one_error
+
+from procedures.cli.tool.command import app
+from procedures.cli.tool.purposes import Purpose
+from ronna_hw.config import read_theatre_file
+from ronna_hw.tool_record import ToolPurpose
+from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.theatre_file import theatre_content
+
+PLAIN = (
+    *("--number", "3", "--mass-kg", "1.1", "--centre-of-gravity-mm", "100", "0", "40", "--by", "A. Nurse"),
+)
+GAUGE = ("--gauge-deg", "-40", "-75", "99", "0", "66", "180")
+DEFINE = (*PLAIN, "--reach-mm", "80", "--bore-mm", "90", "--play-mm", "0.05", *GAUGE)
+
+
+@pytest.fixture
+def theatre(tmp_path: Path) -> Path:
+    path = tmp_path / "theatre.toml"
+    path.write_text(tomli_w.dumps(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)))
+    return path
+
+
+def test_the_purposes_of_the_command_line_are_those_of_the_records() -> None:
+    assert [one.value for one in Purpose] == [one.value for one in ToolPurpose]
+
+
+def test_a_tool_is_defined_with_flange_and_tip_of_the_file_and_listed(theatre: Path) -> None:
+    new = theatre.with_name("new.toml")
+    options = ("--config", theatre, "--write", new, "--purpose", "drill_guide", *DEFINE)
+    done = in_this_process(app, "define", "drill-guide", *options)
+    assert done.returncode == 0, done.stderr
+    record = read_theatre_file(new).tools["drill-guide"]
+    old = read_theatre_file(theatre)
+    assert (record.flange, record.tip) == (old.flange, old.tools["guide"].tip)
+    listed = json.loads(in_this_process(app, "list", "--config", new, "--json").stdout)
+    assert [one["name"] for one in listed["tools"]] == ["stereo_head", "guide", "drill-guide"]
+    assert all(one["valid"] for one in listed["tools"])
+    assert in_this_process(app, "check", "--config", new).returncode == 0
+
+
+def test_a_guide_without_its_bore_is_refused(theatre: Path) -> None:
+    options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
+    done = in_this_process(app, "define", "guide", *options, *PLAIN, *GAUGE)
+    assert done.returncode != 0
+    assert "needs `bore`" in " ".join(one_error(done.stderr))
+    assert not theatre.with_name("new.toml").exists()
+
+
+@pytest.mark.hazard(47)
+def test_a_record_of_another_flange_does_not_fit(theatre: Path) -> None:
+    new = theatre.with_name("new.toml")
+    options = ("--config", theatre, "--write", new, "--purpose", "gripper", *PLAIN, "--flange", "old")
+    assert in_this_process(app, "define", "gripper", *options).returncode == 0
+    done = in_this_process(app, "check", "--config", new)
+    assert done.returncode == 3
+    assert "TOOL-003" in " ".join(one_error(done.stderr))
