@@ -302,6 +302,24 @@ def _run(
     console.tell(f"report: {report}")
 
 
+@app.command()
+def times(
+    runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """Where the time of runs went: phases, steps, people; beside the times of the thesis."""
+    console.set_up_logging(verbose)
+    from procedures.studies.times import times_of
+
+    found = times_of(runs)
+    if as_json:
+        console.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
+        return
+    for table in found:
+        _show(table)
+
+
 def _show(table: Table) -> None:
     from procedures.studies.table import shown
 

@@ -68,6 +68,13 @@ class PoseNotSolved(DataError):
     action = "Use another --seed and report this one: the study plans its poses clear of singularities."
 
 
+class NoRunToTime(ConfigurationError):
+    """A folder whose times are asked for is no run's."""
+
+    code = "STU-011"
+    action = "Name folders that ronna-procedure run has left; ronna-procedure list shows them."
+
+
 class PhantomOutOfReach(DataError):
     """The arm does not reach the phantom in one of its places."""
 

@@ -1,0 +1,55 @@
+"""Where the time went: phases, steps and people, by the journal's own times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from procedures.engine.journal import Entry, Journal, read_journal
+from procedures.reporting.minutes import HANDS, PHASE, QUESTION, STEP, TimeTaken, times_taken
+from procedures.studies.errors import NoRunToTime
+from procedures.studies.times import ALGORITHM_S, OPERATOR_S, times_of
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    journal = Journal(tmp_path)
+    journal.write(Entry.INTENT, 10.0, step="fiducial_localization")
+    journal.write(Entry.RESULT, 14.0, step="fiducial_localization")
+    for trajectory, began_s in (("T1", 20.0), ("T2", 50.0)):
+        journal.write(Entry.INTENT, began_s, step=f"at_target:{trajectory}")
+        journal.write(Entry.WORK, began_s + 9.0, task="skin", began_s=began_s + 1.0, readings=[])
+        journal.write(Entry.CONFIRMATION, began_s + 12.0, topic=f"skin:{trajectory}", asked_s=began_s + 9.0)
+        journal.write(Entry.RESULT, began_s + 15.0, step=f"at_target:{trajectory}")
+    journal.write(Entry.INTENT, 70.0, step="retreat:T2")
+    journal.write(Entry.CONFIRMATION, 71.0, topic="retreat:T2")  # as earlier versions wrote it
+    journal.close()
+    return tmp_path
+
+
+def test_steps_and_people_are_added_up_over_the_trajectories(run: Path) -> None:
+    times = {(one.kind, one.name): one for one in times_taken(tuple(read_journal(run / "journal.jsonl")))}
+    seconds = {key: (one.count, one.theatre_s) for key, one in times.items()}
+    assert seconds == {
+        (PHASE, "preoperative"): (1, 4.0),
+        (PHASE, "operation"): (3, 31.0),
+        (STEP, "fiducial_localization"): (1, 4.0),
+        (STEP, "at_target"): (2, 30.0),
+        (STEP, "retreat"): (1, 1.0),  # to the last line: nothing ended it
+        (QUESTION, "skin"): (2, 6.0),
+        (QUESTION, "retreat"): (1, 0.0),
+        (HANDS, "skin"): (2, 16.0),
+    }
+    assert times[QUESTION, "skin"] == TimeTaken(QUESTION, "skin", 2, 6.0, None)
+
+
+def test_a_campaign_shows_them_beside_the_times_of_the_thesis(run: Path) -> None:
+    times, beside = times_of([run, run])
+    assert ("step", "at_target", 2.0, 30.0) in [tuple(row[:4]) for row in times.rows]
+    assert beside.rows[0][:2] == (OPERATOR_S, ALGORITHM_S)
+
+
+def test_a_folder_that_is_no_run_is_told(tmp_path: Path) -> None:
+    with pytest.raises(NoRunToTime, match="STU-011"):
+        times_of([tmp_path / "nowhere"])
