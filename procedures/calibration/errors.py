@@ -30,7 +30,7 @@ class BadObservations(DataError):
     """A file of observations, or a baseline, is missing or has errors; all of them are listed."""
 
     code = "CAL-005"
-    action = "Give the folder that the calibration command wrote, unchanged."
+    action = "Give the folder that the calibrate command wrote, unchanged."
 
 
 class HeadMoved(RefusedError):
