@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-019.
+"""What can be wrong with a plan, PLAN-001 to PLAN-020.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -139,6 +139,13 @@ class StopBeyondInstrument(PlanError):
 
     code = "PLAN-019"
     action = "Plan with a longer instrument, or with a smaller standoff_mm."
+
+
+class NoPlace(RefusedError):
+    """From no place of the cart that was looked at can the whole plan be done."""
+
+    code = "PLAN-020"
+    action = "Look farther with --within, or change the head's place, the free angles or the --strategy."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

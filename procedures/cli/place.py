@@ -1,0 +1,152 @@
+"""`ronna-plan place`: where the cart may stand."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.planning_inputs import SixNumbers, in_its_scene, read_ct, theatre_of
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.planning.cart.cart_case import CartCase
+    from procedures.planning.cart.proposal import PlaceProposal
+    from ronna_hw.frames import Transform
+
+CHOSEN_BY_PLACE = "best"
+
+
+def place(
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")],
+    series_dir: Annotated[
+        Path,
+        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on."),
+    ],
+    config: Annotated[
+        Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and what is around it.")
+    ],
+    robot_from_ct: Annotated[
+        SixNumbers,
+        typer.Option(
+            metavar="X Y Z A B C",
+            help="Pose of the CT frame in $ROBROOT with the cart where it is assumed, mm and deg.",
+        ),
+    ],
+    robot_from_tracker: Annotated[
+        SixNumbers | None,
+        typer.Option(
+            metavar="X Y Z A B C",
+            help="Likewise of the tracker: the arm at home must not stand before the markers.",
+        ),
+    ] = None,
+    strategy: Annotated[
+        str,
+        typer.Option(
+            metavar="ocs|thesis-ocs|nos|jdms|improved",
+            help="How the stereo head is held at the markers.",
+        ),
+    ] = "ocs",
+    within: Annotated[
+        float, typer.Option("--within", metavar="MM", min=60.0, max=1000.0, help="How far the map extends.")
+    ] = 240.0,
+    home: Annotated[
+        SixNumbers | None,
+        typer.Option(metavar="A1 .. A6", help="Joint angles at which the arm starts, deg."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write place.json and the picture place.svg into DIR."),
+    ] = None,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Map where the cart may stand, and propose the place that may be missed by most.
+
+    Places are those to which the cart is pushed from the assumed one, along x and y of its $ROBROOT, without
+    turning it. Each is judged as the path check judges: every pose of the strategy, joint ranges, clearance,
+    sight of the stereo head and, with --robot-from-tracker, of the tracker. The map is of what the coarse
+    registration will find again: it replaces no path check.
+
+    Exit codes: 0 there is a place, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    began_s = time.perf_counter()
+    if strategy == CHOSEN_BY_PLACE:
+        raise UsageMistake(f"--strategy {strategy} is chosen for one place of the cart: name the others")
+    theatre = theatre_of(config, robot_from_ct, home, strategy)
+    assert theatre is not None
+    from procedures.planning.cart.cart_case import CartCase
+    from procedures.planning.cart.judging import judging
+    from procedures.planning.cart.place_map import map_places
+    from procedures.planning.cart.proposal import propose_place
+    from procedures.planning.check import check_plan
+    from procedures.planning.guide_hold import held_trajectories
+    from procedures.planning.plan_file import read_plan
+
+    plan = read_plan(plan_file)
+    volume, fiducials_mm, _ = read_ct(series_dir, True)
+    check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
+    assert fiducials_mm is not None
+    setting = in_its_scene(theatre, volume, fiducials_mm)
+    tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
+    trajectories = held_trajectories(plan, theatre.bore)
+    case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)
+    with console.progress_bar("mapping places") as advance, judging(case) as judge:
+        found = propose_place(map_places(within, judge, advance), judge)
+    if out is not None:
+        _write(out, found, case, time.perf_counter() - began_s)
+    if as_json:
+        console.print_json({**found.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
+        return
+    _print(found)
+
+
+def _tracker_at(numbers: SixNumbers) -> Transform:
+    from ronna_hw.arm.pose import Pose
+    from ronna_hw.frames import Frame, Transform
+
+    pose = Pose.from_kuka(*numbers)
+    return Transform.of(
+        Frame.ROBOT, Frame.TRACKER, translation_mm=pose.position_mm, quaternion_wxyz=pose.quaternion()
+    )
+
+
+def _write(out: Path, found: PlaceProposal, case: CartCase, elapsed_s: float) -> None:
+    from procedures.planning.cart.picture import place_picture
+    from ronna_hw.records import write_whole
+
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        content = json.dumps({**found.as_payload(), "elapsed_s": round(elapsed_s, 3)}, indent=1)
+        write_whole(out / "place.json", content.encode())
+        write_whole(out / "place.svg", place_picture(found, case))
+    except OSError as error:
+        raise UsageMistake(
+            f"cannot write into {out}: {error.strerror}", action="Name another folder."
+        ) from error
+
+
+def _print(found: PlaceProposal) -> None:
+    places, best = found.places, found.best
+    at_assumed = "the assumed place serves"
+    if not found.assumed.serves:
+        at_assumed = f"the assumed place does not serve: {found.assumed.pose}: {found.assumed.reason}"
+    console.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map can be reached")
+    console.print_table(
+        "push the cart from the assumed place by",
+        ["x mm", "y mm", "may be missed by mm", "may be turned by deg"],
+        [
+            [
+                f"{best.x_mm:+.0f}",
+                f"{best.y_mm:+.0f}",
+                f"{found.free_mm:.0f}",
+                f"-{found.turns_deg[0]:g} to +{found.turns_deg[1]:g}",
+            ]
+        ],
+    )

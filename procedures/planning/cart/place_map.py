@@ -1,0 +1,116 @@
+"""The map: places on a grid, refined where places that serve meet places that do not.
+
+A square is called reachable when all its corners serve; squares at the edge are halved twice. So the map errs
+on the side of refusing, by half a finest square along its edge.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from procedures.planning.cart.cart_case import CartMove, Found, Verdict
+
+Array = NDArray[np.float64]
+Node = tuple[int, int]
+Judge = Callable[[Sequence[tuple[CartMove, tuple[Found, ...], bool]]], Sequence[Verdict]]
+
+COARSE = 4  # finest squares along the side of a coarsest one
+FINEST_MM = 15.0
+MOST_KNOWN = 3  # ways that served nearby are tried before a place is refused
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceMap:
+    """What was judged, about the assumed place: `verdicts` by node, `allowed` (n, n) by square, x first."""
+
+    half: int  # finest squares from the middle to the edge
+    verdicts: dict[Node, Verdict]
+    allowed: NDArray[np.bool_]
+
+    @property
+    def within_mm(self) -> float:
+        """How far the map extends each way."""
+        return self.half * FINEST_MM
+
+    def allows(self, x_mm: float, y_mm: float) -> bool:
+        """Whether the map calls a place reachable; outside the map none is."""
+        i, j = (int(np.floor(value / FINEST_MM)) + self.half for value in (x_mm, y_mm))
+        inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
+        return inside and bool(self.allowed[i, j])
+
+    def best(self) -> tuple[CartMove, float] | None:
+        """The place farthest from any that does not serve, and by how much, mm, it may be missed; or None."""
+        if not self.allowed.any():
+            return None
+        # beyond the map nothing is known
+        room = ndimage.distance_transform_edt(np.pad(self.allowed, 1))[1:-1, 1:-1]
+        centres = (np.indices(room.shape) - self.half + 0.5) * FINEST_MM
+        away = np.hypot(*centres)
+        most = room.max()
+        place = np.unravel_index(np.argmin(np.where(room >= most - 0.5, away, np.inf)), room.shape)
+        free_mm = (float(room[place]) - 1.0) * FINEST_MM
+        return CartMove(float(centres[0][place]), float(centres[1][place])), max(free_mm, 0.0)
+
+
+@dataclass
+class _Search:
+    half: int
+    judge: Judge
+    verdicts: dict[Node, Verdict] = field(default_factory=dict)
+
+    def ask(self, nodes: Sequence[Node], known: Callable[[Node], tuple[Found, ...]], search: bool) -> None:
+        new = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
+        asked = [(CartMove(i * FINEST_MM, j * FINEST_MM), known((i, j)), search) for i, j in new]
+        self.verdicts.update(zip(new, self.judge(asked), strict=True))
+
+    def known_at(self, nodes: Sequence[Node]) -> tuple[Found, ...]:
+        found = [self.verdicts[node].found for node in nodes if node in self.verdicts]
+        return tuple(dict.fromkeys(one for one in found if one is not None))[:MOST_KNOWN]
+
+
+def map_places(
+    within_mm: float, judge: Judge, progress: Callable[[float], None] = lambda share: None
+) -> PlaceMap:
+    """Judge places up to `within_mm` from the assumed one in x and y; a whole number of coarse squares."""
+    coarse = max(1, round(within_mm / (COARSE * FINEST_MM)))
+    half = coarse * COARSE
+    search = _Search(half, judge)
+    search.ask([(0, 0)], lambda node: (), True)
+    progress(0.05)
+    lines = range(-half, half + 1, COARSE)
+    search.ask([(i, j) for i in lines for j in lines], lambda node: search.known_at([(0, 0)]), True)
+    progress(0.6)
+    allowed = np.zeros((2 * half, 2 * half), dtype=bool)
+    squares = [(i, j) for i in lines[:-1] for j in lines[:-1]]
+    size = COARSE
+    while squares:
+        mixed = []
+        for i, j in squares:
+            serving = [search.verdicts[node].serves for node in _corners(i, j, size)]
+            if all(serving):
+                allowed[i + half : i + half + size, j + half : j + half + size] = True
+            elif any(serving):
+                mixed.append((i, j))
+        if size == 1:
+            break
+        corners = {node: _corners(i, j, size) for i, j in mixed for node in _middles(i, j, size)}
+        near = {node: search.known_at(around) for node, around in corners.items()}
+        search.ask(list(corners), near.__getitem__, False)
+        size //= 2
+        squares = [(i + a, j + b) for i, j in mixed for a in (0, size) for b in (0, size)]
+        progress(1.0 - 0.4 * (size - 1) / COARSE)
+    return PlaceMap(half, search.verdicts, allowed)
+
+
+def _corners(i: int, j: int, size: int) -> list[Node]:
+    return [(i, j), (i + size, j), (i, j + size), (i + size, j + size)]
+
+
+def _middles(i: int, j: int, size: int) -> list[Node]:
+    half = size // 2
+    return [(i + half, j), (i, j + half), (i + half, j + half), (i + size, j + half), (i + half, j + size)]

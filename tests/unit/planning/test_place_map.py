@@ -1,0 +1,72 @@
+"""The map of places: what it allows does serve, and few other places are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from procedures.planning.cart.cart_case import CartMove, Found, Verdict
+from procedures.planning.cart.place_map import map_places
+from procedures.planning.cart.proposal import propose_place
+from procedures.planning.errors import NoPlace
+
+WITHIN_MM = 240.0
+FOUND = Found(2, (("T1", 0.0),))
+Asked = Sequence[tuple[CartMove, tuple[Found, ...], bool]]
+
+
+def _judge(serves: Callable[[float, float], bool]) -> tuple[Callable[[Asked], list[Verdict]], list[CartMove]]:
+    asked: list[CartMove] = []
+
+    def judge(moves: Asked) -> list[Verdict]:
+        asked.extend(move for move, _, _ in moves)
+        return [
+            Verdict(FOUND if serves(move.x_mm, move.y_mm) else None, "T1/target", "too far [ARM-001]")
+            for move, _, _ in moves
+        ]
+
+    return judge, asked
+
+
+def _disc(x_mm: float, y_mm: float) -> bool:
+    return (x_mm - 60.0) ** 2 + (y_mm + 40.0) ** 2 < 150.0**2
+
+
+@pytest.mark.hazard(48)
+def test_what_the_map_allows_serves_and_at_most_one_in_twenty_places_is_lost() -> None:
+    judge, asked = _judge(_disc)
+    places = map_places(WITHIN_MM, judge)
+    random = np.random.default_rng(1).uniform(-WITHIN_MM, WITHIN_MM, (1000, 2))
+    allowed = np.array([places.allows(x, y) for x, y in random])
+    true = np.array([_disc(x, y) for x, y in random])
+    assert not (allowed & ~true).any()
+    assert (true & ~allowed).sum() <= 50
+    assert len(asked) == len({(move.x_mm, move.y_mm) for move in asked}) < 400  # each is judged once
+
+
+def test_the_best_place_is_in_the_middle_and_says_how_far_off_it_still_serves() -> None:
+    judge, _ = _judge(_disc)
+    found = propose_place(map_places(WITHIN_MM, judge), judge)
+    assert np.hypot(found.best.x_mm - 60.0, found.best.y_mm + 40.0) < 25.0
+    assert 110.0 < found.free_mm <= 150.0
+    for angle in np.linspace(0.0, 2.0 * np.pi, 60):
+        x = found.best.x_mm + found.free_mm * np.cos(angle)
+        assert _disc(x, found.best.y_mm + found.free_mm * np.sin(angle))
+    assert found.turns_deg == (15.0, 15.0)
+    assert found.assumed.serves
+
+
+@pytest.mark.hazard(48)
+def test_nothing_beyond_the_map_is_called_reachable() -> None:
+    judge, _ = _judge(lambda x, y: True)
+    places = map_places(WITHIN_MM, judge)
+    assert places.allows(0.0, WITHIN_MM - 1.0)
+    assert not places.allows(0.0, WITHIN_MM + 1.0)
+
+
+def test_no_place_at_all_is_refused_with_the_commonest_reason() -> None:
+    judge, _ = _judge(lambda x, y: False)
+    with pytest.raises(NoPlace, match="too far"):
+        propose_place(map_places(WITHIN_MM, judge), judge)
