@@ -18,7 +18,15 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.devices.lifecycle import Device
-from ronna_hw.devices.probing import Diagnostic, EndpointProbe, Probe, Progress, connect_and_leave
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    EndpointProbe,
+    Inspection,
+    Probe,
+    Progress,
+    connect_and_leave,
+    leave_alone,
+)
 
 GROUP = "ronna_hw.drivers"
 PROBE_GROUP = "ronna_hw.probes"
@@ -64,5 +72,7 @@ def endpoint_probes() -> dict[str, EndpointProbe]:
     return {driver: probe for driver, probe in sorted(loaded.items()) if isinstance(probe, EndpointProbe)}
 
 
-def _default_probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
-    return (connect_and_leave(name, config, make_device),)
+def _default_probe(
+    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+) -> Sequence[Diagnostic]:
+    return connect_and_leave(name, config, make_device, inspect=inspect)

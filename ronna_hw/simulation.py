@@ -9,7 +9,7 @@ Nothing is imported from the simulators: the theatre is opened through the file 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Self
@@ -19,13 +19,20 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.theatre import Theatre
 
 NAME = "ronna-sim theatre"
+PENDANT = "pendant at "  # how a message of the simulated controller's pendant begins
 
 
 class TheatreProcess:
     """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
 
-    def __init__(self, *arguments: str) -> None:
-        self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None)
+    def __init__(self, *arguments: str, pendant: Callable[[str], None] = lambda _line: None) -> None:
+        """`pendant` hears each message of the simulated controller's pendant."""
+
+        def told(line: str) -> None:
+            if line.startswith(PENDANT):
+                pendant(line)
+
+        self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, told=told)
 
     def await_ready(self) -> None:
         """Return when every device is ready; raises PRC-001 with the command's own words."""

@@ -30,6 +30,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, require_person
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
@@ -76,6 +77,19 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
+
+    def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
+        """How many packets of the present streams were lost on the way; nothing before they run."""
+        return tuple(
+            Fact(
+                f"packets of the {side} camera",
+                f"{counters.packets} came, {counters.resend_requests} requests to send some again",
+                counters.incomplete_frames == 0,
+                "Use jumbo frames, another cable or port, a larger receive buffer.",
+            )
+            for side, counters in zip(("left", "right"), self.counters, strict=True)
+            if counters is not None
+        )
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:

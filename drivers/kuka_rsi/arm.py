@@ -19,6 +19,7 @@ from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import read_options
+from drivers.kuka_rsi.readiness import facts_of
 from drivers.kuka_rsi.readings import ArmReadings
 from drivers.kuka_rsi.realtime.histogram import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
@@ -34,6 +35,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import (
     ArmReading,
     JointVector,
@@ -158,6 +160,11 @@ class KukaRsiArm:
         person = require_person(confirmed_by)
         self._micro_move_confirmed_by = person if UNVERIFIED in self._asked else ""
         self._t1_confirmed_by = person if IN_T1 in self._asked else ""
+
+    def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
+        """What the controller says now of everything that `activate` looks at."""
+        self._guard.require("readiness", READABLE)
+        return tuple(facts_of(self._ask(timeout_s), verified=self._connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
         """Let the next `activate` start in T1: somebody with the pendant stands beside the arm.

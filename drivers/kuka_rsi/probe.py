@@ -10,28 +10,27 @@ import errno
 from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.eki.controller_state import what_forbids_motion
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Diagnostic, Obstacle, Progress, connect_and_leave, endpoints_of
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    Inspection,
+    Progress,
+    connect_and_leave,
+    endpoints_of,
+    leave_alone,
+)
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import user_of_udp_port
-from ronna_hw.wire.kuka_eki import OperationMode
-
-READY_ADVICE = "Release the emergency stop, close the guard, and acknowledge the messages at the pendant."
 
 
-def probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+def probe(
+    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+) -> Sequence[Diagnostic]:
     """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
     streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
-    arm = connect_and_leave(name, config, KukaRsiArm, not_ready=_what_forbids_motion)
-    return (*map(stream_port_diagnostic, streams), arm)
-
-
-def _what_forbids_motion(arm: KukaRsiArm) -> Obstacle | None:
-    """In any operating mode: which one is right depends on what is to be done."""
-    unmet = what_forbids_motion(arm.controller.state(), drives=False, modes=tuple(OperationMode))
-    return Obstacle("; ".join(unmet), READY_ADVICE) if unmet else None
+    ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
+    return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.place import place
+from procedures.cli.plan_new import new
 from procedures.cli.planning_inputs import SixNumbers, in_its_scene, read_ct, theatre_of
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-plan",
-    help="Check plans, map where the cart may stand, propose where markers go.",
+    help="Begin and check plans, map where the cart may stand, propose where markers go.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -30,7 +31,7 @@ app = typer.Typer(
 
 @app.callback()
 def plan() -> None:
-    """Check plans, map where the cart may stand, propose where markers go."""
+    """Begin and check plans, map where the cart may stand, propose where markers go."""
 
 
 app.command()(place)
@@ -233,6 +234,9 @@ def _motion_row(motion: PreviewedMotion) -> list[str]:
         f"{seen.singularity.least:.2f}",
         " ".join(ranges),
     ]
+
+
+app.command()(new)
 
 
 def main() -> None:

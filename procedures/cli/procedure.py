@@ -239,8 +239,10 @@ def doctor_command(
 
     A tracker's line is tried at every rate without changing anything: which unit replies, which bytes
     arrive, which program holds the port. A camera's address: which cameras are on its network, which
-    application controls it, which packet size arrives. Exit codes: 0 all is well, 4 a device, line or camera
-    does not answer or a calibration record has expired.
+    application controls it, which packet size arrives. At the end one verdict for each device and one for a
+    case: what `run` would refuse is said before. Tracker and cameras are switched on for that; nothing
+    moves. Exit codes: 0 all is well, 4 a device, line or camera does not answer or is not ready, or a
+    calibration record has expired.
     """
     from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.console import progress_bar

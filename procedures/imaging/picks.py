@@ -18,6 +18,7 @@ from procedures.imaging.errors import PickRefused
 from procedures.imaging.examination import Sphere, as_marker, examine
 from procedures.imaging.localization import DIAMETER_MM, check_request, head_to_foot, require_count
 from procedures.imaging.markers import PICKED, Candidate, Localization
+from procedures.imaging.pick_files import LPS_FROM_RAS
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
@@ -25,6 +26,10 @@ Array = NDArray[np.float64]
 REACH = 1.0  # of the radius: a sphere's centre may be this far from its pick
 CROP = 3.2  # of the radius: the neighbourhood that is searched
 MIN_SURFACE_SHARE = 0.3
+IN_RAS = (
+    "It would be on a sphere in RAS, which 3D Slicer shows: change the signs of the first two numbers, or "
+    "give its .mrk.json, which says its coordinate system."
+)
 START_STEP = 0.4  # of the radius, between the starts around a pick that shows no contrast
 
 
@@ -65,6 +70,24 @@ def localize_picks(
 
 
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
+    """The sphere at a pick. One that shows none, and would in RAS, is refused with that hint."""
+    try:
+        return _measured(volume, number, pick_mm, radius_mm, known)
+    except PickRefused as refused:
+        if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
+            raise PickRefused(refused.what, action=IN_RAS) from refused
+        raise
+
+
+def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
+    try:
+        _measured(volume, number, pick_mm, radius_mm, [])
+    except PickRefused:
+        return False
+    return True
+
+
+def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
     place = f"pick {number} at ({', '.join(f'{value:z.1f}' for value in pick_mm)})"
     index = geometry.to_index(pick_mm)

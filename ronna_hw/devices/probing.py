@@ -11,9 +11,9 @@ A driver without one gets the default: connect, read the identity, close.
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
@@ -45,20 +45,24 @@ class Diagnostic:
     document: Mapping[str, Any] | None = None
 
 
-class Obstacle(NamedTuple):
-    """What keeps a device that answers from being used, and what to do."""
+Inspection = Callable[[Device], Iterable[Diagnostic]]  # more about a device that is connected
 
-    seen: str
-    advice: str
+
+def leave_alone(_device: Device) -> Iterable[Diagnostic]:
+    """Nothing more is looked at."""
+    return ()
 
 
 class Probe(Protocol):
     """Looks at one device of a theatre file."""
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
         """What was found, in the order in which to read it; never raises for what the device does.
 
         Talks to the endpoints of `config` only, in bounded time; nothing moves and no setting stays changed.
+        What `inspect` finds at the connected device is added: a device takes one client at a time.
         """
         ...
 
@@ -82,12 +86,11 @@ def connect_and_leave(
     config: DeviceConfig,
     make_device: Callable[[str, DeviceConfig, Clock], D],
     advice: str = "",
-    not_ready: Callable[[D], Obstacle | None] = lambda device: None,
-) -> Diagnostic:
-    """Connect as a procedure would, read the identity, and close.
+    inspect: Inspection = leave_alone,
+) -> tuple[Diagnostic, ...]:
+    """Connect as a procedure would, read the identity, look further by `inspect`, and close.
 
-    `advice` is what to do when that fails, where the caller knows better than the driver's error. `not_ready`
-    looks at the connected device: what keeps it from being used, if anything.
+    `advice` is what to do when that fails, where the caller knows better than the driver's error.
     """
     endpoints = endpoints_of(config)
     addresses = ", ".join(map(str, endpoints))
@@ -96,18 +99,16 @@ def connect_and_leave(
         device = make_device(name, config, HostClock())
         try:
             identity = device.connect(CONNECT_LIMIT_S)
-            obstacle = not_ready(device)
+            found = tuple(inspect(device))
         finally:
             device.close()
     except RonnaError as error:
         if isinstance(error, ConnectError):  # a wrong configuration gives its own advice
             advice = advice or next(filter(None, map(why_unreachable, endpoints)), "")
         advice = advice or error.advice
-        return Diagnostic(subject, False, f"{addresses}: {error.code} {error.what}", advice)
+        return (Diagnostic(subject, False, f"{addresses}: {error.code} {error.summary}", advice),)
     seen = f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"
-    if obstacle is not None:
-        return Diagnostic(subject, False, f"{seen}; {obstacle.seen}", obstacle.advice)
-    return Diagnostic(subject, True, seen)
+    return (Diagnostic(subject, True, seen), *found)
 
 
 def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:

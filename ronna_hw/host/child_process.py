@@ -13,7 +13,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import IO, Any
 
@@ -43,8 +43,9 @@ class ChildProcess:
         *,
         timeout_s: float | None = READY_TIMEOUT_S,
         inherited: Sequence[int] = (),
+        told: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the process and wait until it is ready; raises PRC-001.
+        """Start the process and wait until it is ready; raises PRC-001. `told` hears each of its messages.
 
         `inherited` are descriptors that it gets. With `timeout_s` None it is not waited for, so that several
         become ready side by side: `await_ready` must follow.
@@ -53,6 +54,7 @@ class ChildProcess:
         self._log = logger(process=name)
         self.ready: dict[str, Any] = {}
         self._end_logged = False
+        self._told = told
         self._lines: SimpleQueue[str | None] = SimpleQueue()
         self._messages: deque[str] = deque(maxlen=MESSAGE_LINES_KEPT)
         self.process = subprocess.Popen(
@@ -147,6 +149,7 @@ class ChildProcess:
         with contextlib.suppress(ValueError, OSError):
             for line in stream:
                 self._messages.append(line.rstrip())
+                self._told(line.rstrip())
 
 
 def command(module: str, *arguments: str) -> list[str]:

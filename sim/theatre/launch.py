@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -12,6 +13,7 @@ from typing import Any
 from ronna_hw.host.child_process import READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
+from sim.kuka.controller.message_display import PENDANT
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
@@ -135,6 +137,7 @@ class Theatre:
                 f"ronna-sim {name}",
                 command("sim.cli", name, *more, *(f"--set={one}" for one in parameters.get(name, ()))),
                 timeout_s=None,
+                told=_show_pendant,
             )
             for name, more in arguments.items()
         ]
@@ -152,3 +155,10 @@ class Theatre:
             write_whole(path, write_definition(tool))
             files[tool.name] = str(path.resolve())
         return files
+
+
+def _show_pendant(line: str) -> None:
+    """A message of the robot's pendant is one of the theatre."""
+    if line.startswith(PENDANT):
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()

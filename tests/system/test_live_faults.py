@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from queue import SimpleQueue
+
 from user_commands import in_this_process, one_error
 
 from drivers.ndi_polaris import PolarisTracker
@@ -9,6 +12,8 @@ from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.simulation import TheatreProcess
 from sim.cli import app
 
 
@@ -34,6 +39,18 @@ def test_a_simulator_alone_takes_faults_at_its_control_port() -> None:
         assert refused.returncode == 2
         assert one_error(refused.stderr)[0].startswith("CTL-002")
         tracker.close()
+
+
+def test_messages_of_the_pendant_are_heard_from_the_theatre(tmp_path: Path) -> None:
+    heard = SimpleQueue[str]()
+    theatre = TheatreProcess("--scene", "mini", "--out", str(tmp_path), pendant=heard.put)
+    try:
+        theatre.await_ready()
+        answer = ask_control_port(theatre.control, "fault", line="robot emergency stop")
+        assert answer["effect"].startswith("robot emergency stop, from 0.000 s of theatre time on, until ")
+        assert heard.get(timeout=5.0) == "pendant at 0.000 s: KSS00001 emergency stop"
+    finally:
+        theatre.end()
 
 
 def test_without_a_fault_all_kinds_are_listed() -> None:

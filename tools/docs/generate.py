@@ -29,6 +29,7 @@ from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.engine.operator import Topic, words
 from procedures.exchange import allowed_fields
+from procedures.planning.plan import Plan
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
 from procedures.steps.calibration.ball_look import LookedAtBall
@@ -77,6 +78,7 @@ def tables() -> dict[str, str]:
         ),
         "hazards.md": hazard_table(),
         "link-disturbances.md": disturbances(),
+        "plan-file.md": model_tables({"plan": Plan}),
         "polaris-checklist.md": checklist(tracker.SUITE, "ndi-polaris"),
         "records.md": model_tables({model.kind: model for model in RESULTS}),
         "robot-checklist.md": checklist(robot.SUITE, "kuka-rsi-eki"),

@@ -9,7 +9,7 @@ from drivers.basler_stereo.pair import BaslerStereoPair
 from drivers.basler_stereo.probe.camera_state import look_at_camera
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Diagnostic, Progress, connect_and_leave
+from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_and_leave, leave_alone
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interface_of
 
@@ -21,10 +21,12 @@ class BaslerProbe:
 
     endpoint_schemes = frozenset({"gev"})
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
         diagnostics = self._cameras(_expected(config), lambda share: progress(CAMERAS_SHARE * share))
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
-        return (*diagnostics, connect_and_leave(name, config, BaslerStereoPair, advice))
+        return (*diagnostics, *connect_and_leave(name, config, BaslerStereoPair, advice, inspect))
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)

@@ -8,7 +8,14 @@ from drivers.ndi_polaris.driver import PolarisTracker
 from drivers.ndi_polaris.probe.diagnosis import line_diagnostic
 from drivers.ndi_polaris.probe.line import look_at_line
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Diagnostic, Progress, connect_and_leave, endpoints_of
+from ronna_hw.devices.probing import (
+    Diagnostic,
+    Inspection,
+    Progress,
+    connect_and_leave,
+    endpoints_of,
+    leave_alone,
+)
 from ronna_hw.endpoints import Endpoint
 
 LINE_SHARE = 0.5  # of the whole probe; the rest is connecting
@@ -19,11 +26,13 @@ class PolarisProbe:
 
     endpoint_schemes = frozenset({"serial", "tcp"})
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
         lines = [each for each in endpoints_of(config) if each.scheme in self.endpoint_schemes]
         diagnostics = self.look_at(lines, lambda share: progress(LINE_SHARE * share))
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
-        return (*diagnostics, connect_and_leave(name, config, PolarisTracker, advice))
+        return (*diagnostics, *connect_and_leave(name, config, PolarisTracker, advice, inspect))
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         diagnostics = []

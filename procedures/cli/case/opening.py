@@ -55,7 +55,7 @@ class Watcher:
     """Who follows a run while it runs."""
 
     status: Callable[[str], None] = lambda _text: None
-    room_open: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port
+    room_open: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
     asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
     held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
@@ -115,7 +115,9 @@ def opened_engine(
             room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
         else:
             simulated = stack.enter_context(
-                SimulatedCase(request, folder / "theatre", phantom, goes_on=goes_on)
+                SimulatedCase(
+                    request, folder / "theatre", phantom, goes_on=goes_on, pendant=watcher.room_open
+                )
             )
             importlib.import_module("procedures.steps.catalogue")  # a second of imports, meanwhile
             if phantom is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -22,7 +23,13 @@ class SimulatedCase:
     """A theatre in a folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
 
     def __init__(
-        self, request: TheatreRequest, folder: Path, phantom: Path | None, *, goes_on: bool = False
+        self,
+        request: TheatreRequest,
+        folder: Path,
+        phantom: Path | None,
+        *,
+        goes_on: bool = False,
+        pendant: Callable[[str], None] = lambda _line: None,
     ) -> None:
         """`goes_on` where the world of another theatre goes on: the fault script of the run is over then."""
         scene = request.choice.theatre_arguments()
@@ -31,7 +38,9 @@ class SimulatedCase:
             more.append("--target-balls")
         if goes_on:
             more.append("--continue")
-        self.theatre = TheatreProcess(*scene, "--speed", request.speed, "--out", str(folder), *more)
+        self.theatre = TheatreProcess(
+            *scene, "--speed", request.speed, "--out", str(folder), *more, pendant=pendant
+        )
         self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
 
     def await_patient(self) -> None:

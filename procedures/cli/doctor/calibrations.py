@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import datetime, timedelta
 
 from procedures.calibration.validity import MADE_BY_COMMAND
+from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import TheatreFile
 from ronna_hw.devices.probing import Diagnostic
+
+SOON = timedelta(days=3)  # before it expires a record is worth a word
 
 
 def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
@@ -18,9 +21,14 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     for name, record in theatre.calibration.records.items():
-        advice = f"Run {MADE_BY_COMMAND[name]} --config FILE."
-        valid = now <= record.expires
-        until = f"{'valid until' if valid else 'expired on'} {record.expires:%Y-%m-%d %H:%M %Z}"
+        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} --config FILE."
+        try:
+            record.check_valid_at(now)
+        except CalibrationExpired as error:
+            advice = error.advice if record.created > now else make
+            yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
+            continue
+        soon = make if record.expires - now < SOON else ""
         yield Diagnostic(
-            f"calibration {name}", valid, f"{record.identifier}, {until}", "" if valid else advice
+            subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )

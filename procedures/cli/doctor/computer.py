@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import os
 import sys
 from collections.abc import Iterator
@@ -9,6 +10,7 @@ from pathlib import Path
 
 from ronna_hw.devices.probing import Diagnostic
 
+LIMITS_FILE = "/etc/security/limits.d/ronna-hw.conf"
 RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
@@ -36,7 +38,7 @@ def _receive_buffer() -> Diagnostic:
     except OSError:
         return Diagnostic("camera receive buffer", True, "unknown on this system")
     large = size >= RECEIVE_BUFFER_WANTED
-    advice = "" if large else "Raise net.core.rmem_max to 4194304, or use jumbo packets."
+    advice = "" if large else "sudo sysctl -w net.core.rmem_max=4194304, or use jumbo packets."
     return Diagnostic("camera receive buffer", large, f"net.core.rmem_max {size}", advice)
 
 
@@ -45,7 +47,10 @@ def _real_time() -> Diagnostic:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     except PermissionError:
-        advice = "Allow RLIMIT_RTPRIO 80 for hardware; tests do not need it."
+        advice = (
+            f"For hardware: echo '{getpass.getuser()} - rtprio 80' | sudo tee {LIMITS_FILE}, then log in "
+            "again; simulators do not need it."
+        )
         return Diagnostic("real-time priority", False, "not permitted", advice)
     return Diagnostic("real-time priority", True, "permitted")
 

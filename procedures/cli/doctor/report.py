@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -11,17 +11,16 @@ from typing import Any
 
 from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
+from procedures.cli.doctor.inspection import inspection
+from procedures.cli.doctor.theatre_checks import case_diagnostics
+from procedures.cli.doctor.verdicts import Verdict, verdicts
 from ronna_hw.command_line.console import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.probing import Diagnostic, Inspection
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe
 
-NO_DEVICES = (
-    "no devices",
-    "Declare them as [tracker], [robot.master] and [stereo]; ronna-sim theatre writes an example.",
-)
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 
 Look = Callable[[Progress], Sequence[Diagnostic]]
@@ -29,16 +28,18 @@ Look = Callable[[Progress], Sequence[Diagnostic]]
 
 @dataclass(frozen=True)
 class Report:
-    """What was found on the computer, in the calibration records, and at the devices."""
+    """What was found on the computer, in the theatre file and its records, and at the devices."""
 
     computer: tuple[Diagnostic, ...]
     devices: tuple[Diagnostic, ...]
     calibrations: tuple[Diagnostic, ...] = ()
+    case: tuple[Diagnostic, ...] = ()  # what else a case needs of theatre file and computer
+    verdicts: tuple[Verdict, ...] = ()  # of each device of the theatre, then of the case
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Everything, in the order in which it is shown."""
-        return self.computer + self.calibrations + self.devices
+        return self.computer + self.case + self.calibrations + self.devices
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
         """The documents of one section."""
@@ -52,20 +53,25 @@ def examine(
 
     Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at.
     """
-    looks = [*_looks_at_endpoints(endpoints)]
+    looks: dict[str, Look] = dict(_looks_at_endpoints(endpoints))
     calibrations: tuple[Diagnostic, ...] = ()
+    case: tuple[Diagnostic, ...] = ()
+    devices: list[str] = []
     if config is not None:
-        theatre = read_theatre_file(config)
-        calibrations = tuple(calibration_diagnostics(theatre, datetime.now(UTC)))
-        looks += [partial(_probe, name, device) for name, device in theatre.devices.items()]
-        if not theatre.devices:
-            looks.append(lambda progress: (Diagnostic(f"theatre {theatre.theatre}", False, *NO_DEVICES),))
+        file = read_theatre_file(config)
+        calibrations = tuple(calibration_diagnostics(file, datetime.now(UTC)))
+        case = tuple(case_diagnostics(file))
+        devices = list(file.devices)
+        for name, device in file.devices.items():
+            looks[name] = partial(_probe, name, device, inspection(name, file.calibration))
     computer = tuple(computer_diagnostics())
-    found: list[Diagnostic] = []
-    for number, look in enumerate(looks):
-        found += look(partial(_advance, progress, number, len(looks)))
+    found: dict[str, Sequence[Diagnostic]] = {}
+    for number, (name, look) in enumerate(looks.items()):
+        found[name] = look(partial(_advance, progress, number, len(looks)))
         progress((number + 1) / len(looks))
-    return Report(computer, tuple(found), calibrations)
+    of_devices = {name: found[name] for name in devices}
+    judged = () if config is None else tuple(verdicts(case + calibrations, of_devices))
+    return Report(computer, tuple(one for each in found.values() for one in each), calibrations, case, judged)
 
 
 def show(report: Report, *, as_json: bool) -> None:
@@ -80,6 +86,7 @@ def show(report: Report, *, as_json: bool) -> None:
                 ]
             }
             | {name: report.section(name) for name in sections}
+            | {"verdicts": [asdict(verdict) for verdict in report.verdicts]}
         )
     else:
         print_table(
@@ -87,11 +94,20 @@ def show(report: Report, *, as_json: bool) -> None:
             ("checked", "", "found", "what to do"),
             [(f.subject, "ok" if f.well else "PROBLEM", f.seen, f.advice) for f in report.diagnostics],
         )
+        if report.verdicts:
+            print_table(
+                "Readiness",
+                ("", "", "because"),
+                [
+                    (one.of, "ready" if one.ready else "NOT READY", "; ".join(one.because))
+                    for one in report.verdicts
+                ],
+            )
     if not all(diagnostic.well for diagnostic in report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
 
 
-def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[Look]:
+def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[tuple[str, Look]]:
     """One look for each probe that is asked for, with all its endpoints."""
     if not texts:
         return
@@ -108,13 +124,13 @@ def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[Look]:
             )
         asked.setdefault(drivers[0], []).append(endpoint)
     for driver, endpoints in asked.items():
-        yield partial(probes[driver].look_at, endpoints)
+        yield f"endpoints of {driver}", partial(probes[driver].look_at, endpoints)
 
 
-def _probe(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+def _probe(name: str, config: DeviceConfig, inspect: Inspection, progress: Progress) -> Sequence[Diagnostic]:
     """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
     try:
-        return load_probe(config.driver)(name, config, progress)
+        return load_probe(config.driver)(name, config, progress, inspect)
     except RonnaError as error:
         return (Diagnostic(f"device {name}", False, f"{error.code} {error.summary}", error.advice),)
 

@@ -7,6 +7,8 @@ from collections.abc import Callable
 
 from sim.kuka.controller.messages import Message
 
+PENDANT = "pendant at "  # how each of its lines begins
+
 
 class MessageDisplay:
     """Call `look` whenever something may have changed; `now_s` gives the theatre's time."""
@@ -31,7 +33,7 @@ class MessageDisplay:
 
     def _write(self, what: str) -> None:
         text = "".join(letter if letter.isprintable() else " " for letter in what)
-        sys.stderr.write(f"pendant at {self._now_s():.3f} s: {text}\n")
+        sys.stderr.write(f"{PENDANT}{self._now_s():.3f} s: {text}\n")
         sys.stderr.flush()
 
 

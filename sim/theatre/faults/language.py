@@ -123,7 +123,7 @@ def begin_now(line: str, now_s: float) -> str:
 
 
 def _begins(line: str) -> bool:
-    return line.split(maxsplit=1)[:1] != [] and line.split()[0].rstrip(":") in TRIGGERS
+    return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
 
 
 def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:

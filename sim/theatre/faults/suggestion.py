@@ -13,7 +13,7 @@ LONGEST_COMPARED = 200  # characters of a line
 MOST_TRIED = 4  # of the kinds that look alike: each is parsed
 LEAST_ALIKE = 0.6  # of a line and what it may have meant; below, an example says more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_TRIGGER = re.compile(r"\s*(at|when|now)\b[^:]*(:(?!\w*\s*:))")
+_TRIGGER = re.compile(r"\s*(at|when|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
 
 
 def nearest_kind(line: str, kinds: Sequence[FaultKind]) -> FaultKind:

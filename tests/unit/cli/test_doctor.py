@@ -14,8 +14,9 @@ import pytest
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.report import Report, examine, show
+from ronna_hw.calibration import DatedRecord
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.probing import Diagnostic, Progress
+from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, ConnectError
 
@@ -28,7 +29,9 @@ class LineProbe:
 
     endpoint_schemes = frozenset({"tcp", "serial"})
 
-    def __call__(self, name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection
+    ) -> Sequence[Diagnostic]:
         progress(0.5)
         return (WELL, Diagnostic(f"device {name}", True, config.driver))
 
@@ -36,7 +39,7 @@ class LineProbe:
         return [Diagnostic(f"line {endpoint}", True, "answered") for endpoint in endpoints]
 
 
-def failing(name: str, config: DeviceConfig, progress: Progress) -> Sequence[Diagnostic]:
+def failing(name: str, config: DeviceConfig, progress: Progress, inspect: Inspection) -> Sequence[Diagnostic]:
     raise ConnectError("no such bus", action="Plug it in.")
 
 
@@ -70,19 +73,38 @@ def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(
 
 def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_path: Path) -> None:
     (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
-    (diagnostic,) = examine(tmp_path / "theatre.toml").devices
+    report = examine(tmp_path / "theatre.toml")
+    (diagnostic,) = (one for one in report.case if one.subject == "devices of a case")
     assert not diagnostic.well
     assert "[robot.master]" in diagnostic.advice
+    (verdict,) = report.verdicts
+    assert (verdict.of, verdict.ready) == ("case", False)
+    assert "devices of a case: without tracker, robot.master, stereo" in verdict.because
 
 
-@pytest.mark.parametrize(("days", "well", "said"), [(1, True, "valid until"), (-1, False, "expired on")])
-def test_each_calibration_record_shows_until_when_it_is_valid(days: int, well: bool, said: str) -> None:
+@pytest.mark.parametrize(
+    ("days", "well", "said", "advised"),
+    [
+        (9, True, "head-1, valid until", False),
+        (1, True, "head-1, valid until", True),
+        (-1, False, "CAL-001 calibration head-1 expired", True),
+    ],
+)
+def test_each_calibration_record_shows_until_when_it_is_valid(
+    days: int, well: bool, said: str, advised: bool
+) -> None:
     now = datetime.now(UTC)
-    record = SimpleNamespace(identifier="head-1", expires=now + timedelta(days=days))
+    record = DatedRecord(
+        identifier="head-1",
+        created=now - timedelta(days=9),
+        expires=now + timedelta(days=days),
+        made_by="bench",
+        stated_error_mm=0.1,
+    )
     records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
     for diagnostic in calibration_diagnostics(cast("Any", SimpleNamespace(calibration=records)), now):
-        assert (diagnostic.well, bool(diagnostic.advice)) == (well, not well)
-        assert diagnostic.seen.startswith(f"head-1, {said} ")
+        assert (diagnostic.well, bool(diagnostic.advice)) == (well, advised)
+        assert said in diagnostic.seen
 
 
 def test_missing_calibrations_are_a_problem_only_where_a_case_could_be_run(theatre: Path) -> None:
@@ -128,6 +150,7 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
         "findings": [{"subject": "line tcp://127.0.0.1:1", "well": True, "seen": "answered", "advice": ""}],
         "lines": [{"baud": 9600}],
         "cameras": [],
+        "verdicts": [],
     }
 
 

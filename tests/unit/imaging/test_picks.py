@@ -63,6 +63,11 @@ def test_a_pick_without_a_sphere_is_refused_with_the_reason(
     assert caught.value.exit_code == 3
 
 
+def test_picks_in_RAS_are_refused_with_that_hint(volume: Volume) -> None:
+    with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in RAS"):
+        localize_picks(volume, truth(volume)[:1] * (-1.0, -1.0, 1.0))
+
+
 def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
     with pytest.raises(errors.MarkerCountWrong, match="1 marker found, 2 expected"):
         localize_picks(volume, truth(volume)[:1], expected=2)

@@ -13,6 +13,9 @@ from fake_controller import FakeController
 from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.probe import stream_port_diagnostic
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.readiness import TellsReadiness
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 
@@ -67,12 +70,19 @@ def test_the_arm_of_a_theatre_file_and_the_cause(taken: Endpoint) -> None:
 def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeController) -> None:
     endpoints = {"rsi": own_udp_endpoint(), "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
     controller.facts["EStop"] = "1"
-    _, arm = kuka_probe.probe(
-        "robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), lambda share: None
-    )
-    assert not arm.well
-    assert arm.seen.endswith("; emergency stop is active")
-    assert "Release the emergency stop" in arm.advice
+    facts = {}
+
+    def inspect(arm: Device) -> tuple[Diagnostic, ...]:
+        assert isinstance(arm, TellsReadiness)
+        facts.update({fact.name: fact for fact in arm.readiness()})
+        return ()
+
+    config = DeviceConfig(driver="kuka_rsi", endpoints=endpoints)
+    _, arm = kuka_probe.probe("robot.master", config, lambda share: None, inspect)
+    assert arm.well
+    assert [name for name, fact in facts.items() if not fact.ready] == ["emergency stop"]
+    assert facts["emergency stop"].advice.startswith("Release it")
+    assert facts["operating mode"].found == "EXT"
 
 
 def test_a_controller_that_hangs_up_at_once_serves_another_and_is_not_to_be_recovered() -> None:

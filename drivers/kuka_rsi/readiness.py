@@ -1,0 +1,36 @@
+"""What the controller says about itself, as facts of readiness."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from drivers.kuka_rsi.eki.controller_state import ControllerState
+from ronna_hw.devices.readiness import Fact
+from ronna_hw.wire.kuka_eki import OperationMode, RsiState
+
+MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
+AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
+
+
+def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
+    """Everything that `activate` looks at. Drives are switched on by it, so that these may be off."""
+    yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
+    yield Fact(
+        "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
+        "Release it, and acknowledge the message at the pendant.",
+    )  # fmt: skip
+    yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close it.")
+    yield Fact(
+        "messages", f"{state.error} is not acknowledged" if state.error else "none to acknowledge",
+        not state.error, "Remove its cause; acknowledge it at the pendant or by ronna-procedure acknowledge.",
+    )  # fmt: skip
+    yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")
+    yield Fact(
+        "RSI program", state.rsi.name, state.rsi in (RsiState.IDLE, RsiState.FAULT),
+        "Another client streams: end it, or reset the program at the pendant.",
+    )  # fmt: skip
+    yield Fact("at rest", "moves" if state.moving else "yes", not state.moving, "Wait until it rests.")
+    yield Fact(
+        "context",
+        "as ours" if verified else "not told: a small motion beside a person checks it when it starts",
+    )

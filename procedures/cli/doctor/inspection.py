@@ -1,0 +1,183 @@
+"""What a case needs of each device of a theatre, looked at while the driver's probe has it connected.
+
+The facts come through the typed interfaces of the devices, so they are the same for every driver. Nothing
+moves: an arm is configured, which takes its port, and never activated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+
+from procedures.relocalization.triangulation import check_serial
+from procedures.workcell.carried_tool import calibrated_arm
+from procedures.workcell.mounted_tool import MountedTool, ToolMount
+from ronna_hw.config import Calibrations
+from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.readiness import TellsReadiness
+from ronna_hw.devices.readings import StereoReading, TrackerFrame, Validity
+from ronna_hw.devices.robot import ConfirmedStart
+from ronna_hw.errors import RonnaError
+
+FRAMES_LOOKED_AT = 30  # half a second of tracking
+PAIRS_LOOKED_AT = 50  # a hundred pictures
+LEAST_SPHERES = 3  # for a registration
+MOST_SATURATED = 0.02  # of a picture: lamps, not film
+LEAST_MEAN_SHARE = 0.002  # of the largest value: below, a picture is dark, or the lens is covered
+LARGEST_GREY = {1: 255.0, 2: 4095.0}  # by the bytes of a pixel: Mono8, Mono12
+
+
+def inspection(name: str, calibrations: Calibrations | None) -> Callable[[Device], Iterator[Diagnostic]]:
+    """How the device of that table is looked at; its refusals become diagnostics, one by one."""
+
+    def inspect(device: Device) -> Iterator[Diagnostic]:
+        subject = f"{name}: "
+        if isinstance(device, TellsReadiness):
+            yield from _told(subject, device)
+        if calibrations is not None:
+            yield from _matching(subject, device, calibrations)
+        refused = _refusal(device.configure)
+        if refused is not None:
+            yield _refused(f"{subject}configured", refused)
+            return
+        for notice in device.notices:
+            yield Diagnostic(f"{subject}notice", True, notice)
+        if isinstance(device, OpticalTracker):
+            yield from _seen_by_tracker(subject, device, calibrations)
+        elif isinstance(device, StereoPair):
+            yield from _seen_by_cameras(subject, device)
+        if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
+            yield Diagnostic(f"{subject}start", True, f"a person will be asked to confirm: {words}")
+
+    return inspect
+
+
+def _told(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
+    for fact in device.readiness():
+        yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
+
+
+def _matching(subject: str, device: Device, calibrations: Calibrations) -> Iterator[Diagnostic]:
+    """Whether the calibrations are of this very device, and the right tool is mounted."""
+    if isinstance(device, StereoPair):
+        for side, record, serial in zip(
+            ("left", "right"),
+            (calibrations.stereo_head.left, calibrations.stereo_head.right),
+            device.serials,
+            strict=True,
+        ):
+            refused = _refusal(partial(check_serial, record, serial))
+            yield _checked(f"{subject}calibration of the {side} camera", serial, refused)
+    if isinstance(device, RobotArm):
+        kinematics = device.kinematics
+        refused = _refusal(partial(calibrated_arm, kinematics, calibrations.arm))
+        yield _checked(f"{subject}calibration of the arm", kinematics.name, refused)
+        mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
+        refused = _refusal(partial(mount.check, MountedTool.STEREO_HEAD))
+        yield _checked(f"{subject}mounted tool", str(MountedTool.STEREO_HEAD), refused)
+
+
+def _seen_by_tracker(
+    subject: str, tracker: OpticalTracker, calibrations: Calibrations | None
+) -> Iterator[Diagnostic]:
+    """Tools and spheres in sight now, after the unit has let its poses out."""
+    try:
+        with tracker.active():
+            frames = [tracker.read_frame() for _ in range(FRAMES_LOOKED_AT)]
+    except RonnaError as error:  # too cold, bumped, an alert
+        yield _refused(f"{subject}tracking", error)
+        return
+    for tool in tracker.tools:
+        seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
+        needed = calibrations is not None and tool == calibrations.tracker_frame.tool
+        yield Diagnostic(
+            f"{subject}sight of {tool}",
+            seen > len(frames) // 2 or not needed,
+            f"in {seen} of {len(frames)} frames",
+            ""
+            if seen == len(frames)
+            else "Clear the line between the tracker and the arm; turn the cart or the unit.",
+        )
+    spheres = _usual_count(frames)
+    yield Diagnostic(
+        f"{subject}spheres in sight",
+        True,
+        f"{spheres}",
+        "" if spheres >= LEAST_SPHERES else f"A case needs {LEAST_SPHERES} or more on the head.",
+    )
+    if calibrations is not None and calibrations.tracker_frame.tool not in tracker.tools:
+        yield Diagnostic(
+            f"{subject}reference frame",
+            False,
+            f"{calibrations.tracker_frame.tool} is not among the loaded tools {', '.join(tracker.tools)}",
+            "Name it in the tracker's options, as in the record of the tracker frame.",
+        )
+
+
+def _usual_count(frames: list[TrackerFrame]) -> int:
+    counts = sorted(len(frame.strays) for frame in frames)
+    return counts[len(counts) // 2]
+
+
+def _seen_by_cameras(subject: str, stereo: StereoPair) -> Iterator[Diagnostic]:
+    """A hundred pictures: how many came whole, and whether they are exposed."""
+    pairs: list[StereoReading] = []
+    told: tuple[Diagnostic, ...] = ()
+    failed: RonnaError | None = None
+    try:
+        with stereo.active():
+            for _ in range(PAIRS_LOOKED_AT):
+                pairs.append(stereo.grab_pair())
+            if isinstance(stereo, TellsReadiness):
+                told = tuple(_told(subject, stereo))  # of these pictures
+    except RonnaError as error:
+        failed = error
+    if failed is not None:
+        yield _refused(f"{subject}pictures", failed)
+    whole = sum(pair.validity is Validity.OK for pair in pairs)
+    yield Diagnostic(
+        f"{subject}pictures",
+        whole == PAIRS_LOOKED_AT,
+        f"{whole} of {PAIRS_LOOKED_AT} pairs came whole",
+        "" if whole == PAIRS_LOOKED_AT else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+    )
+    yield from told
+    if pairs:
+        yield from _exposed(subject, pairs[-1])
+
+
+def _exposed(subject: str, pair: StereoReading) -> Iterator[Diagnostic]:
+    for side, image in (("left", pair.left), ("right", pair.right)):
+        if image is None:
+            continue
+        largest = LARGEST_GREY[image.pixels.dtype.itemsize]
+        saturated = float((image.pixels >= largest).mean())
+        mean = float(image.pixels.mean()) / largest
+        too_bright = saturated > MOST_SATURATED
+        advice = "Shorten exposure_us, or take the lamp away that shines into it." if too_bright else ""
+        if mean < LEAST_MEAN_SHARE:
+            advice = "Nothing bright is in view: is the lens covered, or the ring light off?"
+        yield Diagnostic(
+            f"{subject}exposure of the {side} camera",
+            not too_bright,
+            f"mean {100.0 * mean:.1f} % of the largest value, {100.0 * saturated:.2f} % saturated",
+            advice,
+        )
+
+
+def _refusal(check: Callable[[], object]) -> RonnaError | None:
+    try:
+        check()
+    except RonnaError as error:
+        return error
+    return None
+
+
+def _checked(subject: str, found: str, refused: RonnaError | None) -> Diagnostic:
+    return Diagnostic(subject, True, found) if refused is None else _refused(subject, refused)
+
+
+def _refused(subject: str, error: RonnaError) -> Diagnostic:
+    return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)

@@ -1,0 +1,43 @@
+"""What a case needs of its theatre file and of this computer, before any device is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from procedures.guards.disk_space import DiskSpace
+from procedures.workcell.workcell import MASTER
+from ronna_hw.config import TheatreFile
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.open_files import require_open_files
+from ronna_hw.theatre_kind import require_one_kind
+
+CASE_OPEN_FILES = 96  # as a case requires
+NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
+
+
+def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
+    """Everything that keeps a case from beginning with any devices and records."""
+    yield from _judged("theatre file", "all of one kind", lambda: require_one_kind(theatre))
+    missing = [name for name in NEEDED if name not in theatre.devices]
+    yield Diagnostic(
+        "devices of a case",
+        not missing,
+        f"without {', '.join(missing)}" if missing else ", ".join(NEEDED),
+        f"Add {' and '.join(f'[{name}]' for name in missing)} to the theatre file." if missing else "",
+    )
+    yield from _judged(
+        "open files", f"{CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
+    )
+    full = DiskSpace(Path.cwd()).unmet()
+    yield Diagnostic("disk", full is None, full or "enough for a case", "" if full is None else "Free some.")
+
+
+def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator[Diagnostic]:
+    try:
+        require()
+    except RonnaError as error:
+        yield Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
+    else:
+        yield Diagnostic(subject, True, found)

@@ -1,0 +1,44 @@
+"""`ronna-plan new`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the spheres
+
+
+def new(
+    series_dir: Annotated[Path, typer.Argument(metavar="SERIES_DIR", help="Folder of the CT series.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file: the plan.")] = Path(
+        "plan.toml"
+    ),
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Begin a plan on a CT: series, patient position and spheres are filled in, the trajectories are yours.
+
+    Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    from procedures.imaging import localize, read_series
+    from procedures.planning.new_plan import new_plan
+    from ronna_hw.records import write_whole
+
+    if out.exists():
+        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file with --out.")
+    with console.progress_bar("reading the series") as advance:
+        volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
+        found = localize(
+            volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
+        )
+    centres_mm = [marker.centre_mm.tolist() for marker in found.markers]
+    text = new_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
+    write_whole(out, text.encode(), exclusive=True)
+    console.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
+    console.say(f"then: ronna-plan check {out} --ct {series_dir}")

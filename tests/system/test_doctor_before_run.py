@@ -1,0 +1,170 @@
+"""What the step `set_up` refuses, the doctor has said before, with the same code; nothing else is refused."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import pytest
+from user_commands import in_this_process
+
+from procedures.cli.doctor import inspection
+from procedures.cli.procedure import app
+from procedures.engine.journal import Journal
+from procedures.steps.clinical import set_up
+from procedures.workcell import Workcell
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import EXIT_DONE, EXIT_NOT_FOUND, RonnaError
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.theatre import Theatre
+
+STEREO_HEAD, GUIDE, NOTHING = 1, 2, 0
+Change = Callable[[str], str]
+
+
+def _as_it_is(text: str) -> str:
+    return text
+
+
+def _replaced(old: str, new: str) -> Change:
+    def change(text: str) -> str:
+        assert old in text
+        return text.replace(old, new)
+
+    return change
+
+
+def _without(table: str) -> Change:
+    """Without a table and those below it."""
+
+    def change(text: str) -> str:
+        kept, within = [], False
+        for line in text.splitlines():
+            if line.startswith("["):
+                within = line.strip("[]").split(".")[: table.count(".") + 1] == table.split(".")
+            if not within:
+                kept.append(line)
+        return "\n".join(kept)
+
+    return change
+
+
+def _swapped(text: str) -> str:
+    left, right = (f"{side} = " for side in ("left", "right"))
+    return text.replace(left, "SIDE = ").replace(right, left).replace("SIDE = ", right)
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Something that `set_up` refuses with `code`: a fault, another tool, or a change of the theatre file."""
+
+    code: str
+    fault: str | None = None
+    tool: int = STEREO_HEAD
+    change: Change = _as_it_is
+    stream_port_taken: bool = False
+
+
+TROUBLES = {
+    "tool tip expired": Trouble("CAL-001", change=_replaced("expires = 2", "expires = 1")),
+    "dated in the future": Trouble("CAL-001", change=lambda text: text.replace("created = 2", "created = 9")),
+    "no calibrations": Trouble("DEV-007", change=_without("calibration")),
+    "no cameras": Trouble("DEV-007", change=_without("stereo")),
+    "no banner": Trouble("CFG-004", change=_replaced("banner = ", 'banner = "" # ')),
+    "guide mounted": Trouble("PRO-009", tool=GUIDE),
+    "nothing mounted": Trouble("PRO-009", tool=NOTHING),
+    "camera unplugged": Trouble("GEV-001", fault="camera unplug left"),
+    "camera seized": Trouble("GEV-005", fault="camera seize left"),
+    "tracker without power": Trouble("NDI-002", fault="tracker power off"),
+    "tracker faulty": Trouble("NDI-020", fault="tracker alert 2"),
+    "EKI taken": Trouble("EKI-002", fault="robot eki taken"),
+    "EKI silent": Trouble("EKI-001", fault="robot eki silence"),
+    "stream port in use": Trouble("RSI-001", stream_port_taken=True),
+    "tool definition gone": Trouble("NDI-011", change=_replaced("robot_frame.rom", "gone.rom")),
+}
+
+
+@dataclass
+class Room:
+    """A simulated theatre, its file and its control port."""
+
+    file: Path
+    control: str
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Room]:
+    folder = tmp_path_factory.mktemp("theatre")
+    with ChildProcess(
+        "ronna-sim theatre", command("sim.cli", "theatre", "--scene", "mini", "--out", str(folder))
+    ) as child:
+        yield Room(Path(child.ready["file"]), child.ready["endpoints"]["control"])
+
+
+@pytest.fixture(autouse=True)
+def _few_looks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inspection, "PAIRS_LOOKED_AT", 2)
+    monkeypatch.setattr(inspection, "FRAMES_LOOKED_AT", 3)
+
+
+def _refusal(file: Path, folder: Path) -> RonnaError | None:
+    """What building the workcell or the step `set_up` raises in that theatre."""
+    journal = Journal(folder)
+    theatre = Theatre.from_file(file)
+    try:
+        workcell = Workcell(theatre, journal)
+        setting = SimpleNamespace(today=lambda: datetime.now(UTC))
+        context = SimpleNamespace(workcell=workcell, setting=setting, progress=lambda *_: None)
+        set_up.run(cast("Any", context))
+    except RonnaError as error:
+        return error
+    finally:
+        theatre.close()
+        journal.close()
+    return None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["nothing", *TROUBLES])
+def test_what_set_up_refuses_the_doctor_has_said_before(name: str, room: Room, tmp_path: Path) -> None:
+    trouble = TROUBLES.get(name)
+    file = room.file
+    taken = None
+    if trouble is not None:
+        file = room.file.with_name("troubled.toml")
+        file.write_text(trouble.change(room.file.read_text()))
+        ask_control_port(room.control, "mount", number=trouble.tool)
+        if trouble.fault is not None:
+            ask_control_port(room.control, "fault", line=trouble.fault)
+        if trouble.stream_port_taken:
+            rsi = parse_endpoint(Theatre.from_file(room.file).file.robot["master"].endpoints["rsi"])
+            taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            taken.bind((rsi.host, rsi.port))
+    try:
+        done = in_this_process(app, "doctor", "--config", file, "--json")
+        refused = _refusal(file, tmp_path)
+    finally:
+        ask_control_port(room.control, "clear_faults")
+        ask_control_port(room.control, "mount", number=STEREO_HEAD)
+        if taken is not None:
+            taken.close()
+    report = json.loads(done.stdout)
+    (case,) = (verdict for verdict in report["verdicts"] if verdict["of"] == "case")
+    if trouble is None:
+        assert refused is None
+        assert case == {"of": "case", "ready": True, "because": []}
+        assert done.returncode == EXIT_DONE
+        return
+    assert refused is not None
+    assert refused.code == trouble.code
+    assert not case["ready"]
+    told = " ".join(finding["seen"] for finding in report["findings"] if not finding["well"])
+    assert trouble.code in told or trouble.code == "DEV-007", told
+    assert done.returncode == EXIT_NOT_FOUND or trouble.code in ("CFG-004", "DEV-007")

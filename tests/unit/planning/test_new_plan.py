@@ -1,0 +1,37 @@
+from pathlib import Path
+
+import pytest
+
+from procedures.planning.errors import PlanMistakes
+from procedures.planning.new_plan import new_plan
+from procedures.planning.plan_file import read_plan
+
+SPHERES_MM = [[1.0, 2.0, 3.0], [40.0, 2.0, 3.0], [1.0, 60.0, 3.0]]
+TRAJECTORY = (
+    '[[trajectories]]\nid = "T1"\nentry_mm = [0.0, 0.0, 40.0]\ntarget_mm = [0.0, 0.0, 0.0]\nmargin_mm = 2.0\n'
+)
+
+
+def _begun(tmp_path: Path, position: str, spheres_mm: list[list[float]] = SPHERES_MM) -> Path:
+    path = tmp_path / "plan.toml"
+    path.write_text(new_plan("1.2.3", position, spheres_mm, "ct"))
+    return path
+
+
+def test_a_begun_plan_lacks_its_trajectories_only(tmp_path: Path) -> None:
+    path = _begun(tmp_path, "HFS")
+    with pytest.raises(PlanMistakes, match=r"PLAN-002: plan.toml: trajectories: is missing"):
+        read_plan(path)
+    path.write_text(path.read_text() + TRAJECTORY)
+    plan = read_plan(path)
+    assert (plan.implanted, plan.patient_orientation.value) == (3, "HFS")
+    assert "# sphere 3: 1.00, 60.00, 3.00" in path.read_text()
+
+
+def test_what_the_series_does_not_say_is_left_to_the_planner(tmp_path: Path) -> None:
+    path = _begun(tmp_path, "", SPHERES_MM[:2])
+    path.write_text(path.read_text() + TRAJECTORY)
+    with pytest.raises(
+        PlanMistakes, match="2 mistakes: patient_orientation: is missing; implanted: is missing"
+    ):
+        read_plan(path)
