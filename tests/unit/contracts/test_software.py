@@ -1,17 +1,22 @@
+from importlib.metadata import entry_points
 from pathlib import Path
 
 import pytest
 from bad_inputs import app_of
 from user_commands import in_this_process
 
-from ronna_hw.software import LOCK, Software, this_software
+from ronna_hw.software import LOCK, PACKAGE, Software, this_software
 
-COMMANDS = ("procedure", "ct", "plan", "campaign", "stereo", "arm", "sim", "conformance", "rom")
+COMMANDS = sorted(
+    script.name
+    for script in entry_points(group="console_scripts")
+    if script.dist is not None and script.dist.name == PACKAGE
+)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_tells_its_version_and_lock(name: str) -> None:
-    done = in_this_process(app_of(f"ronna-{name}"), "--version")
+    done = in_this_process(app_of(name), "--version")
     assert done.returncode == 0
     assert done.stdout.strip() == str(this_software())
     assert ", lock " in done.stdout
