@@ -45,6 +45,11 @@ class Diagnostic:
     document: Mapping[str, Any] | None = None
 
 
+def refusal(subject: str, error: RonnaError) -> Diagnostic:
+    """What a device refused, as a diagnostic."""
+    return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
+
+
 Inspection = Callable[[Device], Iterable[Diagnostic]]  # more about a device that is connected
 
 

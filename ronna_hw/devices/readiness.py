@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
+
+from ronna_hw.devices.probing import Diagnostic
 
 
 @dataclass(frozen=True)
@@ -27,3 +29,9 @@ class TellsReadiness(Protocol):
         Moves nothing and changes nothing. Raises what reading from the device raises.
         """
         ...
+
+
+def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
+    """Each fact as a line of the doctor, with its advice where a case cannot begin so."""
+    for fact in device.readiness():
+        yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)

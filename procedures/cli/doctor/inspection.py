@@ -15,18 +15,16 @@ from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from ronna_hw.config import Calibrations
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Device
-from ronna_hw.devices.probing import Diagnostic
-from ronna_hw.devices.readiness import TellsReadiness
-from ronna_hw.devices.readings import StereoReading, TrackerFrame, Validity
+from ronna_hw.devices.picture_check import picture_diagnostics
+from ronna_hw.devices.probing import Diagnostic, refusal
+from ronna_hw.devices.readiness import TellsReadiness, fact_diagnostics
+from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 
 FRAMES_LOOKED_AT = 30  # half a second of tracking
 PAIRS_LOOKED_AT = 50  # a hundred pictures
 LEAST_SPHERES = 3  # for a registration
-MOST_SATURATED = 0.02  # of a picture: lamps, not film
-LEAST_MEAN_SHARE = 0.002  # of the largest value: below, a picture is dark, or the lens is covered
-LARGEST_GREY = {1: 255.0, 2: 4095.0}  # by the bytes of a pixel: Mono8, Mono12
 
 
 def inspection(name: str, calibrations: Calibrations | None) -> Callable[[Device], Iterator[Diagnostic]]:
@@ -35,28 +33,23 @@ def inspection(name: str, calibrations: Calibrations | None) -> Callable[[Device
     def inspect(device: Device) -> Iterator[Diagnostic]:
         subject = f"{name}: "
         if isinstance(device, TellsReadiness):
-            yield from _told(subject, device)
+            yield from fact_diagnostics(subject, device)
         if calibrations is not None:
             yield from _matching(subject, device, calibrations)
         refused = _refusal(device.configure)
         if refused is not None:
-            yield _refused(f"{subject}configured", refused)
+            yield refusal(f"{subject}configured", refused)
             return
         for notice in device.notices:
             yield Diagnostic(f"{subject}notice", True, notice)
         if isinstance(device, OpticalTracker):
             yield from _seen_by_tracker(subject, device, calibrations)
         elif isinstance(device, StereoPair):
-            yield from _seen_by_cameras(subject, device)
+            yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT)
         if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
             yield Diagnostic(f"{subject}start", True, f"a person will be asked to confirm: {words}")
 
     return inspect
-
-
-def _told(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
-    for fact in device.readiness():
-        yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)
 
 
 def _matching(subject: str, device: Device, calibrations: Calibrations) -> Iterator[Diagnostic]:
@@ -87,7 +80,7 @@ def _seen_by_tracker(
         with tracker.active():
             frames = [tracker.read_frame() for _ in range(FRAMES_LOOKED_AT)]
     except RonnaError as error:  # too cold, bumped, an alert
-        yield _refused(f"{subject}tracking", error)
+        yield refusal(f"{subject}tracking", error)
         return
     for tool in tracker.tools:
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
@@ -121,52 +114,6 @@ def _usual_count(frames: list[TrackerFrame]) -> int:
     return counts[len(counts) // 2]
 
 
-def _seen_by_cameras(subject: str, stereo: StereoPair) -> Iterator[Diagnostic]:
-    """A hundred pictures: how many came whole, and whether they are exposed."""
-    pairs: list[StereoReading] = []
-    told: tuple[Diagnostic, ...] = ()
-    failed: RonnaError | None = None
-    try:
-        with stereo.active():
-            for _ in range(PAIRS_LOOKED_AT):
-                pairs.append(stereo.grab_pair())
-            if isinstance(stereo, TellsReadiness):
-                told = tuple(_told(subject, stereo))  # of these pictures
-    except RonnaError as error:
-        failed = error
-    if failed is not None:
-        yield _refused(f"{subject}pictures", failed)
-    whole = sum(pair.validity is Validity.OK for pair in pairs)
-    yield Diagnostic(
-        f"{subject}pictures",
-        whole == PAIRS_LOOKED_AT,
-        f"{whole} of {PAIRS_LOOKED_AT} pairs came whole",
-        "" if whole == PAIRS_LOOKED_AT else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
-    )
-    yield from told
-    if pairs:
-        yield from _exposed(subject, pairs[-1])
-
-
-def _exposed(subject: str, pair: StereoReading) -> Iterator[Diagnostic]:
-    for side, image in (("left", pair.left), ("right", pair.right)):
-        if image is None:
-            continue
-        largest = LARGEST_GREY[image.pixels.dtype.itemsize]
-        saturated = float((image.pixels >= largest).mean())
-        mean = float(image.pixels.mean()) / largest
-        too_bright = saturated > MOST_SATURATED
-        advice = "Shorten exposure_us, or take the lamp away that shines into it." if too_bright else ""
-        if mean < LEAST_MEAN_SHARE:
-            advice = "Nothing bright is in view: is the lens covered, or the ring light off?"
-        yield Diagnostic(
-            f"{subject}exposure of the {side} camera",
-            not too_bright,
-            f"mean {100.0 * mean:.1f} % of the largest value, {100.0 * saturated:.2f} % saturated",
-            advice,
-        )
-
-
 def _refusal(check: Callable[[], object]) -> RonnaError | None:
     try:
         check()
@@ -176,8 +123,4 @@ def _refusal(check: Callable[[], object]) -> RonnaError | None:
 
 
 def _checked(subject: str, found: str, refused: RonnaError | None) -> Diagnostic:
-    return Diagnostic(subject, True, found) if refused is None else _refused(subject, refused)
-
-
-def _refused(subject: str, error: RonnaError) -> Diagnostic:
-    return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
+    return Diagnostic(subject, True, found) if refused is None else refusal(subject, refused)

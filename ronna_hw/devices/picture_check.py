@@ -1,0 +1,59 @@
+"""Whether pictures of two cameras come whole and are exposed, as diagnostics. Nothing moves."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from ronna_hw.devices.probing import Diagnostic, refusal
+from ronna_hw.devices.readiness import TellsReadiness, fact_diagnostics
+from ronna_hw.devices.readings import StereoReading, Validity
+from ronna_hw.devices.stereo import StereoPair
+from ronna_hw.errors import RonnaError
+
+MOST_SATURATED = 0.02  # of a picture: lamps, not film
+LEAST_MEAN_SHARE = 0.002  # of the largest value: below, a picture is dark, or the lens is covered
+LARGEST_GREY = {1: 255.0, 2: 4095.0}  # by the bytes of a pixel: Mono8, Mono12
+
+
+def picture_diagnostics(subject: str, stereo: StereoPair, pairs: int) -> Iterator[Diagnostic]:
+    """Take that many pairs with cameras that are configured: how many come whole, how the last is exposed."""
+    whole = 0
+    last: StereoReading | None = None
+    told: tuple[Diagnostic, ...] = ()
+    try:
+        with stereo.active():
+            for _ in range(pairs):
+                last = stereo.grab_pair()
+                whole += int(last.validity is Validity.OK)
+            if isinstance(stereo, TellsReadiness):
+                told = tuple(fact_diagnostics(subject, stereo))  # of these pictures
+    except RonnaError as error:
+        yield refusal(f"{subject}pictures", error)
+    yield Diagnostic(
+        f"{subject}pictures",
+        whole == pairs,
+        f"{whole} of {pairs} pairs came whole",
+        "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+    )
+    yield from told
+    if last is not None:
+        yield from _exposed(subject, last)
+
+
+def _exposed(subject: str, pair: StereoReading) -> Iterator[Diagnostic]:
+    for side, image in (("left", pair.left), ("right", pair.right)):
+        if image is None:
+            continue
+        largest = LARGEST_GREY[image.pixels.dtype.itemsize]
+        saturated = float((image.pixels >= largest).mean())
+        mean = float(image.pixels.mean()) / largest
+        too_bright = saturated > MOST_SATURATED
+        advice = "Shorten exposure_us, or take the lamp away that shines into it." if too_bright else ""
+        if mean < LEAST_MEAN_SHARE:
+            advice = "Nothing bright is in view: is the lens covered, or the ring light off?"
+        yield Diagnostic(
+            f"{subject}exposure of the {side} camera",
+            not too_bright,
+            f"mean {100.0 * mean:.1f} % of the largest value, {100.0 * saturated:.2f} % saturated",
+            advice,
+        )
