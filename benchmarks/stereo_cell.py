@@ -48,6 +48,7 @@ from sim.theatre.rigid import (
     rotation_towards,
 )
 from sim.theatre.scene.model import LinkError, Scene
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import ArmState, World
 
 Array = NDArray[np.float64]
@@ -183,7 +184,7 @@ class StereoCell:
         self._calibration = calibration
         self._workcell = _workcell_of(self.arm, self.stereo, calibration, folder)
         self.centres_mm = apply(
-            matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in scene.head.fiducials]
+            matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in spheres_in_theatre(scene)]
         )
 
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:

@@ -10,7 +10,7 @@ Frame x: the origin is where the bars cross, the first bar lies along x, z point
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Final, NamedTuple
 
 Point = tuple[float, float, float]
 
@@ -26,4 +26,36 @@ CLOSE_SPHERE_CENTRES_MM: Final[tuple[Point, Point, Point, Point]] = (
     (-30.0, 0.0, 0.0),
     (-14.0, -56.5, 0.0),
 )
+# The spheres stand on short posts on the bars; a foot under the crossing is screwed to the skull.
+BAR_BELOW_MM: Final = 11.0  # axis of the bars under the spheres' centres
+BAR_RADIUS_MM: Final = 3.5
+FOOT_RADIUS_MM: Final = 3.0
+STANDOFF_MM: Final = 26.0  # from the skin to the plane of the spheres, at the foot
+BARS: Final = ((0, 2), (1, 3))  # the spheres at their ends
+NAME: Final = "x_frame"  # as a tool of the tracker
+PART_NUMBER: Final = "RONNA-X"  # of its definition
 OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are seen from this side
+
+
+class Body(NamedTuple):
+    """A rod of the frame, mm in its own frame."""
+
+    name: str
+    start_mm: Point
+    end_mm: Point
+    radius_mm: float
+
+
+def bodies() -> tuple[Body, ...]:
+    """Both bars and the foot, down to the skin."""
+    bars = (
+        Body(f"bar {number} of the frame", _below(one), _below(other), BAR_RADIUS_MM)
+        for number, (one, other) in enumerate(BARS, start=1)
+    )
+    foot = Body("foot of the frame", (0.0, 0.0, -BAR_BELOW_MM), (0.0, 0.0, -STANDOFF_MM), FOOT_RADIUS_MM)
+    return (*bars, foot)
+
+
+def _below(sphere: int) -> Point:
+    x, y, z = SPHERE_CENTRES_MM[sphere]
+    return (x, y, z - BAR_BELOW_MM)

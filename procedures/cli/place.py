@@ -93,7 +93,7 @@ def place(
     volume, fiducials_mm, _ = read_ct(series_dir, True)
     check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
     assert fiducials_mm is not None
-    setting = in_its_scene(theatre, volume, fiducials_mm)
+    setting = in_its_scene(theatre, volume, plan, fiducials_mm)
     tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
     trajectories = held_trajectories(plan, theatre.bore)
     case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)

@@ -105,7 +105,7 @@ def check(
         volume,
         fiducials_mm=fiducials_mm,
         to_fiducials=markers,
-        arm=theatre and in_its_scene(theatre, volume, fiducials_mm),
+        arm=theatre and in_its_scene(theatre, volume, planned, fiducials_mm),
         sight=theatre and theatre.sight,
         bore=theatre and theatre.bore,
     )

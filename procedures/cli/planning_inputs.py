@@ -13,6 +13,7 @@ from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
+    from procedures.planning.plan import Plan
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
     from ronna_hw.collision_config import CollisionConfig
@@ -88,13 +89,20 @@ def theatre_of(
 
 
 def in_its_scene(
-    theatre: Theatre, volume: Volume, fiducials_mm: list[tuple[float, float, float]] | None
+    theatre: Theatre, volume: Volume, planned: Plan, fiducials_mm: list[tuple[float, float, float]] | None
 ) -> ArmSetting:
     """The arm with its surroundings and the head and markers of this CT. Raises PLAN-014."""
+    from procedures.planning.frame_bodies import frame_bodies
     from procedures.planning.head_shape import head_shape
     from procedures.planning.planning_scene import PlanningScene
+    from procedures.registration.errors import LayoutNotFound
 
-    scene = PlanningScene(theatre.cell, head_shape(volume), tuple(fiducials_mm or ()))
+    markers = tuple(fiducials_mm or ())
+    try:
+        frame = frame_bodies(planned.fiducials, markers)
+    except LayoutNotFound:  # which the check refuses by itself
+        frame = ()
+    scene = PlanningScene(theatre.cell, head_shape(volume), markers, frame)
     return replace(theatre.arm, scene=scene)
 
 

@@ -14,7 +14,6 @@ from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.runs.commands import add_commands
-from procedures.engine.errors import NotYet
 from ronna_hw.command_line.console import (
     JsonOption,
     LogLevelOption,
@@ -59,6 +58,9 @@ SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file."
 SeedOption = Annotated[int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")]
 MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")]
 TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")]
+FiducialsOption = Annotated[
+    FiducialChoice, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+]
 StrategyOption = Annotated[
     str,
     typer.Option(
@@ -97,7 +99,7 @@ def run_command(
     seed: SeedOption = 0,
     markers: MarkersOption = None,
     targets: TargetsOption = None,
-    fiducials: Annotated[FiducialChoice, typer.Option(help="Kind of markers.")] = FiducialChoice.FREE,
+    fiducials: FiducialsOption = FiducialChoice.FREE,
     strategy: StrategyOption = "ocs",
     measure_targets: Annotated[
         bool,
@@ -119,8 +121,6 @@ def run_command(
     log_level: LogLevelOption = None,
 ) -> None:
     """Run the whole case and end with the errors at the targets and a report."""
-    if fiducials is FiducialChoice.XFRAME:
-        raise NotYet("--fiducials xframe is not yet available")
     set_up_logging(verbose)
     from procedures.cli.case.display import follow_case
 
@@ -130,7 +130,16 @@ def run_command(
         measure_targets=measure_targets,
         config=config,
         case=case,
-        scene=SceneChoice(scene, seed, markers, targets, calibrated, first_day, tuple(calibration or ())),
+        scene=SceneChoice(
+            scene,
+            seed,
+            markers,
+            targets,
+            fiducials.value,
+            calibrated,
+            first_day,
+            tuple(calibration or ()),
+        ),
         speed=speed,
         faults=faults,
         answers=answers,
@@ -148,6 +157,7 @@ def step_command(
     seed: SeedOption = 0,
     markers: MarkersOption = None,
     targets: TargetsOption = None,
+    fiducials: FiducialsOption = FiducialChoice.FREE,
     strategy: StrategyOption = "ocs",
     speed: SpeedOption = SpeedChoice.MAX,
     faults: FaultsOption = None,
@@ -168,7 +178,7 @@ def step_command(
             strategy=strategy,
             config=config,
             case=case,
-            scene=SceneChoice(scene, seed, markers, targets),
+            scene=SceneChoice(scene, seed, markers, targets, fiducials.value),
             speed=speed,
             faults=faults,
             answers=answers,
@@ -277,15 +287,15 @@ def _request(
     drawn = replace(scene, calibrated=False)
     if config is not None and (drawn != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
         raise UsageMistake(
-            "--scene, --seed, --markers, --targets, --first-day, --calibration, --speed and --faults go with "
-            "--sim",
+            "--scene, --seed, --markers, --targets, --fiducials, --first-day, --calibration, --speed and "
+            "--faults go with --sim",
             action="Leave them out: the theatre file names the devices of the theatre.",
         )
     drawn = replace(drawn, first_day=False, records=())
     if Path(scene.scene).suffix and drawn != SceneChoice(scene.scene):
         raise UsageMistake(
-            "--seed, --markers and --targets do not go with a scene file",
-            action="The file holds its own seed, markers and targets.",
+            "--seed, --markers, --targets and --fiducials do not go with a scene file",
+            action="The file holds its own.",
         )
     if sim:
         scene.check()

@@ -58,14 +58,6 @@ class GateFailed(RefusedError):
     action = "Look at the value and its limit; repeat the step or correct its inputs."
 
 
-class NotYet(RonnaError):
-    """The command accepts this option, but this version does not implement it."""
-
-    code = "PRO-012"
-    action = "Leave the option out."
-    exit_code = EXIT_USAGE
-
-
 class CommandRefused(RonnaError):
     """A command that this run started ended by itself; its last output is in the message."""
 

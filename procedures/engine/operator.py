@@ -24,6 +24,7 @@ class Topic(StrEnum):
     RESUME = "resume"  # what was found again after a restart
     FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
     SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
+    UNMATCHED_SPHERE = "unmatched_sphere"  # one is not where the CT has it, as the tracker sees
     REACH = "reach"  # the arm cannot reach a trajectory
     SPHERE = "sphere"  # the stereo head cannot measure one
     MOVED_SPHERE = "moved_sphere"  # one alone explains why the fit disagrees

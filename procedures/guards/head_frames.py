@@ -26,6 +26,9 @@ AVERAGED = 8
 DOUBT_MM = 0.15
 LEAST_FAR_MM = NEAR_MM / 2.0  # of spheres that are no longer near their places
 FAR_READINGS = 3  # in a row that show spheres, but too few where they were
+# With the other spheres hidden: the head lies where it was, and what else is seen are glints and phantoms.
+# One of them and these two may have the distances of three spheres.
+ENOUGH_IN_PLACE = 2
 
 
 @dataclass
@@ -55,7 +58,8 @@ class HeadFrames:
             self.doubtful = math.hypot(*ways[near].mean(axis=0)) > DOUBT_MM
             self.moved_mm = self._mean_mm()
         else:
-            self._far = self._far + 1 if len(places) >= LEAST_POINTS else 0
+            elsewhere = len(places) >= LEAST_POINTS and near.sum() < ENOUGH_IN_PLACE
+            self._far = self._far + 1 if elsewhere else 0
             self.doubtful = 0 < self._far < FAR_READINGS
             moved = shift_of(self.spheres_mm, places) if self._far == FAR_READINGS else None
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None

@@ -20,6 +20,7 @@ from procedures.guards.head_frames import HeadFrames
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
 from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.frame_as_tool import with_its_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted
@@ -198,7 +199,7 @@ class _Looking:
             if frame.validity is Validity.STALE:
                 self._ending.wait(FRAME_S / 2)
                 continue
-            self.head.take(frame)
+            self.head.take(with_its_spheres(tracker, frame))
             self._meet_push(frame)
             self._first.set()
             now_s = self.clock.now_s()

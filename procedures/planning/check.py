@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.errors import (
-    FiducialsNotYet,
     NotReachable,
+    NotTheFrame,
     NotTheTemplate,
     OutsideField,
     StopBeyondInstrument,
@@ -25,8 +25,11 @@ from procedures.planning.guide_hold import held_trajectories, too_short
 from procedures.planning.layout import layout_warnings, shows_template
 from procedures.planning.plan import FiducialKind, Plan
 from procedures.planning.tissue import standoff_in_skin, way_into_head
+from procedures.registration.errors import LayoutNotFound
+from procedures.registration.layout import find_layout
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GuideBore
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -159,7 +162,12 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
 
 
 def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
-    """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart."""
+    """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart.
+
+    Of the x-shaped frame, it shows the frame, and what else looks like a sphere is told.
+    """
+    if plan.fiducials is FiducialKind.XFRAME:
+        return _the_frame(points_mm)
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
             return [], layout_warnings(points_mm)
@@ -170,6 +178,18 @@ def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
         got=str(len(points_mm)),
     )
     return [wrong], []
+
+
+def _the_frame(points_mm: Array) -> Judged:
+    try:
+        others = find_layout(SPHERE_CENTRES_MM, points_mm).others
+    except LayoutNotFound as missing:
+        wrong = NotTheFrame(
+            "the CT does not show the x-shaped frame", expected=missing.expected, got=missing.got
+        )
+        return [wrong], []
+    shown = ", ".join(str(one + 1) for one in others)
+    return [], [f"spheres that are not of the x-shaped frame are left aside: {shown}"] if others else []
 
 
 def _driven(
@@ -223,14 +243,6 @@ def _unknown(plan: Plan) -> list[RonnaError]:
     if plan.tool not in KNOWN_TOOLS:
         found.append(
             UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)
-        )
-    if plan.fiducials is FiducialKind.XFRAME:
-        found.append(
-            FiducialsNotYet(
-                "the x-shaped frame of fiducials is not supported yet",
-                expected=FiducialKind.FREE.value,
-                got=plan.fiducials.value,
-            )
         )
     return found
 

@@ -92,11 +92,11 @@ class UnknownTool(PlanError):
     action = "Name the tool that the plan was made for; another tool has another length."
 
 
-class FiducialsNotYet(ConfigurationError):
-    """The plan asks for a kind of fiducial that is not supported yet."""
+class NotTheFrame(PlanError):
+    """The CT does not show the x-shaped frame that the plan names, or not the whole of it."""
 
     code = "PLAN-013"
-    action = 'Use single spheres on screws and plan with fiducials = "free".'
+    action = 'Look at the spheres of the CT; for single spheres on screws plan with fiducials = "free".'
 
 
 class NoHeadInCt(PlanError):

@@ -16,6 +16,7 @@ from pydantic_core import PydanticCustomError
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
@@ -132,6 +133,20 @@ class Plan(Strict):
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
         description="In the order in which they are meant to be done."
     )
+
+    @model_validator(mode="after")
+    def _is_the_frame(self) -> Plan:
+        if self.fiducials is FiducialKind.XFRAME:
+            spheres = len(SPHERE_CENTRES_MM)
+            if self.implanted != spheres:
+                raise PydanticCustomError(
+                    "frame",
+                    "the x-shaped frame has {spheres} spheres, {implanted} are implanted",
+                    {"spheres": spheres, "implanted": self.implanted},
+                )
+            if self.template_mm is not None:
+                raise PydanticCustomError("frame", "template_mm is for free spheres: the frame is its own")
+        return self
 
     @model_validator(mode="after")
     def _is_a_template(self) -> Plan:

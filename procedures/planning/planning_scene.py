@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from procedures.planning.head_shape import HeadEllipsoid
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.clearance.surroundings import Corridor, Surroundings
+from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig, ToolBody
 from ronna_hw.frames import Transform
@@ -21,6 +21,12 @@ class PlanningScene:
     cell: CollisionConfig
     head: HeadEllipsoid
     fiducials_ct_mm: Points = ()
+    frame_ct: tuple[Obstacle, ...] = ()  # bars and foot of the x-shaped frame
+
+    def with_reserve(self, reserve_mm: float) -> PlanningScene:
+        """The same, with so much more clearance asked for."""
+        margin_mm = self.cell.margin_mm + reserve_mm
+        return replace(self, cell=self.cell.model_copy(update={"margin_mm": margin_mm}))
 
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
@@ -46,7 +52,7 @@ class PlanningScene:
             entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
             corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
         in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
-        return self.cell.surroundings(
+        around = self.cell.surroundings(
             tool,
             Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
             Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),
@@ -54,3 +60,5 @@ class PlanningScene:
             tuple(in_robot.apply(point) for point in self.fiducials_ct_mm),
             corridor,
         )
+        frame = (one._replace(capsule=one.capsule.moved(in_robot)) for one in self.frame_ct)
+        return replace(around, obstacles=(*around.obstacles, *frame))

@@ -125,6 +125,16 @@ AMBIGUOUS = Branch(
     Ending.HOLD,
     (NoUniqueMatch,),
 )
+UNMATCHED_SPHERE = Branch(
+    "a sphere is missing in the room, on a wrong screw, or far from its place",
+    "the CT matches in one way when the count is left aside, with fewer spheres than were implanted",
+    ("correspondence",),
+    f"it is named; the case goes on with the others while {FEWEST_SPHERES} remain and the operator agrees",
+    Ending.ASK,
+    (NoUniqueMatch,),
+    Topic.UNMATCHED_SPHERE,
+    (LEAVE_OUT, HOLD),
+)
 SPHERE_FAILED = Branch(
     "the stereo head cannot measure a sphere: not in the field, hidden, too dark, no end of the servo",
     "three rings of 5 mm, other exposures, 15 steps of the servo",
@@ -295,6 +305,7 @@ BRANCHES = (
         GUARD_UNMET,
         HEAD_UNSEEN,
         AMBIGUOUS,
+        UNMATCHED_SPHERE,
         SPHERE_FAILED,
         WRONG_SPHERE,
     ),

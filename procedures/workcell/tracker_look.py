@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from procedures.engine.errors import GateFailed
+from procedures.workcell.frame_as_tool import with_its_spheres
 from procedures.workcell.mounted_tool import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
@@ -65,7 +66,7 @@ def fresh_frames(
             limit_s += READING_LIMIT_S / count
             continue
         if frame.validity is not Validity.STALE:
-            frames.append(frame)
+            frames.append(with_its_spheres(tracker, frame))
             progress(len(frames) / count)
         elif clock.now_s() > limit_s:
             raise GateFailed(

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from math import pi, radians
 
 from sim.basler.optics.film import drawn_stains
 from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
 from sim.theatre.faults import Fault, FaultBoard
 from sim.theatre.noise import noise
-from sim.theatre.room_shift import STILL, ShiftedRoom
+from sim.theatre.room_shift import NOTHING_MOVED, ShiftedRoom
 from sim.theatre.scene.model import CameraTruth
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import World
 
 PERCENT = 0.01
@@ -36,14 +38,26 @@ class Disturbances:
         """The camera's name in a fault script."""
         return "left" if self.camera.serial == self.world.scene.left.serial else "right"
 
+    @cached_property
+    def worn(self) -> Disturbance:
+        """What is always there: spots at which a film is rubbed off, dark as a stain."""
+        scene = self.world.scene
+        spots = tuple(
+            (one.number, drawn_stains(scene.seed, one.number, one.worn_percent * PERCENT))
+            for one in spheres_in_theatre(scene)
+            if one.worn_percent
+        )
+        return Disturbance(stains=spots) if spots else CLEAR
+
     def now(self) -> Disturbance:
-        """What acts at this moment; `CLEAR` at the price of one question while there is no fault at all."""
-        shift_mm = self.room.now().head_mm
+        """What acts at this moment; at the price of one question while there is no fault at all."""
+        room = self.room.now()
         if self.board.empty:
-            return CLEAR if shift_mm == STILL else Disturbance(head_shift_mm=shift_mm)
+            return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
         seed = self.world.scene.seed
         return Disturbance(
-            stains=tuple(
+            stains=self.worn.stains
+            + tuple(
                 (number, drawn_stains(seed, number, float(share) * PERCENT))
                 for number, share in (
                     (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
@@ -53,7 +67,7 @@ class Disturbances:
             glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._mine("glare")),
             twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._mine("twist"))
             + sum(self._crept_rad(fault) for fault in self._mine("creep")),
-            head_shift_mm=shift_mm,
+            room=room,
         )
 
     def _mine(self, kind: str) -> list[Fault]:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sim.basler.optics.sphere import Sphere
 from sim.theatre.on_stand import OnStand
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_from_vector, rotation_towards
-from sim.theatre.room_shift import STILL, Vector
+from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
 from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Head
 from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import World
@@ -30,6 +30,7 @@ class View:
         self._camera_from_tool = matrix_of(camera.camera_from_tool)
         head = world.scene.head
         self._balls = (*spheres_in_theatre(world.scene), *_target_balls(head))
+        self._numbers = [each.number for each in self._balls]
         self._robot_from_ct = matrix_of(head.robot_from_ct)
         self._centres_mm = apply(self._robot_from_ct, [each.centre_ct_mm for each in self._balls])
         self._stand_mm = np.array(world.scene.stand.ball_mm)
@@ -51,19 +52,19 @@ class View:
         return self._world.on_stand() is OnStand.BALL
 
     def spheres(
-        self, robot_from_tool: Pose | None, twist_rad: float = 0.0, head_shift_mm: Vector = STILL
+        self, robot_from_tool: Pose | None, twist_rad: float = 0.0, room: RoomShift = NOTHING_MOVED
     ) -> tuple[Sphere, ...]:
         """Spheres in front of the camera for a pose that `pose` returned, camera frame.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
-        plane of both cameras: the tool's x axis. `head_shift_mm` moves all spheres, robot frame.
+        plane of both cameras: the tool's x axis. `room` says how far the spheres are moved.
         """
         if not self.head_mounted:
             return ()  # the head hangs on its stand and looks at nothing
         if robot_from_tool is None:
             return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
-        centres = apply(camera_from_robot, self._centres_mm + head_shift_mm)
+        centres = apply(camera_from_robot, self._centres_mm + room.of_spheres_mm(self._numbers))
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         seen = [
             Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)

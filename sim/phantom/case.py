@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.records import write_whole
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scanner.planes import Planes
@@ -79,7 +80,7 @@ def _plan(scan: Scan, series_instance_uid: str) -> str:
         "schema": PLAN_SCHEMA,
         "series_instance_uid": series_instance_uid,
         "patient_orientation": PATIENT_POSITION,
-        "implanted": len(scene.head.fiducials),
+        "implanted": len(scene.head.fiducials) if scan.fiducials == FREE else len(SPHERE_CENTRES_MM),
         "fiducials": FREE if scan.fiducials == FREE else XFRAME,
         **({"template_mm": [list(one) for one in template]} if (template := scene.head.template_mm) else {}),
         "tool": TOOL,

@@ -13,6 +13,7 @@ import typer
 from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
+from sim.theatre.scene.carrier import Carrier
 
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"
@@ -51,7 +52,7 @@ def phantom(
         Fiducials,
         typer.Option(
             help="Spheres on screws of their own; those of the x-shaped frame, or of the close one of the"
-            " studies, and --markers beyond four on screws."
+            " studies; with a family, --markers beyond four are on screws."
         ),
     ] = Fiducials.FREE,
     tilt_deg: Annotated[float, typer.Option(help="Tilt of the gantry.", rich_help_panel=SCANNER)] = 0.0,
@@ -124,7 +125,8 @@ def phantom(
     faults = ScannerFaults(
         tilt_deg, table_scale, thickness_mm, beam_hardening, motion_mm, kernel, extended_range
     )
-    if family is not None or fiducials is not Fiducials.FREE:
+    carrier = {one.value: one for one in Carrier}.get(fiducials.value)
+    if family is not None or carrier is None:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene(
                 "a family draws its own head and trajectory", action="Leave --scene and --targets out."
@@ -138,7 +140,7 @@ def phantom(
         )
         truth = scan.scene
     else:
-        truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=carrier)
         if protocol is not None:
             truth = truth.model_copy(update={"ct": protocol_named(protocol)})
         scan = plain_scan(truth)

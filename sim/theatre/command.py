@@ -11,6 +11,7 @@ import typer
 from ronna_hw.command_line.console import JsonOption, print_json, print_table, say
 from ronna_hw.command_line.errors import UsageMistake
 from sim.theatre.on_stand import OnStand
+from sim.theatre.scene.carrier import Carrier
 
 if TYPE_CHECKING:
     import threading
@@ -42,6 +43,9 @@ def theatre(
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    fiducials: Annotated[
+        Carrier, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+    ] = Carrier.FREE,
     calibrated: Annotated[
         bool, typer.Option("--calibrated", help="With a calibration record of the arm, and the head's by it.")
     ] = False,
@@ -100,6 +104,7 @@ def theatre(
         seed=seed,
         markers=markers,
         targets=targets,
+        fiducials=Carrier.FREE if where == str(kept) else fiducials,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,

@@ -17,9 +17,11 @@ from types import FrameType
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.host.parent_process import PARENT
+from sim.errors import BadScene
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
 from sim.theatre.faults import DEVICES, read_faults
+from sim.theatre.scene.carrier import Carrier
 from sim.theatre.scene.model import ArmResidual, Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
@@ -115,6 +117,7 @@ def load_scene(
     seed: int = 0,
     markers: int | None = None,
     targets: int | None = None,
+    fiducials: Carrier = Carrier.FREE,
     calibrated: bool = False,
     first_day: bool = False,
     target_balls: bool = False,
@@ -125,7 +128,10 @@ def load_scene(
     each target.
     """
     if scene in SCENES:
-        drawn = named_scene(scene, seed=seed, markers=markers, targets=targets)
+        on_frame = fiducials is Carrier.XFRAME
+        drawn = named_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
+    elif fiducials is not Carrier.FREE:
+        raise BadScene("a scene file says itself what its spheres stand on: leave --fiducials out")
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

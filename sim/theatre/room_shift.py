@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.room import CART, DEVICE, HEAD, PUSH, SHIFT, TRACKER
+from sim.theatre.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER
 from sim.theatre.world import World
 
+Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class RoomShift:
-    """Ways of head and tracker as the robot sees them, whose frame is that of its base."""
+    """Ways of head and tracker as the robot sees them, whose frame is that of its base.
+
+    `spheres_mm` by number: further ways of single ones on the head.
+    """
 
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
     guide_mm: Vector = STILL  # by which a hand displaces what hangs on the arm
+    spheres_mm: tuple[tuple[int, Vector], ...] = ()
+
+    def of_spheres_mm(self, numbers: Sequence[int]) -> Array:
+        """Ways (n, 3) of the spheres with these numbers."""
+        alone = dict(self.spheres_mm)
+        return np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3) + self.head_mm
 
 
 NOTHING_MOVED = RoomShift()
@@ -40,7 +54,13 @@ class ShiftedRoom:
         pushes = self._board.active(PUSH.name)
         x_N, y_N, z_N = (sum(float(one.arguments[axis]) for one in pushes) for axis in range(3))
         give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
-        return RoomShift(_apart(_sum(faults, HEAD), cart), _apart(_sum(faults, TRACKER), cart), give)
+        loose = self._board.active(LOOSEN.name)
+        return RoomShift(
+            _apart(_sum(faults, HEAD), cart),
+            _apart(_sum(faults, TRACKER), cart),
+            give,
+            tuple((int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})),
+        )
 
 
 def _sum(faults: tuple[Fault, ...], what: str) -> Vector:

@@ -154,15 +154,3 @@ def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path:
     assert "ct/slice-0001.dcm: file too large" in " ".join(one_error(done.stderr))
     assert list(out.rglob("*.dcm")) == []
     assert list(out.rglob("*.partial")) == []
-
-
-@pytest.mark.parametrize(
-    ("code", "option"),
-    [
-        ("PRO-012", ("--fiducials", "xframe")),
-    ],
-)
-def test_what_is_not_built_yet_says_so(tmp_path: Path, code: str, option: tuple[str, ...]) -> None:
-    done = in_this_process(ronna_procedure, "run", "--sim", *option, "--out", tmp_path / "runs")
-    assert "not yet" in _refused(done, code, EXIT_USAGE)
-    assert not (tmp_path / "runs").exists()

@@ -25,6 +25,7 @@ from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
 from sim.theatre.rigid import apply, matrix_of
 from sim.theatre.scene.model import read_scene
+from sim.theatre.scene.seating import spheres_in_theatre
 
 LARGEST_ERROR_MM = 1.5
 WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis
@@ -117,7 +118,7 @@ def test_the_arms_of_the_studies_believe_the_spheres_where_the_case_recorded_the
     results = {record.kind: record.payload for record in records_of(finished.folder)}
     scene = read_scene(finished.folder / "theatre" / "scene.json")
     arms = RandomArms.of([(scene.arm, scene.mount.flange_from_tool_true.translation_mm - TOOL_MM)])
-    ct_mm = np.array([one.centre_ct_mm for one in scene.head.fiducials])
+    ct_mm = np.array([one.centre_ct_mm for one in spheres_in_theatre(scene)])
     markers_mm = np.array([marker["centre_mm"] for marker in results["fiducial_localization"]["markers"]])
     found = results["relocalization"]
     nearest = cdist(markers_mm[found["fiducials"]], ct_mm).argmin(axis=1)

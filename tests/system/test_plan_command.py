@@ -125,7 +125,11 @@ EXCHANGED = PLAN.replace("entry_mm", "x_mm").replace("target_mm", "entry_mm").re
 WRONG = {
     "outside": (PLAN.replace("60.0]", "110]"), 1, ("PLAN-006", "entry of trajectory T1")),
     "exchanged": (EXCHANGED, 1, ("PLAN-011",)),
-    "x-frame": (PLAN.replace('"free"', '"xframe"'), 2, ("PLAN-013",)),
+    "x-frame": (
+        PLAN.replace('"free"', '"xframe"').replace("= 4", "= 5"),
+        1,
+        ("PLAN-002", "the x-shaped frame has 4 spheres, 5 are implanted"),
+    ),
     "three mistakes": (
         PLAN.replace("= 4", "= 12").replace('"HFS"', '"upright"').replace("margin_mm", "margin"),
         1,

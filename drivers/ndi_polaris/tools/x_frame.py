@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import date
 
 from drivers.ndi_polaris.rom.definition import ToolDefinition, planar_tool
-from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
+from ronna_hw.x_frame import NAME, OUTWARD, PART_NUMBER, SPHERE_CENTRES_MM
 
-NAME = "x_frame"
-PART_NUMBER = "RONNA-X"
+__all__ = ["NAME", "x_frame"]
+
 MANUFACTURER = "RONNA"
 DEFINED_ON = date(2025, 1, 7)
 

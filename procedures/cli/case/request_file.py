@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from procedures.cli.case.scene_choice import SceneChoice
+from procedures.cli.case.scene_choice import FREE, SceneChoice
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import describe_mistakes
@@ -33,6 +33,7 @@ class RequestFile(BaseModel):
     seed: int = 0
     markers: int | None = None
     targets: int | None = None
+    fiducials: str = FREE
     calibrated: bool = False
     first_day: bool = False
     records: tuple[Path, ...] = ()
@@ -53,6 +54,7 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         seed=choice.seed,
         markers=choice.markers,
         targets=choice.targets,
+        fiducials=choice.fiducials,
         calibrated=choice.calibrated,
         first_day=choice.first_day,
         records=tuple(folder.resolve() for folder in choice.records),
@@ -94,6 +96,7 @@ def read_request(folder: Path) -> CaseRequest:
             content.seed,
             content.markers,
             content.targets,
+            content.fiducials,
             content.calibrated,
             content.first_day,
             content.records,

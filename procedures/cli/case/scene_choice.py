@@ -12,6 +12,8 @@ from ronna_hw.command_line.errors import UsageMistake
 NAMED = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
 LARGEST_SEED = 2**63 - 1  # what a journal's JSON keeps exactly everywhere
 
+FREE = "free"  # screws of their own
+
 
 @dataclass(frozen=True)
 class SceneChoice:
@@ -21,6 +23,7 @@ class SceneChoice:
     seed: int = 0
     markers: int | None = None
     targets: int | None = None
+    fiducials: str = FREE  # what the spheres stand on
     calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
     first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
@@ -41,7 +44,7 @@ class SceneChoice:
         for name, value in (("--markers", self.markers), ("--targets", self.targets)):
             if value is not None:
                 options += [name, str(value)]
-        return options
+        return options if self.fiducials == FREE else [*options, "--fiducials", self.fiducials]
 
     def theatre_arguments(self) -> list[str]:
         """Those and what only the theatre is to know."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from procedures.engine.context import StepContext
+from procedures.planning.frame_bodies import frame_bodies
 from procedures.planning.planning_scene import PlanningScene
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -17,10 +18,12 @@ READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the 
 
 def planning_scene_of(context: StepContext) -> PlanningScene:
     """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
+    plan, localized = context.result(CheckedPlan), context.result(LocalizedFiducials)
     return PlanningScene(
         context.setting.surroundings,
-        context.result(CheckedPlan).head,
-        tuple(marker.centre_mm for marker in context.result(LocalizedFiducials).markers),
+        plan.head,
+        tuple(marker.centre_mm for marker in localized.markers),
+        frame_bodies(plan.plan.fiducials, localized.centres_mm),
     )
 
 

@@ -97,7 +97,8 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     plan = context.result(CheckedPlan)
     matched = [pair[0] for pair in correspondence.pairs]
     workcell, settings = context.workcell, context.setting.settings
-    scene = planning_scene_of(context)
+    # The servo brings the head itself onto a sphere: the arm goes beside its path by what the mount is off.
+    scene = planning_scene_of(context).with_reserve(settings.tool_error_mm)
     setting = ArmSetting(
         kinematics=workcell.arm.kinematics,
         robot_from_ct=correspondence.robot_from_ct.transform,

@@ -26,6 +26,7 @@ from procedures.registration import (
     verify_two_way,
 )
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
+from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.arm_error import arm_errors
@@ -35,11 +36,12 @@ from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, 
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.instrument_error import SOURCE as INSTRUMENT
 from procedures.steps.clinical.instrument_error import instrument_covariance_mm2
+from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
 from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
-from procedures.steps.clinical.relocalization import LeftOutSphere, Relocalization
+from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.tool_frame_error import displaced_spheres_mm, shared_with_target
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
@@ -221,7 +223,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
         f"the fit disagrees with its own error budget at {names}",
         limit=f"{gate.limit_mm:.3f} mm",
         got=f"{gate.fre_mm:.3f} mm",
-        action=_advice([pairs.fiducials[one] for one in moved]),
+        action=_advice([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
     )
     if len(moved) != 1:
         raise refusal
@@ -310,8 +312,10 @@ def predict_tip_error(
     )
 
 
-def _advice(moved: list[int]) -> str:
+def _advice(moved: list[int], spheres: int) -> str:
     """What to do about spheres, named by their index in the CT, without one of which the others agree."""
+    if spheres <= FEWEST_PAIRS:
+        return "With three spheres nobody can tell which has moved: look at all, then localize again."
     if not moved:
         return "More than one sphere has moved, or the error budget is wrong; localize again."
     which = " or ".join(str(one + 1) for one in moved)

@@ -19,12 +19,13 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
-from procedures.engine.result import Matrix3, Numbers6, StepResult, Values
+from procedures.engine.result import Matrix3, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.head_watch import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
 from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.strategies.catalogue import strategy_named
@@ -36,13 +37,6 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
-
-
-class LeftOutSphere(Values):
-    """A sphere that a registration does without, as the operator agreed."""
-
-    fiducial: int = Field(description="Index of the sphere in the CT.")
-    reason: str = Field(description="Why.")
 
 
 class _Measured(NamedTuple):

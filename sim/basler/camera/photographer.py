@@ -73,7 +73,7 @@ class Photographer:
             return to_wire(ramp_image(frame, number), frame.pixel_format)
         with self._drawing:
             disturbance = self._disturbances.now()
-            spheres = self._view.spheres(pose, disturbance.twist_rad, disturbance.head_shift_mm)
+            spheres = self._view.spheres(pose, disturbance.twist_rad, disturbance.room)
             light = self._optics.light_on(frame.area, spheres, disturbance)
         light = self._faults.spoil(light, frame.area.x, frame.area.y)
         pixels = self._sensor.read(

@@ -16,6 +16,7 @@ from sim.basler.optics.film import Stain
 from sim.basler.optics.lens import Lens
 from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US
 from sim.basler.optics.sphere import Sphere
+from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
 
 Array = NDArray[np.float64]
 
@@ -53,7 +54,7 @@ class Disturbance:
     occluders: tuple[Occluder, ...] = ()
     glares: tuple[Glare, ...] = ()
     twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
-    head_shift_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)  # of all spheres, robot frame
+    room: RoomShift = NOTHING_MOVED  # how far the spheres are moved
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:
         """The stains of a sphere."""

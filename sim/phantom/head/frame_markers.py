@@ -7,27 +7,32 @@ from math import pi, radians
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.x_frame import CLOSE_SPHERE_CENTRES_MM, SPHERE_CENTRES_MM
+from ronna_hw.x_frame import (
+    BAR_BELOW_MM,
+    BAR_RADIUS_MM,
+    BARS,
+    CLOSE_SPHERE_CENTRES_MM,
+    FOOT_RADIUS_MM,
+    SPHERE_CENTRES_MM,
+    STANDOFF_MM,
+)
 from sim.errors import BadScene
 from sim.phantom.head.anatomy import FLANGE_MM, Marker, marker_on_foot, marker_on_post, shifted
 from sim.phantom.head.obstacles import skin_point
 from sim.phantom.head.shapes import Point, Rod, Shape
-from sim.phantom.scan import XFRAME, XFRAME_CLOSE
 from sim.theatre.rigid import rotation_towards
-from sim.theatre.scene.head import CAP_AXIS_CT
 from sim.theatre.scene.model import Fiducial, Head
+from sim.theatre.scene.skin import CAP_AXIS_CT
 
 Vector = NDArray[np.float64]
 
+FREE, XFRAME, XFRAME_CLOSE = "free", "xframe", "xframe-close"
 FRAMES = {XFRAME: SPHERE_CENTRES_MM, XFRAME_CLOSE: CLOSE_SPHERE_CENTRES_MM}
 SPHERES = 4
 
-STANDOFF_MM = 26.0  # skin to the plane of the spheres, where the bars cross
 TILT_RAD = radians(20.0)  # of the foot from the middle of the cap
-BAR_BELOW_MM = 11.0  # axis of the bars under the spheres' centres
-BAR_RADIUS_MM = 3.5
 BAR_HU = (260.0, 2500.0)  # plastic or aluminium
-FOOT_RADIUS_MM, FOOT_HU, FOOT_IN_SKULL_MM = 3.0, 3500.0, 10.0
+FOOT_HU, FOOT_IN_SKULL_MM = 3500.0, 10.0
 ATTEMPTS = 200
 
 
@@ -64,7 +69,7 @@ def frame_shapes(head: Head, frame: str, generator: np.random.Generator) -> tupl
     down = _three(-np.array(head.fiducials[0].post_ct))
     ends = [np.array(shifted(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials[:SPHERES]]
     bars: list[Shape] = []
-    for first, second in ((0, 2), (1, 3)):
+    for first, second in BARS:
         length = float(np.linalg.norm(ends[second] - ends[first]))
         along = _three((ends[second] - ends[first]) / length)
         bars.append(Rod(hu, _three(ends[first]), along, length, BAR_RADIUS_MM))

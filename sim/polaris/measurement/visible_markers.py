@@ -79,7 +79,8 @@ class MarkerVisibility:
         loaded = {port.definition.part_number for port in ports if port.definition is not None}
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
-        fixed = self._fixed(disturbance)
+        on_head = any(port.definition is not None and scene.stands_on_head(port.definition) for port in ports)
+        fixed = self._fixed(disturbance, as_tool=on_head)
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
@@ -106,10 +107,12 @@ class MarkerVisibility:
             phantoms=ghost_group,
         )
 
-    def _fixed(self, disturbance: Disturbance) -> TrueTool:
-        """Fiducials and other spheres that belong to no tool."""
+    def _fixed(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
+        """Spheres that belong to no tool: the fiducials, unless they are those of a tool, and others."""
         scene = self._scene
         more = extra_strays(self._seed, disturbance.strays, self._volume)
+        if as_tool:
+            return TrueTool(frozenset(), np.vstack([scene.strays_mm, more]), ())
         covered = tuple(
             row for row, number in enumerate(scene.fiducial_numbers) if number in disturbance.hidden_fiducials
         )

@@ -8,6 +8,8 @@ from math import radians
 import numpy as np
 from numpy.typing import NDArray
 
+from ronna_hw.x_frame import NAME as X_FRAME_NAME
+from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
@@ -48,6 +50,12 @@ class TrueScene:
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
         centres = np.array([fiducial.centre_ct_mm for fiducial in fiducials], dtype=float).reshape(-1, 3)
         self._centres_mm = apply(matrix_of(scene.head.robot_from_ct), centres)  # robot frame
+        on_head = [one.number for one in scene.head.fiducials]
+        self._frame_rows = (
+            [self.fiducial_numbers.index(one) if one in self.fiducial_numbers else None for one in on_head]
+            if scene.head.x_frame
+            else []
+        )
         self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
         self._arm_body = ArmBody(scene)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
@@ -63,7 +71,7 @@ class TrueScene:
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
         """The fiducials where the room's faults have moved them."""
-        return apply(self._tracker_from(room), self._centres_mm + room.head_mm)
+        return apply(self._tracker_from(room), self._centres_mm + room.of_spheres_mm(self.fiducial_numbers))
 
     def bodies(
         self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
@@ -84,12 +92,33 @@ class TrueScene:
         """A loaded tool, whatever definition was loaded for it; None when it is not in the room."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
+        if self.stands_on_head(definition):
+            return self._frame_on_head(disturbance)
         if place is None or place >= len(self._places):
             return None
         tool = self._tools.get(definition.part_number)
         markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
         names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
         return _disturbed(names, self._places[place], markers, disturbance)
+
+    def stands_on_head(self, definition: ToolDefinition) -> bool:
+        """True for the x-shaped frame, where the spheres on the head are its own."""
+        return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
+
+    def _frame_on_head(self, disturbance: Disturbance) -> TrueTool:
+        """The x-shaped frame: its spheres stand where they were put back; one that was not is never seen."""
+        names = frozenset({X_FRAME_NAME, X_FRAME_PART_NUMBER})
+        places = self.fiducials_at(disturbance.room)
+        there = [row for row in self._frame_rows if row is not None]
+        markers = np.array([places[there[0] if row is None else row] for row in self._frame_rows])
+        covered = {
+            place
+            for place, row in enumerate(self._frame_rows)
+            if row is None or self.fiducial_numbers[row] in disturbance.hidden_fiducials
+        }
+        covered |= {number - 1 for name, number in disturbance.hidden_tool_markers if name in names}
+        hidden = range(len(markers)) if names & disturbance.hidden_tools else sorted(covered)
+        return TrueTool(names, markers, tuple(hidden))
 
     def frame(self, arm: ArmState, disturbance: Disturbance) -> TrueTool:
         """The reference frame M on the mount, whether loaded or not."""

@@ -1,11 +1,11 @@
-"""Faults of nobody's device: what stands in the room moves, hands do wrong, tools are not what they were.
+"""Faults of nobody's device: the room moves, screws loosen, hands do wrong, tools are not what they were.
 
 Ways and forces are along the axes of the robot before it moved; of a tool, along those of its tip frame.
 """
 
 from __future__ import annotations
 
-from sim.theatre.faults.kinds import DeviceFaults, OneOf
+from sim.theatre.faults.kinds import DeviceFaults, OneOf, fiducial_number
 
 DEVICE = "room"
 HEAD, CART, TRACKER = "head", "cart", "tracker"
@@ -17,6 +17,12 @@ SHIFT = lasting(
     "shift NAME SIGNED SIGNED SIGNED mm",
     "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
     OneOf("to move the", (HEAD, CART, TRACKER)),
+)
+LOOSEN = lasting(
+    "loosen",
+    "loosen marker INT SIGNED SIGNED SIGNED mm",
+    "The screw of one sphere gives way: it stands that far beside its place, along the robot's x, y and z.",
+    fiducial_number,
 )
 PUSH = lasting(
     "push",
@@ -47,6 +53,7 @@ WRONG_LOAD = lasting(
 )
 ROOM_FAULTS = (
     SHIFT,
+    LOOSEN,
     PUSH,
     WRONG_STOP,
     BENT_TIP,

@@ -7,12 +7,17 @@ from typing import Annotated
 
 import typer
 
+from sim.theatre.scene.carrier import Carrier
+
 
 def scene(
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of a named scene.")] = 0,
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
+    fiducials: Annotated[
+        Carrier, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+    ] = Carrier.FREE,
     template: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Implant the spheres by this template of `ronna-plan template`."),
@@ -27,9 +32,9 @@ def scene(
     from sim.theatre.scene.named_scenes import SCENES, named_scene
 
     if template is None:
-        truth = load_scene(scene, seed=seed, markers=markers, targets=targets)
+        truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
     else:
-        if scene not in SCENES or markers is not None:
+        if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
             raise BadScene("a template belongs to a named scene, and has its own number of markers")
         implanted = read_marker_template(template)
         truth = named_scene(scene, seed=seed, targets=targets, template=implanted)

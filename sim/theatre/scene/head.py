@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 
 from ronna_hw.marker_template import MarkerTemplate
 from sim.errors import BadScene
-from sim.theatre.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.theatre.rigid import apply, matrix_from, pose_of, rotation_from_vector
+from sim.theatre.scene.frame import FrameOnHead, draw_frame
 from sim.theatre.scene.model import Fiducial, Head, Target
 from sim.theatre.scene.plan_feasibility import PlanFeasibility
+from sim.theatre.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
 
 Vector = NDArray[np.float64]
 
-SEMI_AXES_MM = (75.0, 95.0, 90.0)  # left-right, front-back, foot-head
-CENTRE_CT_MM = (3.2, -41.7, 812.4)  # anywhere but the origin: a swapped axis must show
 HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # here the wrist stays away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
 RECLINE_RAD = radians(60.0)  # of the vertex above the horizontal
-CAP_AXIS_CT = (0.0, -1.0, 1.0)  # forehead to vertex: towards the ceiling
 CAP_HALF_ANGLE_RAD = radians(50.0)
 STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
@@ -36,25 +35,35 @@ ATTEMPTS = 20_000
 
 
 def draw_head(
-    generator: np.random.Generator, markers: int, targets: int, template: MarkerTemplate | None = None
+    generator: np.random.Generator,
+    markers: int,
+    targets: int,
+    template: MarkerTemplate | None = None,
+    *,
+    x_frame: bool = False,
 ) -> Head:
     """Draw a head with that many spheres (3..8) and targets; raises SIM-001 when they do not fit.
 
-    With a template the spheres are implanted by it, each a little off.
+    With a template the spheres are implanted by it, each a little off; with `x_frame` they are the frame's.
     """
     if not 3 <= markers <= 8:
         raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
     if not 1 <= targets <= 10:
         raise BadScene(f"a plan has 1 to 10 targets, not {targets}")
-    fiducials = _implanted(generator, template) if template else _draw_fiducials(generator, markers)
+    frame = draw_frame(generator) if x_frame else None
+    if frame is not None:
+        fiducials = frame.fiducials
+    else:
+        fiducials = _implanted(generator, template) if template else _draw_fiducials(generator, markers)
     pose = _draw_pose(generator)
     return Head(
         robot_from_ct=pose_of(pose),
         centre_ct_mm=CENTRE_CT_MM,
         semi_axes_mm=SEMI_AXES_MM,
         fiducials=fiducials,
+        x_frame=x_frame,
         template_mm=template.centres_mm if template else None,
-        targets=_draw_targets(generator, targets, fiducials, pose),
+        targets=_draw_targets(generator, targets, fiducials, pose, frame),
     )
 
 
@@ -67,28 +76,10 @@ def _draw_pose(generator: np.random.Generator) -> Vector:
     return matrix_from(centre - rotation @ np.array(CENTRE_CT_MM), rotation)
 
 
-def _direction(generator: np.random.Generator, axis: Vector, half_angle_rad: float) -> Vector:
-    """A direction within a cone, uniform over its solid angle."""
-    cosine = generator.uniform(cos(half_angle_rad), 1.0)
-    turn = generator.uniform(0.0, 2 * np.pi)
-    sine = (1 - cosine**2) ** 0.5
-    frame = rotation_towards(axis, (1.0, 0.0, 0.0))
-    direction: Vector = frame @ np.array([sine * np.cos(turn), sine * np.sin(turn), cosine])
-    return direction
-
-
-def _surface(direction: Vector) -> tuple[Vector, Vector]:
-    """Point of the skin in that direction from the centre, relative to it, and the outward normal."""
-    axes = np.array(SEMI_AXES_MM)
-    point = direction / np.linalg.norm(direction / axes)
-    normal = point / axes**2
-    return point, normal / np.linalg.norm(normal)
-
-
 def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducial, ...]:
     axis = np.array(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
-        found = [_surface(_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
+        found = [skin_at(drawn_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
         centres = np.array([point + normal * STANDOFF_MM for point, normal in found])
         if _well_spread(centres):
             break
@@ -126,7 +117,11 @@ def _well_spread(centres: Vector) -> bool:
 
 
 def _draw_targets(
-    generator: np.random.Generator, count: int, fiducials: tuple[Fiducial, ...], robot_from_ct: Vector
+    generator: np.random.Generator,
+    count: int,
+    fiducials: tuple[Fiducial, ...],
+    robot_from_ct: Vector,
+    frame: FrameOnHead | None,
 ) -> tuple[Target, ...]:
     """Trajectories between the spheres that the arm can reach, all in one posture."""
     axis = np.array(CAP_AXIS_CT)
@@ -135,10 +130,12 @@ def _draw_targets(
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):
-        point, normal = _surface(_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
-        inward = _direction(generator, -normal, TILT_RAD)
+        point, normal = skin_at(drawn_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
+        inward = drawn_direction(generator, -normal, TILT_RAD)
         entry = point + CENTRE_CT_MM
         if np.linalg.norm(spheres - entry, axis=1).min() < ENTRY_CLEARANCE_MM:
+            continue
+        if frame is not None and not frame.leaves_free(entry, -inward):
             continue
         target = entry + inward * generator.uniform(*DEPTH_RANGE_MM)
         ends = apply(robot_from_ct, entry), apply(robot_from_ct, target)

@@ -6,6 +6,7 @@ Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Leng
 
 from __future__ import annotations
 
+from itertools import combinations
 from math import dist
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -16,6 +17,7 @@ from ronna_hw.bounded_input import read_json_bytes, read_toml
 from ronna_hw.calibration import FocalPixels, Length, Numbers3, PoseRecord, Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.text.counting import counted
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 
 Numbers6 = tuple[float, float, float, float, float, float]
@@ -27,11 +29,14 @@ HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
 Name = Annotated[str, Field(min_length=1)]
 ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
+BASE_MM = 16.0  # from the head of a screw to the centre of its sphere
+MOST_WORN_PERCENT = 60.0  # of a film: beyond, nothing of a sphere is found
+FRAME_TOLERANCE_MM = 0.01  # of the distances of a frame of one piece
 SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
 
 class Fiducial(Strict):
-    """A sphere on a bone screw. `post` is the unit vector from the skull to the sphere, CT frame."""
+    """A sphere on a bone screw, or on the x-shaped frame."""
 
     number: Count = Field(description="Name of the sphere in messages and truth.")
     centre_ct_mm: Numbers3 = Field(description="Its centre.")
@@ -39,6 +44,21 @@ class Fiducial(Strict):
     radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
         default=SPHERE_RADIUS_MM, description="Of the sphere."
     )
+    base_mm: Positive = Field(
+        default=BASE_MM, description="Length of the base that it had in the CT, from the screw to its centre."
+    )
+    base_in_theatre: Count | None = Field(
+        default=None,
+        description="Number of the sphere whose base is on its screw since; its own when not given.",
+    )
+    displaced_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Way of its place since the CT, CT axes: a screw that loosened, a base that was bent.",
+    )
+    worn_percent: Annotated[float, Field(ge=0, le=MOST_WORN_PERCENT)] = Field(
+        default=0.0, description="Share of its film that is rubbed off since the CT, in spots."
+    )
+    missing: bool = Field(default=False, description="Whether it was not put back after the CT.")
 
 
 class Target(Strict):
@@ -65,12 +85,15 @@ class Head(Strict):
     centre_ct_mm: Numbers3 = Field(description="Middle of the ellipsoid.")
     semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(description="Left, posterior, superior.")
     fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
-        description="Spheres on bone screws."
+        description="Spheres on bone screws or on the frame."
     )
     seating_error_mm: NotNegative = Field(
         default=SEATING_ERROR_MM,
         description="By how much a sphere that was put back after the CT stands beside its place there, per "
         "axis, one standard deviation.",
+    )
+    x_frame: bool = Field(
+        default=False, description="Whether its spheres are the four of the x-shaped frame, in its order."
     )
     template_mm: tuple[Numbers3, ...] | None = Field(
         default=None, description="Where the template by which they were implanted would have them."
@@ -92,6 +115,34 @@ class Head(Strict):
             raise ValueError(f"fiducial numbers must be unique, got {numbers}")
         if len(set(identifiers)) < len(identifiers):
             raise ValueError(f"target identifiers must be unique, got {identifiers}")
+        return self
+
+    @model_validator(mode="after")
+    def _frame_is_the_frame(self) -> Self:
+        if self.x_frame:
+            centres = [one.centre_ct_mm for one in self.fiducials]
+            if len(centres) != len(SPHERE_CENTRES_MM):
+                raise ValueError(
+                    f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} spheres, not {len(centres)}"
+                )
+            for (one, other), (here, there) in zip(
+                combinations(SPHERE_CENTRES_MM, 2), combinations(centres, 2), strict=True
+            ):
+                if abs(dist(one, other) - dist(here, there)) > FRAME_TOLERANCE_MM:
+                    raise ValueError("the spheres do not lie as the x-shaped frame has them, in its order")
+        return self
+
+    @model_validator(mode="after")
+    def _bases_are_there_once(self) -> Self:
+        there = [one for one in self.fiducials if not one.missing]
+        bases = [one.base_in_theatre or one.number for one in there]
+        unknown = sorted(set(bases) - {one.number for one in self.fiducials})
+        if not there:
+            raise ValueError("at least one sphere must be there in the theatre")
+        if unknown:
+            raise ValueError(f"base_in_theatre names no sphere: {unknown}")
+        if len(set(bases)) < len(bases):
+            raise ValueError(f"a base is on one screw only, got those of {bases}")
         return self
 
 

@@ -12,6 +12,9 @@ from typing import Literal
 import numpy as np
 
 from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.x_frame import NAME as X_FRAME_NAME
+from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
+from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BadScene
 from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
@@ -48,13 +51,17 @@ def named_scene(
     markers: int | None = None,
     targets: int | None = None,
     template: MarkerTemplate | None = None,
+    x_frame: bool = False,
 ) -> Scene:
     """Draw a named scene; raises SIM-001 for an unknown name.
 
-    The default scene has 5 markers and 3 targets, the mini scene 3 and 1.
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1; with `x_frame` the four markers of
+    that frame, which the tracker is given as a tool.
     """
     if name not in SCENES:
         raise BadScene(f"there is no scene {name!r}", expected=", ".join(SCENES))
+    if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
+        raise BadScene(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"
     generator = np.random.Generator(np.random.Philox(key=seed))
     head = draw_head(
@@ -62,6 +69,7 @@ def named_scene(
         (3 if mini else 5) if markers is None else markers,
         (1 if mini else 3) if targets is None else targets,
         template,
+        x_frame=x_frame,
     )
     left, right = draw_cameras(generator)
     return Scene(
@@ -74,7 +82,9 @@ def named_scene(
         tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
         if name in BENCH_DISTANCES_MM
         else _tracker(
-            apply(matrix_of(head.robot_from_ct), head.centre_ct_mm), 0 if mini else USUAL_REFLECTIONS
+            apply(matrix_of(head.robot_from_ct), head.centre_ct_mm),
+            0 if mini else USUAL_REFLECTIONS,
+            (robot_frame(), frame_on_head()) if x_frame else (robot_frame(),),
         ),
         left=left,
         right=right,
@@ -103,14 +113,21 @@ def robot_frame() -> TrackerTool:
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 
-def _tracker(head_centre_mm: np.ndarray, reflections: int) -> TrackerTruth:
+def frame_on_head() -> TrackerTool:
+    """The x-shaped frame as a tool."""
+    return TrackerTool(
+        name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
+    )
+
+
+def _tracker(head_centre_mm: np.ndarray, reflections: int, tools: tuple[TrackerTool, ...]) -> TrackerTruth:
     span = np.array(MARKER_FROM_HEAD_MM)
     backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
     position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
     # z points backwards, away from the head; the housing's long axis y lies along head and frame.
     rotation = rotation_towards(backwards, np.cross(span, backwards))
     pose = pose_of(matrix_from(position, rotation))
-    return TrackerTruth(robot_from_tracker=pose, tools=(robot_frame(),), reflections=reflections)
+    return TrackerTruth(robot_from_tracker=pose, tools=tools, reflections=reflections)
 
 
 def _bench_tracker(distance_mm: float) -> TrackerTruth:

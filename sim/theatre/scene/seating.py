@@ -1,7 +1,8 @@
 """Where the spheres stand in the theatre.
 
 Their screws stay, bases and spheres come off after the CT and are put back: each then stands a little beside
-its place in the CT. The cameras and the tracker see the spheres of the theatre, the scanner those of the CT.
+its place in the CT. One may also stand on a screw that has loosened or on a base that is bent, on the base of
+another, or not at all. Cameras and tracker see the spheres of the theatre, the scanner those of the CT.
 """
 
 from __future__ import annotations
@@ -11,15 +12,21 @@ import numpy as np
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import Fiducial, Scene
 
-SEATING = "seating"  # of the noise: each sphere has its own, whatever the others are
+SEATING = "seating"  # of the noise: each screw has its own, whatever the others are
 
 
 def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
     """The spheres as they stand in the theatre, in the order of the scene; CT frame, mm."""
-    return tuple(_seated(one, scene) for one in scene.head.fiducials)
+    return tuple(_put_back(one, scene) for one in scene.head.fiducials if not one.missing)
 
 
-def _seated(sphere: Fiducial, scene: Scene) -> Fiducial:
-    beside_mm = noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
-    x, y, z = (np.array(sphere.centre_ct_mm) + beside_mm).tolist()
-    return sphere.model_copy(update={"centre_ct_mm": (x, y, z)})
+def _put_back(sphere: Fiducial, scene: Scene) -> Fiducial:
+    """The sphere on its screw as it is now."""
+    place_mm = np.array(sphere.centre_ct_mm) + sphere.displaced_mm
+    place_mm += noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
+    wanted = sphere.base_in_theatre or sphere.number
+    base = next(one for one in scene.head.fiducials if one.number == wanted)
+    place_mm += (base.base_mm - sphere.base_mm) * np.array(sphere.post_ct)
+    x, y, z = place_mm.tolist()
+    worn = {"radius_mm": base.radius_mm, "worn_percent": base.worn_percent}
+    return sphere.model_copy(update={"centre_ct_mm": (x, y, z), **worn})

@@ -7,12 +7,13 @@ import re
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from procedures.planning.check import check_plan
 from procedures.planning.errors import (
-    FiducialsNotYet,
     NotIntoHead,
     NotReachable,
+    NotTheFrame,
     NotTheTemplate,
     OutsideField,
     PlanMistakes,
@@ -24,8 +25,9 @@ from procedures.planning.errors import (
     WrongSeries,
 )
 from procedures.planning.plan_file import read_plan
-from ronna_hw.errors import EXIT_REFUSED, EXIT_USAGE
+from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
 
@@ -122,7 +124,6 @@ REFUSED = {
     "two points in air": (IN_AIR, NotIntoHead, "PLAN-011.*T1.*in air(?!.*probably)"),
     "entry deep inside": ({ENTRY: "entry_mm = [5, -35, 40]"}, NotIntoHead, "PLAN-011.*T1.*before the entry"),
     "unknown tool": ({'"guide"': '"drill"'}, UnknownTool, "PLAN-012.*guide.*drill"),
-    "x-shaped frame": ({'"free"': '"xframe"'}, FiducialsNotYet, "PLAN-013"),
 }
 
 
@@ -134,9 +135,21 @@ def edited(text: str, changes: dict[str, str]) -> str:
 @pytest.mark.parametrize("name", REFUSED)
 def test_a_plan_that_cannot_be_meant_is_refused(name, plan_text, plan_path, make_volume):
     changes, error, said = REFUSED[name]
-    with pytest.raises(error, match=said) as caught:
+    with pytest.raises(error, match=said):
         check_plan(read_plan(plan_path(edited(plan_text, changes))), make_volume()).require()
-    assert (caught.value.exit_code == EXIT_USAGE) is (error is FiducialsNotYet)
+
+
+@pytest.mark.hazard(10)
+def test_the_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_path, make_volume):
+    plan = read_plan(plan_path(plan_text.replace('"free"', '"xframe"')))
+    turned = Rotation.from_rotvec([0.3, -0.5, 0.9]).apply(SPHERE_CENTRES_MM) + np.array([0.0, 0.0, 60.0])
+    check = check_plan(plan, make_volume(), fiducials_mm=np.vstack([[[70.0, 10.0, 0.0]], turned]))
+    assert check.passed
+    assert check.warnings == ("spheres that are not of the x-shaped frame are left aside: 1",)
+    with pytest.raises(NotTheFrame, match="PLAN-013"):
+        check_plan(plan, make_volume(), fiducials_mm=np.vstack([turned[:3], [[70.0, 10.0, 0.0]]])).require()
+    with pytest.raises(NotTheFrame, match="PLAN-013"):
+        check_plan(plan, make_volume(), fiducials_mm=FOUR).require()
 
 
 def test_the_field_ends_at_the_faces_of_the_outermost_voxels_which_is_warned_about(

@@ -21,6 +21,7 @@ from sim.theatre.faults import check_faults, parse_faults
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.theatre.scene.model import CameraTruth
 from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import ArmState, World
 
 Array = NDArray[np.float64]
@@ -157,7 +158,7 @@ def test_a_fault_changes_the_pictures_of_its_cameras_while_it_acts(line: str, si
 def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
     world = World.create(named_scene("default", seed=4), paced=False)
     scene = world.scene
-    centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.fiducials[0].centre_ct_mm)
+    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
     tool = matrix_from(centre, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
     world.publish_arm(
         ArmState((0.0,) * 6, tool @ inverse(matrix_of(scene.mount.flange_from_tool_true)), 1, True)

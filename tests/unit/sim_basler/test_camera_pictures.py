@@ -17,6 +17,7 @@ from sim.basler.view import View
 from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import ArmState, World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0
@@ -119,7 +120,7 @@ def test_without_an_arm_nothing_is_in_view() -> None:
 def at_first_fiducial(world: World, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
     """Put the true tool centre point on the first sphere, the head looking down."""
     scene = world.scene
-    centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.fiducials[0].centre_ct_mm)
+    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
     tool = matrix_from(centre + offset_mm, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
     flange = tool @ inverse(matrix_of(scene.mount.flange_from_tool_true))
     world.publish_arm(ArmState((0.0,) * 6, flange, 1, True))

@@ -7,6 +7,7 @@ from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
 from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.theatre.scene.named_scenes import named_scene
+from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import ArmState, World
 
 
@@ -16,7 +17,7 @@ def test_a_picture_is_drawn_wherever_the_head_stands_over_a_sphere(seed: int) ->
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)
     generator = np.random.default_rng(seed)
-    centre = apply(matrix_of(scene.head.robot_from_ct), scene.head.fiducials[0].centre_ct_mm)
+    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
     frame = Settings().frame()
     for number in range(12):
         axis = generator.normal(0.0, 0.4, 3) - (0.0, 0.0, 1.0)

@@ -18,7 +18,7 @@ from sim.theatre.rigid import (
     quaternion_from_rotation,
 )
 from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import named_scene, robot_frame
+from sim.theatre.scene.named_scenes import frame_on_head, named_scene, robot_frame
 from sim.theatre.world import ArmState
 
 if TYPE_CHECKING:
@@ -245,6 +245,28 @@ def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> N
     assert len(found) == len(truth) == 3
     for centre in truth:
         assert np.linalg.norm(found - centre, axis=1).min() < 1.5
+
+
+def test_the_frame_on_the_head_is_a_tool_when_loaded_and_its_spheres_strays_when_not(
+    make_bench: Callable[..., Bench],
+) -> None:
+    scene = named_scene("mini", seed=3, x_frame=True)
+    here = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(scene.head.robot_from_ct)
+    spheres = apply(here, [one.centre_ct_mm for one in scene.head.fiducials])
+    as_strays = make_bench(scene)
+    put_arm(as_strays)
+    as_strays.send("INIT ")
+    as_strays.track(robot_frame())
+    seen = strays(as_strays.send("TX 1801"))
+    assert np.linalg.norm(seen[:, None] - spheres, axis=2).min(axis=0).max() < 1.5
+    as_tool = make_bench(scene)
+    put_arm(as_tool)
+    as_tool.send("INIT ")
+    as_tool.track(robot_frame(), frame_on_head())
+    answer = as_tool.send("TX 1801")
+    assert len(strays(answer)) == 0
+    crossing = spheres[0] + 35.0 / 96.0 * (spheres[2] - spheres[0])
+    assert position(answer, 1) == pytest.approx(crossing, abs=1.0)
 
 
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(

@@ -12,13 +12,17 @@ from clinical_case import (
     localized_fiducials,
 )
 from numpy.typing import NDArray
+from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
+from procedures.engine.operator import Topic
+from procedures.planning.plan import FiducialKind
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import NoUniqueMatch
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.frames import Frame
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 GHOST_MM = np.array([[400.0, 300.0, 200.0]])
@@ -98,3 +102,60 @@ def test_of_two_pairings_both_are_shown(cell: ClinicalCell) -> None:
         match_with(cell, SQUARE_MM, SQUARE_MM)
     assert caught.value.got is not None
     assert caught.value.got.count("image-physical") == 2
+
+
+FIFTH_MM = CENTRES_CT_MM.mean(axis=0) + np.array([20.0, -35.0, 30.0])  # one more sphere, where no other is
+FIVE_CT_MM = np.vstack([CENTRES_CT_MM[:2], FIFTH_MM, CENTRES_CT_MM[2:]])
+FIVE_MM = ROBOT_FROM_CT.apply(FIVE_CT_MM)
+
+
+def match_five(cell: ClinicalCell, room_mm: Array) -> Correspondence:
+    planned = checked_plan().model_copy(update={"implanted": 5})
+    return cell.run(localized_fiducials(FIVE_CT_MM), global_localization(room_mm), planned, STEP).result
+
+
+MISPLACED = {
+    "missing": np.delete(FIVE_MM, 2, axis=0),
+    "displaced": FIVE_MM + np.outer(np.arange(5) == 2, (4.0, -3.0, 2.0)),
+}
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("UNMATCHED_SPHERE")
+@pytest.mark.parametrize("what", MISPLACED)
+def test_a_sphere_that_is_not_in_its_place_is_left_out_when_the_operator_agrees(
+    cell: ClinicalCell, what: str
+) -> None:
+    found = match_five(cell, MISPLACED[what])
+    (question,) = cell.operator.asked
+    assert question.subject.startswith("sphere 3 of the CT is missing")
+    assert "3: the tracker sees nothing nearer to its place than" in question.value
+    assert [pair[0] for pair in found.pairs] == [0, 1, 3, 4]
+    assert [one.fiducial for one in found.left_out] == [2]
+
+
+@pytest.mark.hazard(11)
+@pytest.mark.branch("UNMATCHED_SPHERE")
+def test_without_consent_a_case_with_a_sphere_out_of_place_is_refused(cell: ClinicalCell) -> None:
+    cell.operator = RecordingOperator(Topic.UNMATCHED_SPHERE)
+    with pytest.raises(NoUniqueMatch, match="5 image and 4 physical points"):
+        match_five(cell, MISPLACED["missing"])
+
+
+@pytest.mark.hazard(11)
+def test_of_four_spheres_none_is_left_out(cell: ClinicalCell) -> None:
+    with pytest.raises(NoUniqueMatch):
+        match_with(cell, SPHERES_MM[:3])
+    assert cell.operator.asked == []
+
+
+def test_the_frame_is_matched_by_its_layout_and_what_is_not_of_it_left_aside(cell: ClinicalCell) -> None:
+    planned = checked_plan()
+    framed = planned.model_copy(
+        update={"plan": planned.plan.model_copy(update={"fiducials": FiducialKind.XFRAME})}
+    )
+    frame_ct_mm = np.array(SPHERE_CENTRES_MM) + CENTRES_CT_MM[0]
+    ct = np.vstack([frame_ct_mm[[2, 0]], FIFTH_MM, frame_ct_mm[[3, 1]]])
+    room = np.vstack([ROBOT_FROM_CT.apply(frame_ct_mm), GHOST_MM])
+    found = cell.run(localized_fiducials(ct), global_localization(room), framed, STEP).result
+    assert sorted(found.pairs) == [(0, 2), (1, 0), (3, 3), (4, 1)]

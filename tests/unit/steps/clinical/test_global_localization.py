@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any, cast
 
 import pytest
@@ -68,6 +69,7 @@ class LineThatLoses:
     """A tracker of which every third reading is lost."""
 
     state = Lifecycle.ACTIVE
+    markers_mm: Mapping[str, Any] = MappingProxyType({})
 
     def __init__(self, lost_of_three: int) -> None:
         self._lost_of_three = lost_of_three

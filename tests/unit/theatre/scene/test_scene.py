@@ -4,7 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
+from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 from sim.errors import BadScene
 from sim.theatre.scene.head import SMALLEST_DISTANCE_MM
 from sim.theatre.scene.model import parse_scene, read_scene
@@ -68,6 +70,11 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "targets"), [], "head.targets"),
         (("head", "fiducials", 0, "radius_mm"), -5.75, "head.fiducials 1.radius_mm"),
         (("head", "fiducials", 0, "number"), 2, "head: fiducial numbers must be unique"),
+        (("head", "seating_error_mm"), -0.05, "head.seating_error_mm"),
+        (("head", "fiducials", 0, "worn_percent"), 61.0, "head.fiducials 1.worn_percent"),
+        (("head", "fiducials", 0, "base_in_theatre"), 9, r"head: base_in_theatre names no sphere: \[9\]"),
+        (("head", "fiducials", 0, "base_in_theatre"), 2, "head: a base is on one screw only"),
+        (("head", "x_frame"), True, "head: the x-shaped frame has 4 spheres, not 3"),
         (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm 1"),
         (("mount", "tool_number_guide"), 1, "mount: both tools have the number 1"),
         (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
@@ -92,3 +99,24 @@ def test_every_built_in_scene_survives_its_file(tmp_path: Path) -> None:
         file = tmp_path / "scene.json"
         file.write_text(named_scene(name).model_dump_json(by_alias=True))
         assert read_scene(file) == named_scene(name)
+
+
+def test_a_frame_whose_spheres_lie_otherwise_is_refused() -> None:
+    content = json.loads(named_scene("mini", x_frame=True).model_dump_json(by_alias=True))
+    content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
+    with pytest.raises(BadScene, match="do not lie as the x-shaped frame has them"):
+        parse_scene(content, "scene.json")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_guide_has_room_beside_the_frame(seed: int) -> None:
+    head = named_scene("default", seed=seed, x_frame=True).head
+    place, _ = Rotation.align_vectors(
+        np.diff([one.centre_ct_mm for one in head.fiducials], axis=0), np.diff(SPHERE_CENTRES_MM, axis=0)
+    )
+    origin = np.array(head.fiducials[0].centre_ct_mm) - place.apply(SPHERE_CENTRES_MM[0])
+    for target in head.targets:
+        for body in bodies():
+            along = np.linspace(place.apply(body.start_mm), place.apply(body.end_mm), 40) + origin
+            apart = np.linalg.norm(np.cross(along - target.entry_ct_mm, target.outwards_ct), axis=1)
+            assert apart.min() > 20.0

@@ -34,3 +34,21 @@ def test_how_one_sphere_sits_does_not_depend_on_the_others() -> None:
     scene = named_scene("mini", markers=5)
     fewer = with_head(scene, fiducials=scene.head.fiducials[2:])
     assert beside_mm(fewer).tolist() == beside_mm(scene)[2:].tolist()
+
+
+def test_a_sphere_may_be_missing_displaced_or_on_the_base_of_another() -> None:
+    scene = with_head(named_scene("mini", markers=5), seating_error_mm=0.0)
+    first, second, third, *others = scene.head.fiducials
+    changed = (
+        first.model_copy(update={"missing": True}),
+        second.model_copy(update={"base_in_theatre": third.number, "displaced_mm": (0.0, 1.0, 0.0)}),
+        third.model_copy(update={"base_in_theatre": second.number, "base_mm": 20.0, "worn_percent": 30.0}),
+        *others,
+    )
+    two, three, *rest = spheres_in_theatre(with_head(scene, fiducials=changed))
+    longer = 4.0 * np.array(second.post_ct) + (0.0, 1.0, 0.0)
+    assert np.subtract(two.centre_ct_mm, second.centre_ct_mm) == pytest.approx(longer)
+    shorter = -4.0 * np.array(third.post_ct)
+    assert np.subtract(three.centre_ct_mm, third.centre_ct_mm) == pytest.approx(shorter)
+    assert (two.worn_percent, three.worn_percent) == (30.0, 0.0)  # a film goes with its base
+    assert rest == list(others)

@@ -1,0 +1,12 @@
+"""What the spheres of a named scene stand on, as the commands name it."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+
+class Carrier(StrEnum):
+    """Screws of their own, or the x-shaped frame."""
+
+    FREE = "free"
+    XFRAME = "xframe"

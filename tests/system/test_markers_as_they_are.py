@@ -1,0 +1,107 @@
+"""Spheres that are not as they were in the CT: found where they can be, left out only when agreed to.
+
+Whole cases on the mini scene, by keys of the scene and by a fault.
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import tomli_w
+from user_commands import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.guards.errors import PatientUnseen
+from procedures.registration.errors import NoUniqueMatch
+from ronna_hw.errors import EXIT_REFUSED
+from sim.theatre.scene.named_scenes import named_scene
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(400), pytest.mark.hazard(11)]
+LARGEST_ERROR_MM = 1.0
+ELSEWHERE_MM = (1.0, -1.0, 0.5)
+Changes = dict[int, dict[str, Any]]
+
+
+def scene_file(folder: Path, markers: int, changes: Changes) -> Path:
+    """The mini scene with other keys of some spheres, by number."""
+    scene = named_scene("mini", seed=3, markers=markers, targets=1)
+    changed = tuple(one.model_copy(update=changes.get(one.number, {})) for one in scene.head.fiducials)
+    scene = scene.model_copy(update={"head": scene.head.model_copy(update={"fiducials": changed})})
+    path = folder / "scene.toml"
+    path.write_text(tomli_w.dumps(scene.model_dump(mode="json", by_alias=True, exclude_none=True)))
+    return path
+
+
+def run(commands: Commands, folder: Path, *case: object) -> tuple[int, dict[str, Any], dict[str, str], str]:
+    """Exit code, outcome, the answers by topic, and what was said."""
+    line = ("run", "--sim", *map(str, case), "--json", "--out", str(folder / "runs"))
+    ran = commands.run("ronna-procedure", *line, timeout_s=300)
+    (made,) = (folder / "runs").iterdir()
+    asked = {one["topic"]: one["answer"] for one in read_journal(made / JOURNAL_FILE) if "topic" in one}
+    return ran.returncode, json.loads(ran.stdout), asked, ran.stderr
+
+
+FOUND: dict[str, tuple[int, Changes, str]] = {
+    "missing": (5, {2: {"missing": True}}, "unmatched_sphere"),
+    "on each other's screw": (
+        6,
+        {2: {"base_in_theatre": 4}, 4: {"base_mm": 22.0, "base_in_theatre": 2}},
+        "unmatched_sphere",
+    ),
+    "displaced": (5, {2: {"displaced_mm": ELSEWHERE_MM}}, "moved_sphere:T1"),
+    "worn": (5, {2: {"worn_percent": 60.0}}, "sphere:T1"),
+}
+
+
+@pytest.mark.parametrize("what", FOUND)
+def test_the_case_is_done_with_the_others_as_the_operator_agrees(
+    commands: Commands, tmp_path: Path, what: str
+) -> None:
+    markers, changes, topic = FOUND[what]
+    code, outcome, asked, _ = run(commands, tmp_path, "--scene", scene_file(tmp_path, markers, changes))
+    assert (code, outcome["registration"]["n"]) == (0, 4)
+    assert asked[topic] == "leave it out"
+    assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
+
+
+def loosened(folder: Path, at_s: int) -> tuple[object, ...]:
+    """A case in which the screw of one sphere gives way at that time."""
+    faults = folder / "faults.txt"
+    faults.write_text(f"at {at_s} s: room loosen marker 2 1.2 -0.9 0 mm\n")
+    return ("--scene", "mini", "--seed", 3, "--markers", 5, "--faults", faults)
+
+
+def test_a_screw_that_loosened_before_the_tracker_looked_is_found_by_the_fit(
+    commands: Commands, tmp_path: Path
+) -> None:
+    code, outcome, asked, _ = run(commands, tmp_path, *loosened(tmp_path, at_s=0))
+    assert (code, outcome["registration"]["n"]) == (0, 4)
+    assert asked["moved_sphere:T1"] == "leave it out"
+
+
+def test_a_screw_that_loosens_later_is_a_sphere_in_no_known_place(commands: Commands, tmp_path: Path) -> None:
+    code, _, asked, said = run(commands, tmp_path, *loosened(tmp_path, at_s=5))
+    assert code == PatientUnseen.exit_code
+    assert PatientUnseen.code in said
+    assert "registration:T1" not in asked
+
+
+def test_without_consent_the_case_ends_before_the_arm_moves(commands: Commands, tmp_path: Path) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('default = "first"\n[answers]\nunmatched_sphere = "hold"\n')
+    scene = scene_file(tmp_path, 5, {2: {"missing": True}})
+    code, _, asked, said = run(commands, tmp_path, "--scene", scene, "--answers", answers)
+    assert code == NoUniqueMatch.exit_code
+    assert NoUniqueMatch.code in said
+    assert asked["unmatched_sphere"] == "hold"
+    assert "first_motion" not in asked
+
+
+def test_with_three_spheres_a_displaced_one_ends_the_case(commands: Commands, tmp_path: Path) -> None:
+    scene = scene_file(tmp_path, 3, {2: {"displaced_mm": (1.5, -1.0, 0.5)}})
+    code, _, asked, said = run(commands, tmp_path, "--scene", scene)
+    assert code == EXIT_REFUSED
+    assert "PRO-007" in said
+    assert "With three spheres nobody can tell which has moved" in said
+    assert "moved_sphere:T1" not in asked

@@ -1,0 +1,47 @@
+"""A tracker that tracks the frame on the head as a tool tells of the same spheres as one that does not."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from procedures.workcell.frame_as_tool import name_of_frame, with_its_spheres
+from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+STAMP = Stamp(1, 1.0, 1.0)
+TURN = Rotation.from_rotvec([0.2, -0.4, 0.9])
+PLACE_MM = (10.0, -20.0, -1800.0)
+OTHER = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
+
+
+@dataclass
+class Tracker:
+    markers_mm: dict[str, Any] = field(default_factory=lambda: {"M": OTHER, "cross": SPHERE_CENTRES_MM})
+
+
+def reading(validity: Validity = Validity.OK) -> TrackerFrame:
+    w, x, y, z = TURN.as_quat(scalar_first=True).tolist()
+    tool = ToolReading("cross", validity, (w, x, y, z), PLACE_MM, 0.1)
+    return TrackerFrame(STAMP, Validity.OK, (tool,), (StrayReading((1.0, 2.0, -1500.0), Validity.OK),))
+
+
+def test_the_frame_is_known_by_its_markers_whatever_it_is_called() -> None:
+    assert name_of_frame(Tracker().markers_mm) == "cross"
+    assert name_of_frame({"M": OTHER}) is None
+    assert name_of_frame({"mirrored": [(x, -y, z) for x, y, z in SPHERE_CENTRES_MM]}) is None
+
+
+def test_its_spheres_join_the_strays_where_its_pose_has_them() -> None:
+    first, *spheres = with_its_spheres(Tracker(), reading()).strays
+    assert first.position_mm == (1.0, 2.0, -1500.0)
+    found = np.array([one.position_mm for one in spheres])
+    assert found == pytest.approx(TURN.apply(SPHERE_CENTRES_MM) + PLACE_MM)
+
+
+@pytest.mark.parametrize("validity", [Validity.MISSING, Validity.PARTIAL, Validity.OUT_OF_VOLUME])
+def test_without_a_pose_to_trust_nothing_is_added(validity: Validity) -> None:
+    seen = reading(validity)
+    assert with_its_spheres(Tracker(), seen) is seen
