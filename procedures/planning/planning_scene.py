@@ -22,17 +22,18 @@ class PlanningScene:
     head: HeadEllipsoid
     fiducials_ct_mm: Points = ()
     frame_ct: tuple[Obstacle, ...] = ()  # bars and foot of the x-shaped frame
+    head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """The same, with so much more clearance asked for."""
-        margin_mm = self.cell.margin_mm + reserve_mm
-        return replace(self, cell=self.cell.model_copy(update={"margin_mm": margin_mm}))
+        """The same, with so much more clearance asked for while the stereo head is mounted."""
+        return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:
         """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
-        return self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, trajectory)
+        around = self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, trajectory)
+        return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None

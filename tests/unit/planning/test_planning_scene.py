@@ -47,3 +47,5 @@ def test_what_the_mount_is_off_is_asked_for_as_clearance() -> None:
     )
     assert reserved.margin_mm == plain.margin_mm + 2.0
     assert reserved.obstacles == plain.obstacles
+    guide = scene.with_reserve(2.0).with_guide(ROBOT_FROM_CT, FLANGE_FROM_TOOL, None)
+    assert guide.margin_mm == plain.margin_mm
