@@ -18,10 +18,11 @@ from console.feed.engine_socket import follow_engine
 from console.guard import LARGEST_BODY_BYTES, Guard
 from console.hub import Hub
 from console.orders_route import add_order_routes
-from console.serving import AFTER_CLOSED_S, AFTER_LOST_S
 from console.sessions import Sessions
 from console.web.page import add_page
 
+AFTER_CLOSED_S = 2.0  # host time for the pages to show the end of a case
+AFTER_LOST_S = 60.0  # host time in which the last picture of a case that broke off can be looked at
 HOST = "127.0.0.1"
 BACKLOG = 64
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import secrets
 import time
 from collections.abc import Awaitable, Callable
@@ -114,8 +115,6 @@ class Hub:
 
         Raises ValueError for what is no order.
         """
-        import json
-
         order = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
         if session.role is not Role.OPERATOR:
             return "viewers give no orders"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import threading
 from pathlib import Path
 
@@ -18,8 +19,6 @@ from ronna_hw.errors import RonnaError
 
 def review(folder: Path, port: int) -> None:
     """Serve until the command is ended. Raises CON-001, CON-002, PRO-018."""
-    import json
-
     try:
         followed = FollowedRun(folder)
     except RonnaError as error:

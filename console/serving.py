@@ -12,8 +12,6 @@ from pathlib import Path
 
 NICER = 10  # than the engine: a page must never cost it a cycle
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-AFTER_CLOSED_S = 2.0  # host time for the pages to show the end of a case
-AFTER_LOST_S = 60.0  # host time in which the last picture of a case that broke off can be looked at
 
 
 def main() -> None:

@@ -35,7 +35,16 @@ def chart(view: CaseView) -> str:
 
 def chart_key(view: CaseView) -> object:
     """What the chart shows."""
-    return view.steps, view.running, view.waiting, view.state, view.reason, round(view.share, 2), view.doing
+    return (
+        view.steps,
+        view.running,
+        view.question is None,
+        view.waiting,
+        view.state,
+        view.reason,
+        round(view.share, 2),
+        view.doing,
+    )
 
 
 def _state(view: CaseView) -> str:
@@ -49,7 +58,7 @@ def _state(view: CaseView) -> str:
         else ""
     )
     waits = ""
-    if view.waiting is not None and not unmet and view.upcoming:
+    if view.waiting is not None and not unmet and view.upcoming and view.question is None:
         waits = tag("div", f"waits for the operator; next is {text(view.upcoming)}", class_="next")
     return tag("div", state + reason + waits + why, class_="state", role="status")
 

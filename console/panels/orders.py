@@ -74,7 +74,7 @@ class OrderPanel:
         """Enable what can be asked now; quotes what is shown from here on."""
         self._view = view
         paused = view.question is not None and view.question.topic == AT_PAUSE
-        waits = view.waiting is not None and bool(view.upcoming)
+        waits = view.waiting is not None and bool(view.upcoming) and view.question is None
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
         self._next.set_enabled(is_mine and waits and not ended)
         self._run_to.set_enabled(is_mine and waits and not ended)

@@ -19,6 +19,7 @@ CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
 SKIN, PATH, NEAR, SIGHT = "#d9b9a3", "#ff5fa2", "#ffffff", "#ffb020"
 LINKS = 4  # of the bodies that move the first are the arm's own: drawn in its colour
 SPHERE_RADIUS_MM = 5.75
+OUTSIDE = 2.5  # how far a trajectory is drawn outside the entry, as a share of its depth
 OLD_S = 0.5  # theatre time after which a pose is greyed
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucent costs much without graphics hardware
@@ -166,11 +167,11 @@ class Stage:
         self._marks.append(self.scene.text(words, LABEL).move(*(value * METRES for value in place)))
 
     def _path(self, name: str, entry: Point, target: Point) -> None:
-        out = tuple(2.0 * e - t for e, t in zip(entry, target, strict=True))
+        out = tuple(e + OUTSIDE * (e - t) for e, t in zip(entry, target, strict=True))
         rod = Rod(self.scene, 1.2, PATH)
         self.scene.run_method("run_methods", rod.place((out[0], out[1], out[2]), target))
-        rod.group.visible(True)
         self._marks.append(rod.group)
+        self._ball(target, PATH, share=0.4)
         self._label(name, (out[0], out[1], out[2]))
 
     def _tracker(self, figures: CaseFigures) -> None:

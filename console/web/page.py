@@ -20,6 +20,7 @@ from console.panels import bar
 from console.panels.accuracy import accuracy
 from console.panels.chart import chart, chart_key
 from console.panels.devices import devices, devices_key
+from console.panels.html import tag, text
 from console.panels.moment import MomentPanel
 from console.panels.notices import journal, notices
 from console.panels.orders import OrderPanel, SeatPanel, stop_button
@@ -168,8 +169,6 @@ class CasePage:
         self._say(f"Refused: {refused}." if refused else "")
 
     def _say(self, words: str) -> None:
-        from console.panels.html import tag, text
-
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")
 
     async def _alive(self) -> None:

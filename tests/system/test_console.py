@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from console_script import ConsoleScript
@@ -14,6 +16,23 @@ from operated_case import operated_cases
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 
 HANG_LIMIT_S = 120.0
+BETWEEN_S = 0.15  # ten orders a second are too many
+
+
+def await_state(script: ConsoleScript, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The first state that is as awaited."""
+    deadline_s = time.monotonic() + HANG_LIMIT_S
+    while not holds(state := script.state()):
+        assert time.monotonic() < deadline_s, state
+        time.sleep(BETWEEN_S)
+    return state
+
+
+def await_question(script: ConsoleScript, topic: str) -> dict[str, Any]:
+    """The question of that topic, when it stands."""
+    return dict(
+        await_state(script, lambda state: (state["question"] or {}).get("topic") == topic)["question"]
+    )
 
 
 @pytest.mark.slow
@@ -29,7 +48,7 @@ def test_a_script_steps_a_whole_case_and_every_answer_is_signed(tmp_path: Path) 
                 assert script.answer(state["question"]) == ""
             elif state["waiting"] and state["upcoming"]:
                 assert script.order("next", upcoming=state["upcoming"]) == ""
-            time.sleep(0.15)  # ten orders a second are too many
+            time.sleep(BETWEEN_S)
         case.process.wait(30)
         assert case.process.returncode == 0
         journal = read_journal(case.run / JOURNAL_FILE)
@@ -49,3 +68,23 @@ def test_a_stopped_console_is_given_up_and_the_case_goes_on(tmp_path: Path) -> N
         os.kill(case.console_pid, signal.SIGSTOP)
         assert case.process.wait(90) == 0
         assert "mean" in case.output.read_text()
+
+
+@pytest.mark.slow
+def test_a_case_that_was_stopped_in_motion_goes_on_when_its_first_motion_is_confirmed_again(
+    tmp_path: Path,
+) -> None:
+    with operated_cases(tmp_path) as start:
+        script = ConsoleScript(start("step").addresses["url"])
+        assert script.order("claim", name="Script") == ""
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("run_to", upcoming="ct_import", step="relocalization:T1") == ""
+        for topic in ("patient", "first_motion"):
+            assert script.answer(await_question(script, topic)) == ""
+        assert script.order("stop") == ""
+        assert script.order("next", upcoming="registration:T1") != ""
+        await_question(script, "pause")
+        assert script.state()["state"] == "paused"
+        assert script.order("resume") == ""
+        assert script.answer(await_question(script, "first_motion")) == ""
+        await_state(script, lambda state: state["waiting"] and state["upcoming"] == "registration:T1")
