@@ -41,9 +41,10 @@ LATE = """
 window.late = [];
 new MutationObserver(() => {
   const clock = document.getElementById("clock");
-  if (!clock || clock.dataset.n === window.seen) return;
-  window.seen = clock.dataset.n;
-  window.late.push(performance.timeOrigin + performance.now() - Number(clock.dataset.n) / 1000);
+  const number = clock && (clock.dataset.fact || clock.dataset.n);
+  if (!number || number === window.seen) return;
+  window.seen = number;
+  window.late.push(performance.timeOrigin + performance.now() - Number(number) / 1000);
 }).observe(document, {childList: true, subtree: true, attributes: true});
 """
 
@@ -74,7 +75,7 @@ def measure() -> list[Figure]:
 
 def _late(tabs: int, who: str, late_ms: list[float]) -> Figure:
     p95_ms = sorted(late_ms)[int(0.95 * len(late_ms))]
-    return Figure(f"event to page, {tabs} pages", who, median(late_ms), "ms", more={"p95": p95_ms})
+    return Figure(f"fact to page, {tabs} pages", who, median(late_ms), "ms", more={"p95": p95_ms})
 
 
 def _by_tabs(process: psutil.Process, address: str, place: Path) -> dict[int, tuple[float, list[float]]]:

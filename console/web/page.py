@@ -35,6 +35,7 @@ TITLE = "RONNA console"  # of every case alike: titles are seen in lists of wind
 HERE = Path(__file__).parent
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
 VIEWER_PERIOD_S = 0.1
+BETWEEN_FACTS_S = 0.01
 BEAT_S = 0.4  # host time between two updates when nothing happens: ages grow
 RECONNECT_S = 3.0
 SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as numbers
@@ -176,16 +177,21 @@ class CasePage:
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
+        """A fact is shown at once, signals at the rate of the page."""
         loop = asyncio.get_running_loop()
         while True:
             if client.has_socket_connection:
                 with client:
                     self._show(loop.time())
-            period_s = OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
-            await asyncio.sleep(period_s)
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(changed.wait(), BEAT_S)
-            changed.clear()
+            fact, next_s = self._hub.view.fact, loop.time() + self._period_s
+            await asyncio.sleep(BETWEEN_FACTS_S)
+            await _changed_within(changed, BEAT_S)
+            while self._hub.view.fact == fact and (left_s := next_s - loop.time()) > 0.0:
+                await _changed_within(changed, left_s)
+
+    @property
+    def _period_s(self) -> float:
+        return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
     def _show(self, now_s: float) -> None:
         view = self._hub.view if self._moment is None else self._moment.view(self._hub.view)
@@ -205,3 +211,9 @@ class CasePage:
         self._frozen.set_content(f'<div class="frozen" role="alert">{frozen}</div>' if frozen else "")
         self._beat += 1
         self._clock.set_content(bar.clock(view, self._beat))
+
+
+async def _changed_within(changed: asyncio.Event, limit_s: float) -> None:
+    with contextlib.suppress(TimeoutError):
+        await asyncio.wait_for(changed.wait(), limit_s)
+    changed.clear()

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +14,8 @@ from typing import Any
 
 import pytest
 from console_script import ConsoleScript
-from operated_case import operated_cases
+from operated_case import OperatedCase, operated_cases
+from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 
@@ -88,3 +92,34 @@ def test_a_case_that_was_stopped_in_motion_goes_on_when_its_first_motion_is_conf
         assert script.order("resume") == ""
         assert script.answer(await_question(script, "first_motion")) == ""
         await_state(script, lambda state: state["waiting"] and state["upcoming"] == "registration:T1")
+
+
+@pytest.mark.slow
+def test_a_fault_is_acknowledged_by_name_when_its_cause_is_gone_and_the_case_goes_on(tmp_path: Path) -> None:
+    with operated_cases(tmp_path) as start:
+        case = start("step")
+        script = ConsoleScript(case.addresses["url"])
+        assert script.order("claim", name="A. Nurse") == ""
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("run_to", upcoming="ct_import", step="path_check") == ""
+        assert script.answer(await_question(script, "patient")) == ""
+        await_state(script, lambda state: state["waiting"] and state["upcoming"] == "relocalization:T1")
+        simulator(case, "robot emergency stop")
+        assert script.order("next", upcoming="relocalization:T1") == ""
+        await_state(script, lambda state: state["state"] == "held")
+        assert script.order("acknowledge") == ""  # taken; what keeps it from being done is told as a fault
+        simulator(case, "--clear")
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("acknowledge") == ""
+        eventually(lambda: "acknowledged by A. Nurse: arm" in case.said)
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("next", upcoming="relocalization:T1") == ""
+        assert script.answer(await_question(script, "first_motion")) == ""
+        await_state(script, lambda state: state["steps"]["relocalization:T1"] == "done")
+
+
+def simulator(case: OperatedCase, fault: str) -> None:
+    """Put a fault into the case's theatre, or clear it."""
+    control = re.findall(r"control port (\S+)", case.said)[0]
+    line = [sys.executable, "-P", "-m", "sim.cli", "fault", fault, "--control", control]
+    assert subprocess.run(line, check=False, capture_output=True).returncode == 0
