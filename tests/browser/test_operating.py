@@ -137,7 +137,7 @@ def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Start, 
     case = start("run", "--json")
     enter(page, case.addresses["viewer_url"])
     ours = psutil.Process().children(recursive=True)
-    renderers = [one for one in ours if "--type=renderer" in one.cmdline()]
+    renderers = [one for one in ours if "--type=renderer" in " ".join(one.cmdline())]
     assert renderers
     for renderer in renderers:
         renderer.suspend()
