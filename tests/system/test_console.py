@@ -75,26 +75,6 @@ def test_a_stopped_console_is_given_up_and_the_case_goes_on(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_case_that_was_stopped_in_motion_goes_on_when_its_first_motion_is_confirmed_again(
-    tmp_path: Path,
-) -> None:
-    with operated_cases(tmp_path) as start:
-        script = ConsoleScript(start("step").addresses["url"])
-        assert script.order("claim", name="Script") == ""
-        await_state(script, lambda state: state["waiting"])
-        assert script.order("run_to", upcoming="ct_import", step="relocalization:T1") == ""
-        for topic in ("patient", "first_motion"):
-            assert script.answer(await_question(script, topic)) == ""
-        assert script.order("stop") == ""
-        assert script.order("next", upcoming="registration:T1") != ""
-        await_question(script, "pause")
-        assert script.state()["state"] == "paused"
-        assert script.order("resume") == ""
-        assert script.answer(await_question(script, "first_motion")) == ""
-        await_state(script, lambda state: state["waiting"] and state["upcoming"] == "registration:T1")
-
-
-@pytest.mark.slow
 def test_a_fault_is_acknowledged_by_name_when_its_cause_is_gone_and_the_case_goes_on(tmp_path: Path) -> None:
     with operated_cases(tmp_path) as start:
         case = start("step")
