@@ -190,6 +190,39 @@ def template(
     )
 
 
+@app.command(name="markers")
+def marker_places(
+    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file with the trajectories.")],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="New file, TOML; a picture is put beside it.")
+    ],
+    series_dir: Annotated[
+        Path | None, typer.Option("--ct", metavar="SERIES_DIR", help="CT series that shows the head's skin.")
+    ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
+    ] = None,
+    markers: Annotated[int, typer.Option("--markers", min=3, max=8, help="How many markers.")] = 5,
+    error_mm: Annotated[
+        float, typer.Option("--error", metavar="MM", min=0.001, max=5.0, help="Of each marker, 3-D rms.")
+    ] = 0.1,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Propose where markers go on the head so that the error at the planned targets is least.
+
+    On free skin between forehead and vertex, clear of the trajectories. Told beside it: what markers spread
+    over the same skin by chance would do.
+    """
+    console.set_up_logging(verbose)
+    from procedures.cli.plan_markers import propose
+
+    propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
+
+
 def _print_trajectories(result: PlanCheck) -> None:
     rows = [
         [

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-020.
+"""What can be wrong with a plan, PLAN-001 to PLAN-021.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -146,6 +146,13 @@ class NoPlace(RefusedError):
 
     code = "PLAN-020"
     action = "Look farther with --within, or change the head's place, the free angles or the --strategy."
+
+
+class NoMarkerSites(PlanError):
+    """The head has no room for so many markers clear of the trajectories."""
+
+    code = "PLAN-021"
+    action = "Ask for fewer --markers, or move an entry point."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

@@ -48,7 +48,7 @@ def propose_template(
     that was found.
     """
     random = np.random.default_rng(seed)
-    centres, posts = _sites(head, volume, random)
+    centres, posts = sites_on(head, volume, random)
     if len(centres) < markers:
         raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} places")
     sets = random.integers(len(centres), size=(DRAWS, markers))
@@ -64,7 +64,7 @@ def propose_template(
             got=f"{margins.max():.1f} mm at most",
         )
     good = np.flatnonzero(margins >= margin_mm)
-    best = good[int(_expected_error(points[good], np.array(head.centre_mm)).argmin())]
+    best = good[int(expected_error(points[good], np.array(head.centre_mm)).argmin())]
     return MarkerTemplate(
         markers=tuple(
             TemplateMarker(centre_mm=_three(centres[site]), post=_three(posts[site])) for site in sets[best]
@@ -72,7 +72,7 @@ def propose_template(
     )
 
 
-def _expected_error(points: Array, target: Array) -> Array:
+def expected_error(points: Array, target: Array) -> Array:
     """TRE over FLE at a target by eq. 39, for sets of points (s, n, 3)."""
     middle = points.mean(axis=1, keepdims=True)
     inside = points - middle
@@ -85,7 +85,7 @@ def _expected_error(points: Array, target: Array) -> Array:
     return np.asarray(np.sqrt((1.0 + share) / count))
 
 
-def _sites(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:
+def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:
     """Possible centres of spheres (s, 3) and their posts (s, 3)."""
     axes, middle = np.array(head.semi_axes_mm), np.array(head.centre_mm)
     directions = _cap(random)

@@ -37,11 +37,11 @@ def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(
 
 
 def test_a_smaller_margin_never_costs_accuracy() -> None:
-    from procedures.planning.template import _expected_error
+    from procedures.planning.template import expected_error
 
     def error(margin_mm: float) -> float:
         points = np.array([propose_template(HEAD, 4, margin_mm).centres_mm])
-        return float(_expected_error(points, np.array(HEAD.centre_mm))[0])
+        return float(expected_error(points, np.array(HEAD.centre_mm))[0])
 
     assert error(2.0) <= error(8.0) <= error(14.0)
 

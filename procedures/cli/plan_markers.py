@@ -1,0 +1,86 @@
+"""`ronna-plan markers`: from a plan and a head to a file, a picture and a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.planning.errors import WrongSeries
+from procedures.planning.head_shape import head_shape
+from procedures.planning.marker_sites import ProposedMarkers, propose_markers
+from procedures.planning.plan_file import read_plan
+from procedures.planning.template_file import head_of_scene
+from procedures.reporting.marker_picture import marker_picture
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.records import write_whole
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+
+def propose(
+    plan_file: Path,
+    out: Path,
+    series_dir: Path | None,
+    scene: Path | None,
+    markers: int,
+    error_mm: float,
+    seed: int,
+    *,
+    as_json: bool,
+) -> None:
+    """Raises PLAN-001, PLAN-002, PLAN-014, PLAN-016, PLAN-021 and what reading a series raises."""
+    picture = out.with_suffix(".png")
+    if (series_dir is None) == (scene is None):
+        raise UsageMistake("the head comes from --ct or from --scene: give one of them")
+    for file in (out, picture):
+        if file.exists():
+            raise UsageMistake(f"{file} exists and is left as it is", action="Name a new file.")
+    plan = read_plan(plan_file)
+    trajectories = [one.trajectory for one in plan.trajectories]
+    volume: Volume | None = None
+    if scene is not None:
+        head = head_of_scene(scene)
+    else:
+        from procedures.imaging import read_series
+
+        assert series_dir is not None
+        with console.progress_bar("reading the series") as advance:
+            volume = read_series(series_dir, progress=advance)
+        if plan.series_instance_uid != volume.series_instance_uid:
+            raise WrongSeries(
+                "the plan belongs to another CT series",
+                expected=plan.series_instance_uid,
+                got=volume.series_instance_uid,
+            )
+        head = head_shape(volume)
+    found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)
+    import tomli_w
+
+    write_whole(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
+    write_whole(picture, marker_picture(found, head, trajectories))
+    if as_json:
+        console.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
+        return
+    _show(out, found)
+
+
+def _show(out: Path, found: ProposedMarkers) -> None:
+    console.print_table(
+        f"{out}: {len(found.markers)} markers",
+        ["marker", "centre LPS mm", "post"],
+        [
+            [
+                str(number),
+                " ".join(f"{value:.1f}" for value in one.centre_mm),
+                " ".join(f"{value:.3f}" for value in one.post),
+            ]
+            for number, one in enumerate(found.markers, start=1)
+        ],
+    )
+    console.print_table(
+        f"expected of the markers' errors, {found.marker_error_mm:g} mm each",
+        ["target", "rms mm", "by chance mm"],
+        [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
+    )
