@@ -229,6 +229,10 @@ def strategies(
     arms: Annotated[
         int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")
     ] = 200,
+    identified: Annotated[
+        bool,
+        typer.Option("--identified", help="Only arms as `ronna-arm calibrate` identifies them, a fine CT."),
+    ] = False,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -238,6 +242,12 @@ def strategies(
     log_level: console.LogLevelOption = None,
 ) -> None:
     """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
+    if identified:
+        from procedures.studies import strategies_identified as by_looks
+
+        study = by_looks.IdentifiedStudy(arms, seed)
+        _run(study, by_looks.tables, by_looks.plots, workers, scheduler, out, as_json, verbose)
+        return
     from procedures.studies.strategies import StrategiesStudy
     from procedures.studies.strategies_tables import plots, tables
 

@@ -58,7 +58,7 @@ class RandomArms:
     @classmethod
     def draw(cls, seed: int, numbers: Iterable[int]) -> Self:
         """The arms with these numbers."""
-        return cls.of([_drawn(seed, number) for number in numbers])
+        return cls.of([drawn_arm(seed, number) for number in numbers])
 
     @classmethod
     def of(cls, drawn: list[tuple[ArmTruth, Array]]) -> Self:
@@ -137,7 +137,8 @@ class RandomArms:
         return np.asarray(angles)
 
 
-def _drawn(seed: int, number: int) -> tuple[ArmTruth, Array]:
+def drawn_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
+    """The true arm with that number, and its tool error (3,) mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)

@@ -1,6 +1,6 @@
 """Arms and CTs that are better than parameter set S: what calibration and a finer CT would reach.
 
-The levels are those assumed for a calibrated arm; harmonics, sag and backlash stay those of set S.
+The levels are those assumed for a calibrated arm; harmonics and sag stay those of set S.
 """
 
 from __future__ import annotations
@@ -13,12 +13,14 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
-from sim.theatre.scene.arm_truth import JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
+from sim.theatre.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
 from sim.theatre.scene.stereo_head import TOOL_ERROR_MM
 
 CALIBRATED_TOOL_MM = 0.1  # per axis
 CALIBRATED_LINK_MM = 0.06  # per axis
 CALIBRATED_RAD = float(np.radians(0.008))  # links per axis, joint offsets
+# Of a joint's play, which a calibration tells: twice what `ronna-campaign strategies --identified` finds.
+CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
 FINE_CT_MM = 0.05  # 3-D rms
 
 
@@ -41,7 +43,11 @@ class Scenario:
         """What is left of the arm's errors."""
         if not self.kinematics:
             return replace(UNCALIBRATED, tool_mm=CALIBRATED_TOOL_MM if self.tool else TOOL_ERROR_MM)
-        return ErrorSizes(CALIBRATED_TOOL_MM, links=CALIBRATED_RAD / LINK_ROTATION_RAD)
+        return ErrorSizes(
+            CALIBRATED_TOOL_MM,
+            links=CALIBRATED_RAD / LINK_ROTATION_RAD,
+            backlash=CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
+        )
 
     def of(self, arms: RandomArms) -> RandomArms:
         """The same arms, calibrated: their errors scaled down to what remains."""
@@ -55,6 +61,7 @@ class Scenario:
             arms,
             link_translation_mm=arms.link_translation_mm * CALIBRATED_LINK_MM / LINK_TRANSLATION_MM,
             link_rotation=remaining.reshape(arms.link_rotation.shape),
+            backlash_rad=arms.backlash_rad * CALIBRATED_BACKLASH_RAD / BACKLASH_RAD,
             joint_offset_rad=arms.joint_offset_rad * CALIBRATED_RAD / JOINT_OFFSET_RAD,
         )
 

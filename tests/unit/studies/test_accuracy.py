@@ -10,15 +10,18 @@ import pytest
 from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
 from procedures.studies import application_error
+from procedures.studies.accuracy.identified import BelievedArm, identified, identified_errors
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms, Source
+from procedures.studies.accuracy.scenarios import FINE_CT_MM
 from procedures.studies.accuracy.scene import Scene
 from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
 from procedures.studies.application_error import ApplicationErrorStudy
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
 from procedures.studies.strategies import PREDICTION, StrategiesStudy
+from procedures.studies.strategies_identified import EXPECTED, GOAL_MM
 from procedures.studies.strategies_tables import plots, tables
 from procedures.studies.unit import Unit
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -143,3 +146,14 @@ def test_what_ronna_g3_published_stands_beside_its_own_markers_and_strategy() ->
         ("50-120 mm", "xframe", "thesis-ocs", 4): 0.88,
     }
     assert len(table.rows) == 2 * 2 * (3 + 2)
+
+
+def test_an_arm_as_it_is_identified_ends_nearer_than_the_goal_by_every_strategy() -> None:
+    fit = identified(1, 0, HERE.apply(SMALL.spheres_mm))
+    believed = BelievedArm(fit.deviations, fit.flange_from_tool)
+    arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)
+    for strategy in ("nos", "improved"):
+        errors = identified_errors(
+            arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
+        )
+        assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM

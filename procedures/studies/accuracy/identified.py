@@ -1,0 +1,151 @@
+"""An arm as `ronna-arm calibrate` identifies it, and where strategies end that go by what was found.
+
+Looks at the phantom's own spheres by the simulator's true arm, with the procedure's choice of poses and its
+identification, in this process: without wires and pictures. Then the controller takes the identified arm for
+the true one, with the side of its backlash on which each joint rests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm.identification import ArmFit, identify
+from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.arm.pose_choice import most_telling
+from procedures.calibration.pose_set import centred_looks
+from procedures.registration.rigid_fit import fit_rigid
+from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
+from procedures.studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
+from procedures.studies.accuracy.random_arms import RandomArms, drawn_arm
+from procedures.studies.accuracy.scene import Scene
+from procedures.studies.accuracy.solving import SETTLED_MM, STEPS, PlannedPoses
+from procedures.studies.accuracy.trials import AXES, Sizes
+from procedures.studies.errors import PoseNotSolved
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.pose import Pose
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Transform
+from sim.kuka.arm.true_arm import TrueArm
+
+Array = NDArray[np.float64]
+
+LOOKS = 90  # as `ronna-arm calibrate` takes when nothing else is asked for
+STEREO_MM = 0.005  # of a look per axis
+LOOKS_KEY = 9  # of the random numbers
+
+
+def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
+    """The arm with that number from looks at spheres (n, 3) mm, robot frame. Raises CAL-002 to CAL-004."""
+    truth, tool_error_mm = drawn_arm(seed, number)
+    arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
+    model = ArmModel(ARM, TOOL)
+    candidates = _candidates(spheres_mm)
+    chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
+    chosen[most_telling(model, candidates, LOOKS)] = True
+    looks = candidates.only(chosen)
+    for row, (joints, flanks) in enumerate(zip(looks.joints_rad, looks.flanks, strict=True)):
+        flange = arm.at_rest(joints, flanks, row)
+        away = spheres_mm[looks.sphere[row]] - flange[:3, 3]
+        looks.points_mm[row] = flange[:3, :3].T @ away - TOOL_MM - tool_error_mm
+    looks.points_mm[:] += generator.normal(0.0, STEREO_MM, looks.points_mm.shape)
+    return identify(model, looks)
+
+
+def _candidates(spheres_mm: Array) -> LookArrays:
+    """Looks that the nominal arm reaches, not yet taken."""
+    reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
+    found = []
+    for number, sphere in enumerate(spheres_mm):
+        for order, look in enumerate(centred_looks(reference, sphere, CANDIDATES)):
+            try:
+                joints = ARM.solve_branch(
+                    Pose.from_transform(look.pose @ TOOL.inverse()), branch, ARM.home_rad
+                )
+            except LimitError:
+                continue
+            found.append((number, joints, flanks_of(order)))
+    return LookArrays(
+        joints_rad=np.array([joints for _, joints, _ in found]),
+        flanks=np.array([flanks for _, _, flanks in found], dtype=float),
+        points_mm=np.zeros((len(found), AXES)),
+        covariances_mm2=np.tile(STEREO_MM**2 * np.eye(AXES), (len(found), 1, 1)),
+        sphere=np.array([number for number, _, _ in found], dtype=np.intp),
+    )
+
+
+@dataclass(frozen=True)
+class BelievedArm:
+    """What the controller goes by."""
+
+    deviations: ArmDeviations
+    flange_from_tool: Transform
+
+    def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
+        """Places (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
+        poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
+        turned = poses[:, :3, :3]
+        places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
+        return places, turned @ self.flange_from_tool.rotation_matrix
+
+
+def identified_errors(
+    arm: RandomArms,
+    believed: BelievedArm,
+    planned: Postures,
+    scene: Scene,
+    numbers: Sequence[int],
+    sizes: Sizes,
+) -> Array:
+    """Error vectors (t, c, 3) mm of one arm, as `target_errors` has them of many; `numbers` is its own."""
+    phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
+    spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
+    targets_ct = np.array([one.target_mm for one in phantom.trajectories])
+
+    def true_places(joints: Array, flanks: Array) -> Array:
+        return np.asarray(arm.tool_points_mm(joints[None], flanks[None])[0])
+
+    def believed_places(joints: Array, flanks: Array) -> Array:
+        return believed.tool(joints, flanks)[0]
+
+    at_spheres = _solved(
+        believed, planned.localizations, np.tile(spheres, (sets, 1)), true_places, planned.arrival
+    )
+    recorded = believed_places(at_spheres, planned.arrival).reshape(sets, len(spheres), AXES)
+    recorded = recorded + sizes.servo_mm / np.sqrt(AXES) * chance.servo[0, :sets]
+    recorded = recorded + arm.repeatability_mm * chance.rest[0, :sets]
+    image = phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct[0]
+    serving = [planned.set_of(target) for target in range(len(targets_ct))]
+    found = []
+    for count in scene.counts:
+        fit = fit_rigid(image[None, :count], recorded[:, :count])
+        places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
+        joints = _solved(believed, planned.targets, places, believed_places, planned.target_arrival)
+        tips = true_places(joints, planned.target_arrival) + arm.repeatability_mm * chance.target_rest[0]
+        found.append(tips - robot_from_ct.apply(targets_ct))
+    return np.stack(found, axis=1)
+
+
+def _solved(
+    believed: BelievedArm,
+    poses: PlannedPoses,
+    wanted_mm: Array,
+    places_at: Callable[[Array, Array], Array],
+    flanks: Array,
+) -> Array:
+    """Joints (p, 6) with `places_at` at wanted places (p, 3), the believed tool oriented as planned."""
+    joints = poses.joints_rad.copy()
+    for _ in range(STEPS):
+        shift = wanted_mm - places_at(joints, flanks)
+        _, rotations = believed.tool(joints, flanks)
+        turn = 0.5 * np.cross(rotations, poses.rotations, axis=-2).sum(axis=-1)
+        step = np.concatenate([shift, turn], axis=-1)
+        joints = joints + np.einsum("pij,pj->pi", poses.inverse, step)
+    left_mm = float(np.abs(shift).max())
+    if not left_mm < SETTLED_MM:
+        raise PoseNotSolved(f"an arm did not settle in {STEPS} steps", got=f"{left_mm:.2g} mm from its place")
+    return joints
