@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from procedures.planning.motions import PreviewedMotion
     from procedures.planning.sight import StereoSight
     from procedures.planning.visits import ArmSetting
+    from procedures.strategies.strategy import Strategy
     from procedures.strategies.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -199,13 +200,14 @@ def _driven(
     sight: StereoSight | None,
 ) -> tuple[list[RonnaError], tuple[PreviewedMotion, ...], tuple[tuple[str, float], ...]]:
     """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
+    from procedures.planning.alternatives import advice, alternatives, unreached
     from procedures.planning.best_choice import with_best_chosen
     from procedures.planning.free_angle import TurnedPaths, choose_free_angles
     from procedures.planning.motions import previews_of
     from procedures.planning.reach import check_paths
     from procedures.planning.visits import Axes
 
-    fiducials = np.zeros((0, 3)) if fiducials_mm is None else fiducials_mm
+    fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
     if sight is None:
         axes = Axes.of(arm, trajectories, fiducials)
         own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
@@ -214,7 +216,17 @@ def _driven(
         arm = with_best_chosen(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
-        unmet: list[RonnaError] = [NotReachable(f"{one.pose}: {one.reason}") for one in turned.check.unmet]
+        would: dict[str, tuple[Strategy, ...]] = {}
+        if sight is not None and len(fiducials):
+            missed = unreached(turned.check, trajectories)
+            would = {
+                one.identifier: alternatives(arm, one, fiducials, sight)
+                for one in trajectories
+                if one.identifier in missed
+            }
+        unmet: list[RonnaError] = [
+            NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
+        ]
         return unmet, (), ()
     turns = tuple(turned.turns_rad.items())
     if arm.scene is None:

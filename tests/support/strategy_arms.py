@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.errors import NoNearbyJoints
+from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -25,3 +30,19 @@ ROOM = Transform(
     ),
 )
 LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
+
+
+@dataclass(frozen=True)
+class Stuck(OrientationCorrection):
+    """A strategy that serves every trajectory but one."""
+
+    name: str = "stuck"
+    on: str = ""
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """Raises STR-004 along that one."""
+        if along.identifier == self.on:
+            raise NoNearbyJoints(f"no joints for {along.identifier}")
+        return super().localization_poses(along, fiducials_mm, robot_from_ct, arm)

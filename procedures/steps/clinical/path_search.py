@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.operator import words
-from procedures.planning.alternatives import alternatives
+from procedures.planning.alternatives import advice, alternatives, unreached
 from procedures.planning.best_choice import with_best_chosen
 from procedures.planning.free_angle import TurnedPaths, choose_free_angles
 from procedures.planning.sight import StereoSight
 from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
-from procedures.strategies.best import CANDIDATES, BestOfEach
 from procedures.strategies.by_trajectory import StrategyByTrajectory
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
@@ -59,17 +58,11 @@ class PathSearch:
         return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
 
     def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
-        reasons: dict[str, str] = {}
-        for unmet in check.unmet:
-            reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
-        unreached = [one for one in trajectories if one.identifier in reasons]
-        # What belongs to no trajectory, such as a neutral orientation, keeps all of them from being reached.
-        concerned = unreached if len(unreached) == len(reasons) else trajectories
-        would = {one.identifier: self._alternatives(one) for one in concerned}
-        others = [one.identifier for one in trajectories if one not in concerned]
-        for one in concerned:
-            name = one.identifier
-            self._ask(check, name, reasons.get(name, next(iter(reasons.values()))), would, others)
+        reasons = unreached(check, trajectories)
+        would = {one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons}
+        others = [one.identifier for one in trajectories if one.identifier not in reasons]
+        for name, reason in reasons.items():
+            self._ask(check, name, reason, would, others)
 
     def _ask(
         self,
@@ -84,7 +77,7 @@ class PathSearch:
         offered = would[name] if self.setting.strategy.localizes_per_trajectory else ()
         answers = (*(use(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
         if answers == (HOLD,):
-            check.require(_advice(would))
+            check.require(advice(would))
         now = self.replaced.get(name, self.setting.strategy)
         served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
         remain = f"; without it remain {', '.join(others)}" if others else ""
@@ -103,18 +96,8 @@ class PathSearch:
             self.left_out[name] = reason
             self.replaced.pop(name, None)
         else:
-            check.require(_advice(would))
+            check.require(advice(would))
 
     def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
-        tried = {self.setting.strategy.name, *self._tried.get(trajectory.identifier, ())}
-        if isinstance(self.setting.strategy, BestOfEach):
-            tried |= {one.name for one in CANDIDATES}
+        tried = self._tried.get(trajectory.identifier, set())
         return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
-
-
-def _advice(would: dict[str, tuple[Strategy, ...]]) -> str | None:
-    """Which strategies would serve; None, for the usual advice, when none would."""
-    told = [f"{name} by {words([one.name for one in others])}" for name, others in would.items() if others]
-    if not told:
-        return None
-    return f"Choose another --strategy: {', '.join(told)} would be reached. Or move the cart or the head."

@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from strategy_arms import Stuck
 
 from procedures.planning.check import check_plan
 from procedures.planning.errors import (
@@ -25,10 +26,13 @@ from procedures.planning.errors import (
     WrongSeries,
 )
 from procedures.planning.plan_file import read_plan
+from procedures.planning.sight import StereoSight
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
+CAMERA_MM = np.array([0.0, 115.0, -222.0])
+SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
 FOUR = [[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]]
 
 
@@ -188,3 +192,12 @@ def test_a_depth_stop_beyond_the_instrument_is_refused(plan, make_volume):
     assert check_plan(short, make_volume()).passed  # without the guide nobody knows
     with pytest.raises(StopBeyondInstrument, match=r"PLAN-019: .*limit 160 mm, got 170\.2 mm"):
         check_plan(one, make_volume(), bore=BORE).require()
+
+
+def test_a_plan_that_its_strategy_does_not_reach_names_the_ones_that_would(plan, make_volume, make_arm):
+    arm = make_arm(strategy=Stuck(on="T1"))
+    result = check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=arm, sight=SIGHT)
+    with pytest.raises(NotReachable, match=r"PLAN-007.*T1") as caught:
+        result.require()
+    assert "T1 by improved or ocs" in caught.value.advice
+    assert "T2" not in caught.value.advice

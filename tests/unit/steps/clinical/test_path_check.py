@@ -16,6 +16,7 @@ from clinical_case import (
     shifted,
 )
 from recording_cell import RecordingOperator
+from strategy_arms import Stuck
 
 from procedures.engine.case import Stored
 from procedures.engine.engine import Engine
@@ -103,3 +104,16 @@ def test_without_consent_a_trajectory_out_of_reach_is_refused(cell: ClinicalCell
     cell.operator = RecordingOperator(Topic.REACH)
     with pytest.raises(NotReachable, match=f"{LAST}/"):
         check_the_others(cell)
+
+
+@pytest.mark.hazard(23)
+@pytest.mark.branch("UNREACHABLE")
+def test_a_trajectory_is_served_by_the_strategy_that_the_operator_agrees_to(cell: ClinicalCell) -> None:
+    cell.strategy = Stuck(on=LAST)
+    paths = check(cell).result
+    (question,) = cell.operator.asked
+    assert question.name == f"reach:{LAST}"
+    assert "improved, ocs, jdms or nos would reach it" in question.value
+    assert paths.replaced == {LAST: "improved"}
+    assert (paths.strategy_of(FIRST), paths.strategy_of(LAST)) == ("stuck", "improved")
+    assert tuple(paths.localizations) == tuple(paths.targets) == TRAJECTORIES
