@@ -39,10 +39,13 @@ class ErrorSizes:
     backlash: float = 1.0
 
     @classmethod
-    def stated(cls, arm_error_mm: float, tool_error_mm: float) -> Self:
-        """As a theatre file states them: in proportion to the error of the arm, up to all of set S."""
+    def stated(cls, arm_error_mm: float, tool_error_mm: float, *, calibrated: bool) -> Self:
+        """As a theatre file states them: in proportion to the error of the arm, up to all of set S.
+
+        The backlash is that of set S, but in a calibrated arm, where it is known.
+        """
         share = min(1.0, arm_error_mm / UNCALIBRATED_MM)
-        return cls(tool_error_mm, share, share)
+        return cls(tool_error_mm, share, share, share if calibrated else 1.0)
 
 
 UNCALIBRATED = ErrorSizes()

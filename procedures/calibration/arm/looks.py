@@ -9,9 +9,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from procedures.calibration.observations import Joints
+from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.calibration import ArmCalibration, Numbers3, StereoHeadCalibration, Strict, ToolTipCalibration
 
 Array = NDArray[np.float64]
@@ -43,6 +44,15 @@ class ArmLooks(Strict):
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
     looks: tuple[SphereLook, ...] = Field(description="The looks.")
+
+    @field_validator("arm")
+    @classmethod
+    def _is_known(cls, name: str) -> str:
+        try:
+            kinematics_named(name)
+        except ValueError as error:
+            raise ValueError(f"no arm is called {name!r}") from error
+        return name
 
 
 @dataclass(frozen=True)

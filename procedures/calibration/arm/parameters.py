@@ -33,6 +33,7 @@ BACKLASH_RAD = math.radians(0.02)
 TOOL_MM = 2.0
 TOOL_RAD = math.radians(0.5)  # a machined mount
 TOOL = 6
+BACKLASH = "backlash"  # in the name of a value
 STEP = 1e-3  # of a derivative: of a prior, or of a millimetre
 
 
@@ -79,7 +80,7 @@ class ArmModel:
         named += [f"{axis} offset" for axis in axes]
         for what in ("sine", "cosine"):
             named += [f"{axis} {what} {order}" for axis in axes for order in ("once", "twice")]
-        named += [f"{axis} sag" for axis in axes] + [f"{axis} backlash" for axis in axes]
+        named += [f"{axis} sag" for axis in axes] + [f"{axis} {BACKLASH}" for axis in axes]
         kept = [name for name, sigma in zip(named, self.prior, strict=True) if sigma > 0.0]
         return (*kept, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
 

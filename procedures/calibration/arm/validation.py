@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
+from procedures.calibration.arm.parameters import BACKLASH
 from procedures.calibration.errors import DoesNotFit, TooFewPoses, Unobservable
 
 Array = NDArray[np.float64]
@@ -17,6 +18,7 @@ Array = NDArray[np.float64]
 LEAST_VALIDATION = 12
 ACCEPTED = 1e-4  # probability with which a good calibration is refused
 LARGEST_ERROR_MM = 0.10  # of the model at a pose like those of the looks: three times a good calibration
+LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 are usual
 MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, links that bend
 
 
@@ -42,6 +44,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         raise TooFewPoses(
             "too few looks to validate the arm", expected=f"at least {LEAST_VALIDATION}", got=str(count)
         )
+    _require_both_sides(fit)
     model, rotations = fit.model, fit.model.rotations(looks)
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
     own = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
@@ -70,6 +73,21 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         predicted_mm=float(np.sqrt(np.mean(np.einsum("mii->m", own + random)))),
         model_mm=model_mm,
     )
+
+
+def _require_both_sides(fit: ArmFit) -> None:
+    """The backlash of a joint that always arrived from one side shows in no look, kept apart or not."""
+    unknown = [
+        name
+        for name, share in zip(fit.model.names, fit.learnt.tolist(), strict=True)
+        if name.endswith(BACKLASH) and share > LEAST_LEARNT
+    ]
+    if unknown:
+        raise Unobservable(
+            f"the looks do not reveal the {', '.join(unknown)}: their joints arrived from one side",
+            limit=f"{LEAST_LEARNT:g} of what was not known before",
+            got="all of it",
+        )
 
 
 def _before(fit: ArmFit, looks: LookArrays) -> float:

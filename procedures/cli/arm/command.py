@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.calibrating.options import (
+    AnswersOption,
     ConfigOption,
     DaysOption,
     OutOption,
@@ -59,6 +60,7 @@ def calibrate(
     ] = 24,
     days: DaysOption = 30,
     write: WriteOption = None,
+    answers: AnswersOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
@@ -89,7 +91,7 @@ def calibrate(
 
     def look(then: Callable[[ArmLooks], None]) -> None:
         assert request is not None, "without recorded looks there is a theatre"
-        _look(request, folder, (looks, validation), then)
+        _look(request, folder, (looks, validation), answers, then)
 
     result = concluded(folder, observed, look, conclude)
     if write is not None and config is not None:
@@ -109,6 +111,7 @@ def check(
     seed: SeedOption = 0,
     config: ConfigOption = None,
     looks: Annotated[int, typer.Option(min=12, max=100, help="Looks to judge by.")] = 24,
+    answers: AnswersOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
@@ -138,7 +141,7 @@ def check(
     folder = new_folder(out, "check")
     try:
         with leaving_report(folder, with_truth=False):
-            _look(request, folder, (0, looks), conclude)
+            _look(request, folder, (0, looks), answers, conclude)
     finally:
         for result in results:
             if as_json:
@@ -148,7 +151,11 @@ def check(
 
 
 def _look(
-    request: TheatreRequest, folder: Path, numbers: tuple[int, int], conclude: Callable[[ArmLooks], None]
+    request: TheatreRequest,
+    folder: Path,
+    numbers: tuple[int, int],
+    answers: Path | None,
+    conclude: Callable[[ArmLooks], None],
 ) -> None:
     """Look at the spheres; what `conclude` raises is how the run has ended."""
     from procedures.cli.calibrating.running import run_steps
@@ -167,7 +174,14 @@ def _look(
     title = "Calibration of the arm" if identifying else "Check of the arm"
     with console.progress_bar("looking at the spheres") as advance:
         engine = run_steps(
-            request, folder, arm_looks(*numbers), advance, title=title, in_use=in_use, judge=judge
+            request,
+            folder,
+            arm_looks(*numbers),
+            advance,
+            title=title,
+            answers=answers,
+            in_use=in_use,
+            judge=judge,
         )
     for remark in engine.case.get(ObservedSpheres).result.remarks:
         console.tell(remark)

@@ -43,6 +43,9 @@ WriteOption = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
 ]
+AnswersOption = Annotated[
+    Path | None, typer.Option(help="TOML file that answers the questions: a scripted operator.")
+]
 OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
 
 

@@ -8,6 +8,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from procedures.cli.case.answers import read_answers
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Watcher, opened_engine
 from procedures.cli.case.request import TheatreRequest, forget_if_empty, forget_if_refused
@@ -38,6 +39,7 @@ def run_steps(
     progress: Callable[[float], None],
     *,
     title: str,
+    answers: Path | None = None,
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre,
     judge: Callable[[Engine], None] = lambda _engine: None,
 ) -> Engine:
@@ -45,7 +47,8 @@ def run_steps(
 
     `judge` is called when every step is done; what it raises is how the run has ended.
 
-    `title` names it in its report; `in_use` says which records to work with, given those of the theatre.
+    `title` names it in its report; `in_use` says which records to work with, given those of the theatre;
+    `answers` is a file of answers, of which PRO-026 says what does not fit.
     """
 
     def procedure(theatre: Theatre) -> Procedure:
@@ -60,7 +63,8 @@ def run_steps(
 
     watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start())
     try:
-        with opened_engine(request, folder, procedure, watcher) as engine:
+        scripted = None if answers is None else read_answers(answers)
+        with opened_engine(request, folder, procedure, watcher, answers=scripted) as engine:
             engine.run_to()
             judge(engine)
     except BaseException as problem:  # also an interruption: a folder that holds nothing is no run

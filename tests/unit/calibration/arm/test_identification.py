@@ -1,6 +1,7 @@
 """An arm is identified from looks of the simulator's own arm, and judged by looks that were kept apart."""
 
 from datetime import timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +14,14 @@ from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
 from procedures.calibration.errors import (
     ArmChanged,
+    BadObservations,
     DegeneratePoses,
     DoesNotFit,
     NoArmRecord,
     TooFewPoses,
     Unobservable,
 )
+from procedures.cli.arm.files import read_looks, write_looks
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.frames import Frame
@@ -141,11 +144,16 @@ def test_a_sphere_that_moves_on_the_way_is_refused() -> None:
         calibrate_arm(observed.model_copy(update={"looks": late}))
 
 
-def test_backlash_that_no_look_reveals_is_named_as_unknown() -> None:
+def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
     one_side = LookingArm.of(3).looks(LOOKS, VALIDATION, SPHERES_MM, same_side=True)
-    result = calibrate_arm(one_side)
-    names = result.fit.model.names
-    assert result.fit.learnt[names.index("A2 backlash")] > 0.5
+    with pytest.raises(Unobservable, match=r"CAL-011.*A2 backlash.*from one side"):
+        calibrate_arm(one_side)
+
+
+def test_looks_of_an_arm_that_nobody_knows_are_refused(tmp_path: Path) -> None:
+    write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
+    with pytest.raises(BadObservations, match=r"CAL-005.*no arm is called 'kr3'"):
+        read_looks(tmp_path)
 
 
 def test_a_model_that_the_looks_leave_open_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
