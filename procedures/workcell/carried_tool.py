@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from procedures.workcell.errors import AnotherArm
@@ -12,6 +12,9 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
+
+# From which side each joint comes, +1 or -1: what is known of its backlash then counts. None: not known.
+Sides = Sequence[int] | None
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
@@ -32,20 +35,20 @@ class CarriedTool:
     arm: CalibratedArm
     flange_from_tool: Transform
 
-    def pose(self, joints_rad: JointVector) -> Transform:
-        """Where the tool is at joint angles."""
-        return self.arm.flange_pose(joints_rad) @ self.flange_from_tool
+    def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Where the tool is at joint angles; `arrived` says from which side each joint came, where known."""
+        return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
 
-    def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
+    def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near).joints_rad
+        return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
-    def told(self, pose: Transform, here_rad: Callable[[], JointVector]) -> Transform:
+    def told(self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None) -> Transform:
         """What the controller, which knows no calibration, must be told to bring the tool to a pose.
 
         `here_rad` measures the joints, in whose branch the arm stays.
         """
         if self.arm.is_nominal:
             return pose
-        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad()).told
+        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).told
         return flange.to_transform() @ self.flange_from_tool

@@ -82,7 +82,7 @@ class Centring:
         servo = ServoState(EXACT if self.arriving is not None else WITHIN_BACKLASH)
         while True:
             joints = workcell.joints_rad()
-            pose = workcell.tool_pose(joints)
+            pose = workcell.tool_pose(joints, self.arriving)
             if seen.point is None:
                 raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
             servo = servo.measured(pose, seen.point.position_mm)
@@ -153,7 +153,8 @@ class Centring:
 
     def _settle(self, pose: Transform) -> None:
         """Take a pose; where it is asked for, each joint arrives from the same side as at the target."""
-        self.workcell.settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), self.arriving)
+        joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
+        self.workcell.settle(joints_rad, self.arriving)
 
     def _standoff(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.standoff_mm)

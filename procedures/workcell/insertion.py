@@ -24,6 +24,7 @@ class JournalledAxis(Values):
 
     held: FramedPose
     travel_mm: float
+    arriving: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -31,22 +32,24 @@ class Insertion:
     """A trajectory as the arm goes it: the pose ROBOT <- TOOL where the guide is held, outside the skin.
 
     `travel_mm` is the way along the axis from where the approach begins, and where the retreat ends.
+    `arriving`, +1 or -1, says in which direction each joint arrives there, where that is known.
     """
 
     trajectory: str
     held: Transform
     travel_mm: float
+    arriving: tuple[int, ...] | None = None
 
     def as_plain(self) -> dict[str, JournalValue]:
         """For the journal: what is needed to find the way out again."""
-        axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm)
+        axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm, arriving=self.arriving)
         return axis.model_dump(mode="json")
 
     @classmethod
     def from_plain(cls, trajectory: str, axis: object) -> Insertion:
         """Back from the journal; raises ValueError."""
         read = JournalledAxis.model_validate(axis)
-        return cls(trajectory, read.held.transform, read.travel_mm)
+        return cls(trajectory, read.held.transform, read.travel_mm, read.arriving)
 
     @property
     def standoff(self) -> Transform:

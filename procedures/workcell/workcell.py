@@ -17,7 +17,7 @@ from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
 from procedures.workcell.arm_view import ArmView
-from procedures.workcell.carried_tool import CarriedTool, calibrated_arm
+from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.instrument import Instrument
@@ -158,18 +158,17 @@ class Workcell:
         """The measured joints."""
         return self._arm.read_state().joints_rad
 
-    def tool_pose(self, joints_rad: JointVector | None = None) -> Transform:
-        """Pose of the mounted tool at joint angles, by default at the measured ones."""
-        joints = self.joints_rad() if joints_rad is None else joints_rad
-        return self._carried.pose(joints)
+    def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
+        """Pose of the mounted tool at joint angles, by default at the measured ones; see `Sides`."""
+        return self._carried.pose(joints_rad or self.joints_rad(), arrived)
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
         """ROBOT <- FLANGE at joint angles, by the arm's calibration or else nominal."""
         return self._calibrated.flange_pose(joints_rad)
 
-    def joints_at(self, pose: Transform, near: JointVector) -> JointVector:
+    def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self._carried.joints_at(pose, near)
+        return self._carried.joints_at(pose, near, arriving)
 
     @property
     def _carried(self) -> CarriedTool:
@@ -251,9 +250,7 @@ class Workcell:
                 self._move_joints("back", joints_rad)
             return self.go_home()
 
-    def settle(
-        self, joints_rad: JointVector, arriving: Sequence[int] | None, *, from_afar: bool = False
-    ) -> ArmReading:
+    def settle(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> ArmReading:
         """Take joint angles, each joint arriving in its direction, +1 or -1: backlash is then the same.
 
         With None straight from where it stands. From afar by way of home where the direct way is not clear.
@@ -272,10 +269,10 @@ class Workcell:
 
         return self._move("settle", joints_rad, move)
 
-    def line_to(self, pose: Transform) -> ArmReading:
+    def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
-        flange = self._carried.told(pose, self.joints_rad) @ self.flange_from_tool.inverse()
-        return self._move("line", pose, lambda: self._arm.move_linear(flange))
+        told = self._carried.told(pose, self.joints_rad, arriving)
+        return self._move("line", pose, lambda: self._arm.move_linear(told @ self.flange_from_tool.inverse()))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """From where the approach of a trajectory begins along its axis to where the guide is held.
@@ -360,7 +357,7 @@ class Workcell:
         def move() -> ArmReading:
             insertion.check_on_axis(self.tool_pose())
             return self._arm.move_linear(
-                self._carried.told(pose, self.joints_rad),
+                self._carried.told(pose, self.joints_rad, insertion.arriving),
                 flange_from_tool=self.flange_from_tool,
                 speed_fraction=speed_fraction,
             )

@@ -6,7 +6,11 @@ lead to the wanted one. Deviations are small and smooth, so each round leaves a 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
@@ -40,11 +44,16 @@ class CalibratedArm:
         """Whether nothing is known of this arm's deviations."""
         return self._deviations is None
 
-    def forward(self, joints_rad: JointVector) -> Pose:
-        """Pose of the flange in the robot base, with every joint in the middle of its backlash."""
+    def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
+        """Pose of the flange in the robot base.
+
+        `flanks`, +1 or -1, say on which side of its backlash each joint rests: the direction in which it
+        arrived. Without, each is taken to be in the middle.
+        """
         if self._deviations is None:
             return self.nominal.forward(joints_rad)
-        pose = flange_poses(self.nominal.chain, self._deviations, joints_rad)[0]
+        sides: ArrayLike = 0.0 if flanks is None else np.asarray(flanks, dtype=float)
+        pose = flange_poses(self.nominal.chain, self._deviations, joints_rad, sides)[0]
         return Pose.from_matrix(pose.tolist())
 
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
@@ -57,15 +66,18 @@ class CalibratedArm:
             return surroundings
         return surroundings.moved(self.nominal.forward(at_rad).compose(self.forward(at_rad).inverse()))
 
-    def flange_pose(self, joints_rad: JointVector) -> Transform:
+    def flange_pose(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Transform:
         """The same as a checked transform, ROBOT <- FLANGE."""
-        return self.forward(joints_rad).to_transform()
+        return self.forward(joints_rad, flanks).to_transform()
 
-    def compensated(self, flange: Transform, near: JointVector) -> Compensated:
+    def compensated(
+        self, flange: Transform, near: JointVector, flanks: Sequence[float] | None = None
+    ) -> Compensated:
         """Joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
 
-        Raises ARM-001 to ARM-003 as `Kinematics.solve_branch`; ARM-001 also next to a singularity, where no
-        pose of the controller's leads to the wanted one.
+        `flanks` as of `forward`, when the joints have arrived. Raises ARM-001 to ARM-003 as
+        `Kinematics.solve_branch`; ARM-001 also next to a singularity, where no pose of the controller's leads
+        to the wanted one.
         """
         branch = self.nominal.branch_of(near)
         wanted = Pose.from_transform(flange)
@@ -74,7 +86,7 @@ class CalibratedArm:
             joints = self.nominal.solve_branch(told, branch, near)
             if self._deviations is None:
                 return Compensated(joints, told)
-            reached = self.forward(joints)
+            reached = self.forward(joints, flanks)
             if reached.distance_mm(wanted) < CLOSE_MM and reached.angle_rad(wanted) < CLOSE_RAD:
                 return Compensated(joints, told)
             told = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)

@@ -18,6 +18,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 # What the journal says when a sphere is centred, the tool is exchanged, the instrument goes in, it comes out.
 SETTLES, EXCHANGED = '"what":"settle"', '"topic":"tool_change"'
 GOES_IN, COMES_OUT = '"what":"insert"', '"what":"withdraw"'
+MEASURES = '"step":"target_measurement:T1"'
+LARGEST_ERROR_MM = 1.0  # of either kind of case on this seed: three times what they have
 AT_TARGET = '"topic":"at_target:T1"'
 
 
@@ -37,6 +39,27 @@ def test_a_case_that_was_killed_reaches_its_target_all_the_same(
     again = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
     assert again.returncode == 0
     assert json.loads(again.stdout)["targets"] == outcome["targets"]
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize(
+    ("options", "place"),
+    [
+        (("--strategy", "nos", "--calibrated"), SETTLES),
+        (("--strategy", "nos", "--calibrated"), GOES_IN),
+        (("--measure-targets",), MEASURES),
+    ],
+)
+def test_a_case_with_one_registration_for_all_or_a_measured_target_is_taken_up_as_well(
+    commands: Commands, tmp_path: Path, options: tuple[str, ...], place: str
+) -> None:
+    killed = killed_at(commands, (*MINI_SEED_3, *options), tmp_path, place)
+    outcome = taken_up(commands, killed)
+    assert outcome["outcome"] == "done"
+    assert outcome["mean_application_error_mm"] == pytest.approx(0.0, abs=LARGEST_ERROR_MM)
+    measured = [name for name in (killed.folder / "records").iterdir() if "target_measurement" in name.name]
+    assert bool(measured) == ("--measure-targets" in options)
+    assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == 0
 
 
 @pytest.mark.hazard(2)

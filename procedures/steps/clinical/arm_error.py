@@ -15,6 +15,7 @@ from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.strategies.approach import arrival_signs
+from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 
 Array = NDArray[np.float64]
@@ -30,7 +31,8 @@ def arm_errors(
     looks = [planned[index] for index in fiducials]
     at_target = paths.targets[target]
     signs = [at_target.approach_signs] * len(looks)
-    if not context.clinical.strategy.controls_approach:  # then the line to the sphere decides
+    strategy = strategy_named(paths.strategy_of(target))
+    if not strategy.controls_approach:  # then the line to the sphere decides
         head = context.workcell.flange_from(MountedTool.STEREO_HEAD)
         signs = [arrival_signs(kinematics, one.tool_pose.transform, one.joints_rad, head) for one in looks]
     return arm_sources(
@@ -41,5 +43,9 @@ def arm_errors(
             tip_mm[None],
             np.array([at_target.approach_signs], dtype=float),
         ),
-        ErrorSizes.stated(settings.arm_error_mm, settings.tool_error_mm),
+        ErrorSizes.stated(
+            settings.arm_error_mm,
+            settings.tool_error_mm,
+            calibrated=context.workcell.calibrations.arm is not None,
+        ),
     )

@@ -70,7 +70,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
-    reached = workcell.tool_pose()
+    insertion = workcell.insertion
+    reached = workcell.tool_pose(arrived=None if insertion is None else insertion.arriving)
     error_mm = float(np.linalg.norm(reached.translation_mm - commanded.translation_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(

@@ -108,7 +108,9 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         start_rad=context.result(CheckedSetUp).home_rad,
         approach_mm=settings.standoff_mm,
         scene=scene,
-        sizes=ErrorSizes.stated(settings.arm_error_mm, settings.tool_error_mm),
+        sizes=ErrorSizes.stated(
+            settings.arm_error_mm, settings.tool_error_mm, calibrated=workcell.calibrations.arm is not None
+        ),
     )
     context.progress(0.0, "checking every path")
     search = PathSearch(

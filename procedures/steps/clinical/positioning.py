@@ -61,7 +61,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     expected = expected_sight(context, surround_guide(context, robot_from_ct))
     planned = paths.targets[trajectory]
     with refused_by_name(trajectory):
-        standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad)
+        standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad, insertion.arriving)
     hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
     workcell.confirm_motion(
@@ -101,7 +101,8 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
     checked = context.result(CheckedPlan)
     along = held_trajectory(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
     held = refined_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
-    return Insertion(trajectory, held, context.setting.settings.standoff_mm)
+    arriving = paths.targets[trajectory].approach_signs
+    return Insertion(trajectory, held, context.setting.settings.standoff_mm, arriving)
 
 
 @contextmanager

@@ -38,6 +38,8 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
+ONE_SIDE = (1, 1, 1, 1, 1, 1)  # which does not matter
+
 
 class _Measured(NamedTuple):
     planned: LocalizationPose
@@ -125,7 +127,13 @@ def run(context: StepContext) -> Outcome[Relocalization]:
 
 
 def _arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Direction in which each joint will arrive at the target; None when the strategy does not ask for it."""
+    """Direction in which each joint will arrive at the target; None when the strategy does not ask for it.
+
+    Where one registration serves all targets, a calibrated arm arrives from one side: its backlash is known
+    and counts only where it is known on which side a joint rests.
+    """
+    if context.key.trajectory is None and context.workcell.calibrations.arm is not None:
+        return ONE_SIDE
     if (
         context.key.trajectory is None
         or not strategy_named(paths.strategy_of(context.trajectory)).controls_approach

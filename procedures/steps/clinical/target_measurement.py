@@ -71,7 +71,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     context.progress(0.0, f"moving over {name}")
     with refused_by_name(name):
         workcell.go(standoff_rad)
-        workcell.line_to(target)
+        workcell.line_to(target, paths.targets[name].approach_signs)
     context.progress(0.5, f"looking at the ball at {name}")
     seen, why = _look(context)
     joints_rad = workcell.joints_rad()
