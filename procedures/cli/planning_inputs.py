@@ -82,7 +82,11 @@ def theatre_of(
         ),
         start_rad=start_rad,
         approach_mm=theatre.procedure.standoff_mm,
-        sizes=ErrorSizes.stated(theatre.procedure.arm_error_mm, theatre.procedure.tool_error_mm),
+        sizes=ErrorSizes.stated(
+            theatre.procedure.arm_error_mm,
+            theatre.procedure.tool_error_mm,
+            calibrated=theatre.calibration.arm is not None,
+        ),
     )
     bore = ToolRecords.of(theatre).guide.bore
     return Theatre(arm, theatre.cell_with_tools, StereoSight.of(theatre.calibration.stereo_head), bore)
