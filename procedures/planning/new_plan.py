@@ -42,5 +42,7 @@ def _lines(
     yield f"implanted = {count}  # {found}" if known else f"# implanted = ...  # {found}"
     yield 'fiducials = "free"  # or "xframe"'
     yield 'tool = "guide"'
+    yield "standoff_mm = 30.0  # from the entry to the lower end of the guide, outside the skin"
+    yield "# instrument_length_mm = 250.0  # from its tip to where a depth stop still holds"
     for number, centre in enumerate(spheres_mm, start=1):
         yield f"# sphere {number}: {', '.join(f'{value:.2f}' for value in centre)}"

@@ -30,8 +30,10 @@ DATING = {
     "procedures/reporting/report.py",
     "procedures/cli/case/request.py",
     "procedures/cli/doctor/report.py",
-    "procedures/cli/stereo/opening.py",
+    "procedures/cli/calibrating/running.py",
+    "procedures/cli/tool/command.py",
     "procedures/exchange/sphere_files.py",
+    "procedures/exchange/postoperative.py",
     "procedures/steps/clinical/set_up.py",
     "procedures/steps/calibration",
 }

@@ -39,11 +39,11 @@ def test_the_example_of_the_how_to_is_a_cell() -> None:
     [
         ({"margin_mm": 3.0}, "live_margin_mm must be less than margin_mm"),
         ({"zone": {"near_mm": 500.0}}, "far must be farther than near"),
-        ({"bodies": [{**BODY, "radius_mm": 0.0}]}, "cell.bodies.0.radius_mm"),
+        ({"bodies": [{**BODY, "radius_mm": 0.0}]}, "cell.bodies 1.radius_mm"),
         ({"bodies": [{**BODY, "radius_mm": 0.03}]}, "radius_mm: give millimetres, not metres (found 0.03)"),
         ({"bodies": [{**BODY, "frame": "table"}]}, "'head' or 'robot'"),
-        ({"bodies": [{**BODY, "colour": "red"}]}, "cell.bodies.0.colour"),
-        ({"guide": [{**BODY, "end_mm": [0.0, 0.0]}]}, "cell.guide.0.end_mm"),
+        ({"bodies": [{**BODY, "colour": "red"}]}, "cell.bodies 1.colour"),
+        ({"guide": [{**BODY, "end_mm": [0.0, 0.0]}]}, "cell.guide 1.end_mm"),
     ],
 )
 def test_a_mistake_is_named_with_its_place(keys: dict[str, Any], said: str) -> None:

@@ -18,11 +18,11 @@ def _begun(tmp_path: Path, position: str, spheres_mm: list[list[float]] = SPHERE
     return path
 
 
-def test_a_begun_plan_lacks_its_trajectories_only(tmp_path: Path) -> None:
+def test_a_begun_plan_lacks_its_trajectories_and_the_instrument_only(tmp_path: Path) -> None:
     path = _begun(tmp_path, "HFS")
-    with pytest.raises(PlanMistakes, match=r"PLAN-002: plan.toml: trajectories: is missing"):
+    with pytest.raises(PlanMistakes, match=r"2 mistakes: instrument_length_mm: .*trajectories: is missing"):
         read_plan(path)
-    path.write_text(path.read_text() + TRAJECTORY)
+    path.write_text(path.read_text().replace("# instrument_length_mm", "instrument_length_mm") + TRAJECTORY)
     plan = read_plan(path)
     assert (plan.implanted, plan.patient_orientation.value) == (3, "HFS")
     assert "# sphere 3: 1.00, 60.00, 3.00" in path.read_text()
@@ -32,6 +32,6 @@ def test_what_the_series_does_not_say_is_left_to_the_planner(tmp_path: Path) -> 
     path = _begun(tmp_path, "", SPHERES_MM[:2])
     path.write_text(path.read_text() + TRAJECTORY)
     with pytest.raises(
-        PlanMistakes, match="2 mistakes: patient_orientation: is missing; implanted: is missing"
+        PlanMistakes, match="3 mistakes: patient_orientation: is missing; implanted: is missing; instrument_l"
     ):
         read_plan(path)
