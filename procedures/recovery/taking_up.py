@@ -84,6 +84,10 @@ def _take_up_arm(
 ) -> None:
     """The arm as it was left, every device compared, and the instrument where its tip is."""
     workcell, arm = engine.setting.workcell, left_arm(left.run.journal)
+    if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
+        # The journal says later that an instrument goes in than where the guide is: that line can be lost alone.
+        arm = replace(arm, instrument_in=on.trajectory)
+        comparison.note(f"nothing says that no instrument is in {on.trajectory}: one counts as inside")
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)

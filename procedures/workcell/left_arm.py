@@ -25,6 +25,7 @@ class LeftArm:
     withdrawn_from: str | None = None
     motions: int = 0
     instrument_in: str | None = None
+    instrument_out: bool = False  # confirmed since the guide was brought there last
 
 
 def left_arm(lines: Iterable[Line]) -> LeftArm:
@@ -35,13 +36,15 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
     motion: Line = {}
     motions = 0
     instrument_in: str | None = None
+    instrument_out = False
     for line in lines:
         if line["entry"] == Entry.MOTION:
             motion, motions = line, motions + 1
             if line.get("what") == "insert":
-                insertion, withdrawn_from = _insertion(line), None
+                insertion, withdrawn_from, instrument_out = _insertion(line), None, False
         elif line["entry"] == Entry.INSTRUMENT:
-            instrument_in = str(line.get("trajectory")) if line.get("inside") else None
+            instrument_out = not line.get("inside")
+            instrument_in = None if instrument_out else str(line.get("trajectory"))
         elif line["entry"] == Entry.MOVED and "joints_rad" in line:
             what = motion.get("what")
             if what == "withdraw" and insertion is not None:
@@ -51,7 +54,7 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
                 trail.clear()
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
-    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in)
+    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out)
 
 
 def _insertion(line: Line) -> Insertion:

@@ -137,6 +137,26 @@ def test_a_guide_whose_lines_were_lost_is_found_by_where_it_is(cell: ClinicalCel
     assert [one.topic for one in again.operator.asked][1] is Topic.INSTRUMENT_OUT
 
 
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("way", [recover, bring_home])
+@pytest.mark.parametrize("torn", [False, True])
+def test_where_only_the_line_of_the_instrument_was_lost_it_counts_as_inside(
+    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], torn: bool
+) -> None:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find(f"at_target:{FIRST}"))
+    broken_off(cell)
+    path = cell.folder / JOURNAL_FILE
+    lines = path.read_bytes().splitlines(keepends=True)
+    goes_in = next(number for number, line in enumerate(lines) if b'"inside":true' in line)
+    path.write_bytes(b"".join(lines[:goes_in]) + (bytes(len(lines[goes_in])) if torn else b""))
+    again, engine, left = opened_again(cell, order)
+    again.operator.refusing = (Topic.INSTRUMENT_OUT,)
+    with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
+        way(engine, left)
+    assert again.arm.motions == []
+
+
 def left_with_an_instrument_inside(cell: ClinicalCell) -> tuple[ClinicalCell, Engine, LeftRun]:
     """Killed while somebody works through the guide."""
     order, ask = case_order(cell), cell.operator.ask
