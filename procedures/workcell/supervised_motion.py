@@ -107,7 +107,11 @@ class SupervisedMotion:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
                 self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
-            resume()
+            if not checkpoint.wanted:
+                resume()
+            if checkpoint.wanted:  # since the checkpoint, such as a stop while the question stood
+                self._confirmed = False
+                continue
             try:
                 return self._log.record(what, to, watched, trajectory, **more)
             except MotionInterrupted:

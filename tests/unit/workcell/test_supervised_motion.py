@@ -6,7 +6,7 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotConfirmed, OperatorAborted
-from procedures.engine.operator import Topic
+from procedures.engine.operator import Question, Topic
 from procedures.workcell import MountedTool
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
@@ -71,6 +71,24 @@ def test_a_motion_that_somebody_stopped_goes_on_from_where_the_arm_stands_when_t
     assert cell.arm.motions == [("joints", turned(0.2))]
     assert cell.arm.calls == ["resume"]
     assert engine.machine.state == "idle"
+
+
+@pytest.mark.hazard(5)
+def test_a_stop_while_the_first_motion_is_asked_about_holds_until_it_is_answered(cell: RecordingCell) -> None:
+    engine, ask, at_pause = supervised(cell), cell.operator.ask, []
+
+    def stopping(question: Question) -> str:
+        if question.topic is Topic.FIRST_MOTION and not at_pause:
+            engine.checkpoint.pause("somebody stopped the arm")
+            cell.arm.state = Lifecycle.HOLD
+        if question.topic is Topic.PAUSE:
+            at_pause.append((cell.arm.state, list(cell.arm.motions)))
+        return ask(question)
+
+    cell.operator.ask = stopping  # type: ignore[method-assign]
+    cell.workcell.go(turned(0.1))
+    assert topics(cell) == [Topic.FIRST_MOTION, Topic.PAUSE, Topic.FIRST_MOTION]
+    assert at_pause == [(Lifecycle.HOLD, [])]
 
 
 def test_a_motion_that_somebody_stopped_moves_no_more_when_the_operator_aborts(cell: RecordingCell) -> None:
