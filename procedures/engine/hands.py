@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from procedures.engine.context import CaseSetting
 
 IS_OUT, INSIDE = "out", "inside"
+IN_GAUGE = "the gauge"  # where the mandrel is while the guide is checked, in place of a trajectory
 
 
 def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
@@ -37,21 +38,23 @@ def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float
 def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Question], str]) -> None:
     """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless it is said."""
     instrument = setting.workcell.instrument
-    if (trajectory := instrument.inside) is None:
+    if (place := instrument.inside) is None:
         return
-    subject = f"take the instrument out of {trajectory}, and out of the guide"
-    have_done(setting, journal, Task(OUT, subject, trajectory))
+    what, trajectory = ("mandrel", None) if place == IN_GAUGE else ("instrument", place)
+    have_done(
+        setting, journal, Task(OUT, f"take the {what} out of {place}, and out of the guide", trajectory)
+    )
     question = Question(
         Topic.INSTRUMENT_OUT,
-        f"the instrument is out of {trajectory} and out of the guide",
-        "while it is inside, nothing moves",
+        f"the {what} is out of {place} and out of the guide",
+        "while it is inside, nothing moves; then the arm may: stand clear before you answer",
         (IS_OUT, INSIDE),
         trajectory,
         timeout_s=None,
     )
     if ask(question) != IS_OUT:
         raise NotConfirmed(
-            f"an instrument is still in {trajectory}: nothing moves",
+            f"an instrument is still in {place}: nothing moves",
             action="Take it out of the guide, then repeat the step, or send the arm home.",
         )
     instrument.is_out()

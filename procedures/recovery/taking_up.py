@@ -85,7 +85,7 @@ def _take_up_arm(
     """The arm as it was left, every device compared, and the instrument where its tip is."""
     workcell, arm = engine.setting.workcell, left_arm(left.run.journal)
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
-        # The journal says later that an instrument goes in than where the guide is: that line can be lost alone.
+        # The line that says an instrument goes in is later than that of the guide, and can be lost alone.
         arm = replace(arm, instrument_in=on.trajectory)
         comparison.note(f"nothing says that no instrument is in {on.trajectory}: one counts as inside")
     workcell.take_up(arm, set_up.home_rad)

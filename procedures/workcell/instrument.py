@@ -1,4 +1,4 @@
-"""An instrument in the guide: while it is beyond the entry, or may be, nothing moves at all."""
+"""An instrument in the guide: while it is in an entry or in the gauge, or may be, nothing moves at all."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Instrument:
 
     @property
     def inside(self) -> str | None:
-        """The trajectory in which it is, or may be; None while it is out."""
+        """The trajectory, or the gauge, in which it is or may be; None while it is out."""
         return self._inside
 
     def goes_in(self, trajectory: str) -> None:
@@ -39,6 +39,6 @@ class Instrument:
         """Raises TOOL-001 while it is inside."""
         if self._inside is not None:
             raise InstrumentInGuide(
-                f"{what}: an instrument is in the guide, beyond the entry of {self._inside}",
+                f"{what}: an instrument is in the guide, and in {self._inside}",
                 expected="that it is out, and confirmed to be",
             )

@@ -18,12 +18,12 @@ from sim.cli import app as ronna_sim
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_LINES = 117
-FULL_LINES = (5, 48, 91, 112, 134, 176, 219, 240, 282, 304)  # of 325
+MINI_LINES = 125
+FULL_LINES = (5, 48, 91, 112, 134, 176, 219, 240, 282, 304)  # of 333
 FULL = ("run", "--sim", "--seed", "7", "--json")
-# A sphere is centred, the tool is exchanged and checked, the guide is held, the instrument goes in, is at
-# depth, comes out, and the guide goes back, among others.
-POWER_CUTS = (5, 12, 17, 31, 45, 58, 71, 78, 90, 97, 104, 107, 111)
+# A sphere is centred, the tool exchanged, the mandrel is in the gauge, the guide is held, the instrument goes
+# in, is at depth, comes out, and the guide goes back, among others.
+POWER_CUTS = (5, 12, 17, 31, 45, 58, 71, 79, 82, 98, 105, 112, 115, 119)
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
+from procedures.engine.hands import IN_GAUGE
 from procedures.engine.operator import Task, Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
@@ -50,9 +51,10 @@ class CheckedTool(StepResult, kind="tool_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedTool]:
-    """Bring the mandrel into the gauge, have it read, go home. Raises TOOL-005 beyond a limit, PRO-002."""
+    """Have the mandrel put into the gauge, read and taken out, twice; go home. Raises TOOL-005, PRO-002."""
     workcell = context.workcell
     context.result(MountedGuide)
+    context.have_instrument_out()  # of an earlier try
     workcell.check_mounted(MountedTool.GUIDE)
     guide = workcell.tools.guide
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform
@@ -74,7 +76,9 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     for number in range(APPROACHES):
         context.progress((1 + number) / (2 + APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ARRIVING, from_afar=number == 0)
+        workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))
+        context.have_instrument_out()
     workcell.return_home()
     offset, tilt_deg = compared(guide.gauge, readings)
     off_mm = math.hypot(*offset)

@@ -16,7 +16,7 @@ from procedures.steps.clinical import positioning
 from procedures.steps.clinical.errors import ToolBesideGauge
 from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import ForeignTool, NoToolRecord
+from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import ToolPurpose
@@ -64,6 +64,21 @@ def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
 def test_a_gauge_that_nobody_reads_is_no_check(cell: ClinicalCell) -> None:
     with pytest.raises(NotConfirmed, match="PRO-002: nobody read it off"):
         check(cell)
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("dials_mm", [(0.0,) * 5, ()], ids=["read", "not read"])
+def test_nothing_moves_away_from_the_gauge_before_the_mandrel_is_out(
+    cell: ClinicalCell, dials_mm: tuple[float, ...]
+) -> None:
+    cell.operator = RecordingOperator(Topic.INSTRUMENT_OUT)
+    with pytest.raises(NotConfirmed):
+        check(cell, *dials_mm)
+    assert len(cell.arm.motions) == 2  # over to the gauge
+    with pytest.raises(
+        InstrumentInGuide, match="TOOL-001: home: an instrument is in the guide, and in the gauge"
+    ):
+        cell.workcell.return_home()
 
 
 @pytest.mark.hazard(47)
