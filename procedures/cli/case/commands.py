@@ -51,10 +51,18 @@ def _run(engine: Engine, argument: str, say: Say) -> None:
         engine.run_step(key)
 
 
+def why_not_up_to(engine: Engine, key: StepKey) -> str:
+    """Why a case cannot be run up to a step; empty when it can."""
+    if engine.case.stands(key):
+        return f"{key} is done already"
+    reason = engine.left_out(key)
+    return "" if reason is None else f"{key.trajectory} was left out: {reason}"
+
+
 def _to(engine: Engine, argument: str, say: Say) -> None:
     key = engine.order.find(argument)
-    if engine.case.stands(key):
-        say(f"{key} is done already; back {key} repeats it")
+    if refused := why_not_up_to(engine, key):
+        say(f"{refused}; back {key} repeats it" if engine.case.stands(key) else refused)
         return
     engine.run_to(key)
 

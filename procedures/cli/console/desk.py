@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.commands import why_not_up_to
 from procedures.cli.console.seat import Seat
 from procedures.engine.checkpoint import ABORT, GO_ON
 from procedures.engine.events import Seat as SeatEvent
@@ -48,6 +49,7 @@ class Wish:
     what: str
     step: str = ""
     by: str = ""
+    vacated: int = 0  # how often the seat had become free when it was given
 
 
 @dataclass
@@ -76,6 +78,7 @@ class Desk:
         self._standing: _Standing | None = None
         self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
         self._taken: deque[tuple[str, str]] = deque()  # changes of the seat, for the journal: session, name
+        self._vacated = 0
         self._gone = False
 
     def attach(self, engine: Engine) -> None:
@@ -97,6 +100,11 @@ class Desk:
         """Whether the case is operated from the console: it lives, and somebody has taken its seat."""
         with self._changed:
             return not self._gone and (self._waits or self._seat.ever_taken)
+
+    @property
+    def waits(self) -> bool:
+        """Whether nothing is done without somebody who has taken the seat."""
+        return self._waits
 
     @property
     def gone(self) -> bool:
@@ -140,8 +148,7 @@ class Desk:
         if not self._seat.held_by(order.session):
             return "you are not in the operator's seat"
         if isinstance(order, Release):
-            self._seat.free()
-            self._tell_seat("", "", "the operator left it")
+            self._vacate("the operator left it")
             return ""
         if self._engine is None:
             return "the theatre is not open yet"
@@ -152,6 +159,7 @@ class Desk:
     def _steer(self, order: AnyOrder, engine: Engine) -> str:
         name = self._seat.holder
         paused = self._standing is not None and self._standing.question.topic is Topic.PAUSE
+        vacated = self._vacated
         match order:
             case Pause():
                 if self._waiting_for is not None:
@@ -166,21 +174,23 @@ class Desk:
                     engine.checkpoint.abort()
                     if self._standing is not None:
                         self._settle(self._standing.question.silence, order.session)
-                self._wish = Wish("abort", by=name)
+                self._wish = Wish("abort", by=name, vacated=vacated)
             case _ if self._waiting_for is None:
                 return "the engine is not waiting for this: a step is running, or a question stands"
             case Next(upcoming=seen) | RunTo(upcoming=seen) if seen != self._waiting_for:
                 return f"that is past: the next step is {self._waiting_for}"
             case Next():
-                self._wish = Wish("next", by=name)
+                self._wish = Wish("next", by=name, vacated=vacated)
             case RunTo(step=step):
                 if step not in map(str, engine.order.sequence):
                     return f"there is no step {step!r}"
-                self._wish = Wish("to", step, by=name)
+                if refused := why_not_up_to(engine, engine.order.find(step)):
+                    return refused
+                self._wish = Wish("to", step, by=name, vacated=vacated)
             case Resume():
-                self._wish = Wish("end", by=name)
+                self._wish = Wish("end", by=name, vacated=vacated)
             case Acknowledge():
-                self._wish = Wish("acknowledge", by=name)
+                self._wish = Wish("acknowledge", by=name, vacated=vacated)
         return ""
 
     def _stop(self) -> str:
@@ -217,8 +227,15 @@ class Desk:
 
     def _notice_lapse(self) -> None:
         if self._seat.lapsed:
-            self._seat.free()
-            self._tell_seat("", "", "the operator's page was not heard of for 10 s")
+            self._vacate("the operator's page was not heard of for 10 s")
+
+    def _vacate(self, reason: str) -> None:
+        """The seat is free, and what its holder ordered counts no more, save the end of the case."""
+        self._seat.free()
+        self._vacated += 1
+        if self._wish is not None and self._wish.what != "abort":
+            self._wish = None
+        self._tell_seat("", "", reason)
 
     def _tell_seat(self, session: str, name: str, reason: str = "") -> None:
         self._taken.append((session, name))
@@ -271,9 +288,8 @@ class Desk:
         with self._changed:
             return self._wish is not None and self._wish.what == "abort"
 
-    @property
-    def occupied(self) -> bool:
-        """Whether somebody is in the seat."""
+    def occupied_since(self, vacated: int) -> bool:
+        """Whether somebody is in the seat, and it has not become free since it had been so that often."""
         with self._changed:
             self._notice_lapse()
-            return bool(self._seat.holder)
+            return bool(self._seat.holder) and self._vacated == vacated

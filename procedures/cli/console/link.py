@@ -115,4 +115,4 @@ class ConsoleLink:
         if not self._desk.gone:
             self._desk.leave()
             if not self._ending:
-                self._say("the console has ended; the case goes on, and this terminal operates it")
+                self._say("the console has ended; this terminal operates the case")

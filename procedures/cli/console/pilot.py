@@ -18,6 +18,7 @@ from ronna_hw.errors import RonnaError
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
+WITHOUT = "the console has ended; continuing runs the case on from this terminal"
 HELD = "the case is held, the arm rests; the operator at the console says how it goes on"
 LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
 
@@ -46,6 +47,8 @@ class Pilot:
         self.desk = desk
         self._runs = runs
         self._going = runs and not desk.in_charge
+        self._vacated = 0  # how often the seat had become free when that was ordered
+        self._rested = False  # since the console ended
         self._until: str | None = None  # the last step that was ordered; None: all
         self._engine: Engine | None = None
 
@@ -72,12 +75,16 @@ class Pilot:
     def run_to_end(self, engine: Engine) -> None:
         """Run the case as ordered. Raises OperatorAborted, and what a step raises while nobody operates.
 
-        Where the case does not go on by itself it is left when the console ends.
+        When the console ends a case that does not go on by itself is left; one that waits for the operator
+        rests until it is continued without the console.
         """
         while (key := engine.upcoming) is not None:
             self.note_seat()
             if self.desk.gone and not self._runs:
                 return
+            if self.desk.gone and self.desk.waits and not self._rested:
+                self._rested = True
+                engine.checkpoint.pause(WITHOUT)  # met before the step begins
             if self._must_wait():
                 self._carry_out(engine, self.desk.wish(self._wait(engine)))
                 continue
@@ -88,11 +95,14 @@ class Pilot:
         self._wait(engine)
         while not select.select([sys.stdin], [], [], 0.0)[0]:
             self.note_seat()
-            if engine.machine.ended or (key := engine.upcoming) is None:
+            if self.desk.gone or engine.machine.ended or (key := engine.upcoming) is None:
                 select.select([sys.stdin], [], [], LOOK_AGAIN_S)
             elif self._going and not self._must_wait():
                 self._run_step(engine, str(key))
             else:
+                if self._going:  # whoever ordered it has left the seat
+                    self._going = False
+                    self._wait(engine)
                 self._carry_out(engine, self.desk.wish(str(key), LOOK_AGAIN_S))
         self._going = False
 
@@ -100,7 +110,7 @@ class Pilot:
         if not self.in_charge:
             self._going = self._going or self._runs  # the console is gone, and the case goes on
             return not self._going
-        return not self._going or not self.desk.occupied
+        return not self._going or not self.desk.occupied_since(self._vacated)
 
     def _wait(self, engine: Engine) -> str:
         publish_waiting(engine)
@@ -141,7 +151,7 @@ class Pilot:
             self._wait(engine)
         else:
             self._until = {"next": str(engine.upcoming), "to": wish.step}.get(wish.what)
-            self._going = True
+            self._going, self._vacated = True, wish.vacated
 
     def _abort(self, engine: Engine) -> None:
         """Retreat and park as far as the operator confirms it, then end the case. Raises OperatorAborted."""

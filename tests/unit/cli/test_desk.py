@@ -124,7 +124,7 @@ def test_a_seat_is_kept_by_renewing_and_free_when_its_page_is_not_heard_of(stand
         stand.give("renew")
     assert stand.give("claim", BEN, name="Ben") == "the seat is taken by Ana"
     stand.clock.now_s += LEASE_S + 1.0
-    assert not stand.desk.occupied
+    assert not stand.desk.occupied_since(0)
     assert stand.give("renew") == ""
     assert stand.give("pause") == "you are not in the operator's seat"
     assert stand.give("claim", BEN, name="Ben") == ""

@@ -21,6 +21,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import ConsoleMissing, GateFailed, OperatorAborted
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.operator import Topic
 from procedures.engine.orders import read_order
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
@@ -105,12 +106,42 @@ def test_a_simulated_case_runs_by_itself_until_somebody_takes_the_seat(cell: Rec
     assert case.engine.machine.state == "finished"
 
 
-def test_a_console_that_ends_lets_a_case_go_on_that_runs_by_itself(cell: RecordingCell) -> None:
-    with running(Operated(cell.engine(plain_order()))) as case:
+def test_a_case_whose_console_ends_does_nothing_more_until_it_is_continued_without(
+    cell: RecordingCell,
+) -> None:
+    cell.operator.refusing = (Topic.PAUSE,)
+    case = Operated(cell.engine(plain_order()))
+    case.pilot.desk.leave()
+    case._run()
+    assert isinstance(case.ended_by[0], OperatorAborted)
+    assert not case.stands("image")
+    assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
+
+
+def test_a_case_that_is_continued_without_its_console_runs_to_its_end(cell: RecordingCell) -> None:
+    case = Operated(cell.engine(plain_order()))
+    case.pilot.desk.leave()
+    case._run()
+    assert case.engine.machine.state == "finished"
+
+
+def test_what_was_ordered_from_a_seat_that_became_free_is_not_done_for_the_next_who_takes_it(
+    cell: RecordingCell,
+) -> None:
+    def leaving(context: StepContext) -> Outcome[StepResult]:
+        case.give("release")
+        case.give("claim", name="Ben")
+        return Outcome(context.spec.result())
+
+    case = Operated(cell.engine(plain_order(image=leaving)))
+    with running(case):
         case.await_waiting()
-        case.pilot.desk.leave()
-        eventually(lambda: case.ended_by == [None])
-        assert case.engine.machine.state == "finished"
+        case.give("claim", name="Ana")
+        case.give("resume")
+        eventually(lambda: case.stands("image"))
+        case.await_waiting()
+        assert not case.stands("localization:T1")
+        assert case.give("run_to", upcoming="localization:T1", step="image") == "image is done already"
 
 
 def failing(times: int) -> Callable[[StepContext], Outcome[StepResult]]:
