@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
@@ -18,9 +19,13 @@ IN_GAUGE = "the gauge"  # where the mandrel is while the guide is checked, in pl
 
 
 def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
-    """What was read off; raises PRO-002 when nobody reads it."""
+    """What was read off; raises PRO-002 when nobody reads it, or no numbers."""
     began_s = setting.clock.now_s()
     readings = setting.room.work(task)
+    if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
+        raise NotConfirmed(
+            f"no numbers were read off: {task.subject}", expected=", ".join(task.reads), got=str(readings)
+        )
     journal.write(
         Entry.WORK,
         setting.clock.now_s(),

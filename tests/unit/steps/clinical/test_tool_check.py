@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -79,6 +80,12 @@ def test_nothing_moves_away_from_the_gauge_before_the_mandrel_is_out(
         InstrumentInGuide, match="TOOL-001: home: an instrument is in the guide, and in the gauge"
     ):
         cell.workcell.return_home()
+
+
+@pytest.mark.hazard(47)
+def test_what_is_no_number_passes_no_limit(cell: ClinicalCell) -> None:
+    with pytest.raises(NotConfirmed, match="PRO-002: no numbers were read off"):
+        check(cell, math.nan, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.hazard(47)
