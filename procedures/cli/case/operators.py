@@ -162,7 +162,7 @@ class TerminalRoom:
             self._hint("dials")
             while sys.stdin.isatty() and (typed := _typed("x y z in mm, along the axes of the robot", None)):
                 try:
-                    x, y, z = (float(value) for value in typed.replace(",", " ").split())
+                    x, y, z = (_number(value) for value in typed.split())
                 except ValueError:
                     _say(f"{typed!r} is not three numbers, such as 0.12 -0.05 0.30.")
                     continue
@@ -195,12 +195,18 @@ class TerminalRoom:
             return tuple(readings)
 
 
+def _number(typed: str) -> float:
+    """A finite number, with a point or a comma before its decimals; raises ValueError."""
+    if not math.isfinite(number := float(typed.replace(",", "."))):
+        raise ValueError(typed)
+    return number
+
+
 def _typed_number(what: str) -> float | None:
     """A finite number; what is none is asked again. None when the terminal is gone."""
     while typed := _typed(what, None):
         with suppress(ValueError):
-            if math.isfinite(number := float(typed.replace(",", "."))):
-                return number
+            return _number(typed)
         _say(f"{typed!r} is not a number.")
     return None
 

@@ -27,7 +27,7 @@ def test_only_in_a_simulated_room_a_command_mounts_the_tool(
 def test_dials_are_typed_as_three_numbers_and_asked_again_otherwise(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typed = iter(["zero", "0.1 0.2", "0.12, -0.05, 0.30"])
+    typed = iter(["zero", "0.1 0.2", "0,1 2", "0.12, -0.05, 0.30", "nan 0 0", "0,12 -0.05 0.30"])
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr(operators, "_typed", lambda _what, _ends_s: next(typed))
     assert TerminalRoom(simulated=True).read_dials("orientation 4") == (0.12, -0.05, 0.30)
