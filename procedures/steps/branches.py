@@ -260,7 +260,7 @@ TOOL_BESIDE_GAUGE = Branch(
 )
 WRONG_STOP = Branch(
     "the depth stop of the instrument is set wrong",
-    "what is read off its scale against what was computed, 0.2 mm",
+    "what is read off its scale against what was computed, 0.1 mm",
     ("at_target",),
     f"it is set again and read again, {SETTINGS} times at most; no instrument goes in",
     Ending.ASK,

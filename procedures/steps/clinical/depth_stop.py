@@ -13,8 +13,8 @@ from procedures.steps.clinical.errors import DepthStopWrong
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.wire.room_tasks import DEPTH_STOP
 
-# A scale with a vernier is set and read to 0.05 mm; four times that is another setting.
-STOP_LIMIT_MM = 0.2
+# A vernier is set and read to 0.05 mm, which the prediction counts; beyond twice that it is wrong.
+STOP_LIMIT_MM = 0.1
 SET_BY_HAND_MM = 0.05  # how exactly it is set, one standard deviation
 
 
