@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
 from urllib.parse import parse_qs
 
-from console.sessions import Session, Sessions
+from console.sessions import Role, Session, Sessions
 
 Scope = MutableMapping[str, Any]
 Message = MutableMapping[str, Any]
@@ -19,7 +19,7 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-MOST_CLIENTS = 9  # open pages: the operator's and eight viewers'
+MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
 LARGEST_BODY_BYTES = 65_536
 MOST_FIELDS = 8  # of a query
 SESSION = "ronna.session"  # where the session of a request stands in its scope
@@ -49,7 +49,7 @@ class Guard:
         self._sessions = sessions
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._cookie = f"ronna_console_{port}"  # browsers do not keep ports apart
-        self.clients = 0  # open sockets
+        self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
@@ -98,17 +98,17 @@ class Guard:
         headers = _headers(scope)
         host = headers.get("host", "")
         session = self._session(headers)
-        allowed = host in self._hosts and headers.get("origin") == f"http://{host}" and session is not None
-        if not allowed or self.clients >= MOST_CLIENTS:
+        allowed = host in self._hosts and headers.get("origin") == f"http://{host}"
+        if not allowed or session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
             await receive()
             await send({"type": "websocket.close", "code": 1008})  # before it is accepted: an answer of 403
             return
         scope[SESSION] = session
-        self.clients += 1
+        self.clients[session.role] += 1
         try:
             await self._app(scope, receive, send)
         finally:
-            self.clients -= 1
+            self.clients[session.role] -= 1
 
     def _session(self, headers: dict[str, str]) -> Session | None:
         cookies: http.cookies.SimpleCookie = http.cookies.SimpleCookie()

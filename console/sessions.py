@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import secrets
 import time
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import StrEnum
 
 TOKEN_BYTES = 32
-MOST_SESSIONS = 64  # the oldest makes room
+MOST_SESSIONS = 64  # of a role; its oldest makes room
 ORDERS_PER_SECOND = 10
 
 
@@ -45,7 +45,7 @@ class Sessions:
         self.now_s = now_s
         self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
-        self._sessions: OrderedDict[str, Session] = OrderedDict()
+        self._sessions: dict[str, Session] = {}  # by cookie, the oldest first
 
     def open(self, token: str) -> str | None:
         """The cookie of a new session for a token; None for one that is none of ours."""
@@ -59,8 +59,9 @@ class Sessions:
             return None
         cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions[cookie] = Session(role, secrets.token_hex(6))
-        while len(self._sessions) > MOST_SESSIONS:
-            self._sessions.popitem(last=False)
+        same = [kept for kept, session in self._sessions.items() if session.role is role]
+        for oldest in same[:-MOST_SESSIONS]:
+            del self._sessions[oldest]
         return cookie
 
     def find(self, cookie: str | None) -> Session | None:

@@ -6,6 +6,7 @@ import pytest
 from console_requests import HOST, ORIGIN, SOCKET, Console
 
 from console.guard import LARGEST_BODY_BYTES, MOST_CLIENTS
+from console.sessions import Role
 
 
 @pytest.fixture
@@ -99,12 +100,13 @@ def test_the_page_librarys_second_transport_is_closed(console: Console) -> None:
     assert console.request("POST", SOCKET, headers=headers, body=b"40").status == 400
 
 
-def test_a_tenth_page_is_refused(console: Console) -> None:
+def test_a_ninth_viewer_is_refused_and_the_operator_comes_in(console: Console) -> None:
     headers = {"cookie": console.viewer(), "origin": ORIGIN}
-    console.app.clients = MOST_CLIENTS - 1
+    console.app.clients[Role.VIEWER] = MOST_CLIENTS[Role.VIEWER] - 1
     assert console.open_socket(headers)
-    console.app.clients = MOST_CLIENTS
+    console.app.clients[Role.VIEWER] = MOST_CLIENTS[Role.VIEWER]
     assert not console.open_socket(headers)
+    assert console.open_socket({"cookie": console.operator(), "origin": ORIGIN})
 
 
 def test_a_header_that_comes_twice_counts_as_none(console: Console) -> None:

@@ -101,12 +101,14 @@ def test_a_case_that_does_not_run_here_takes_no_order() -> None:
     assert asyncio.run(Hub(Path()).order(OPERATOR, {"kind": "pause"})) == NOT_RUNNING
 
 
-def test_sessions_are_bounded_and_the_oldest_makes_room() -> None:
+def test_sessions_are_bounded_and_the_oldest_of_a_role_makes_room() -> None:
     sessions = Sessions()
+    operator = sessions.open(sessions.operator_token)
     cookies = [sessions.open(sessions.viewer_token) for _ in range(MOST_SESSIONS + 1)]
     assert sessions.find(cookies[0]) is None
     assert sessions.find(cookies[-1]) is not None
     assert sessions.find(None) is None
+    assert sessions.find(operator) is not None
 
 
 def test_a_port_that_is_in_use_is_told_with_what_to_do() -> None:
