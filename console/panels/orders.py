@@ -59,23 +59,51 @@ class OrderPanel:
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
-        self._view = CaseView()
         with ui.element("div").classes("orders").props('role=toolbar aria-label="Orders"'):
-            self._next = self._button("Next", self._order_next, "next", "go")
+            self._next_place = ui.element("div").style("display: contents")
             self._to = ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
-            self._run_to = self._button("Run to", self._order_run_to, "run_to")
-            self._resume = self._button("Run on", self._order_resume, "resume")
+            self._run_place = ui.element("div").style("display: contents")
             self._pause = self._button("Pause", self._order_pause, "pause")
             self._acknowledge = self._button("Acknowledge faults", self._order_acknowledge, "acknowledge")
             self._abort = HeldButton("Abort (hold)", self._order_abort, tell).button
             self._abort.props("data-do=abort").classes("plain")
+        self._build("", None)
+
+    def _build(self, upcoming: str, pause: int | None) -> None:
+        """New buttons for what is shown now: a late click on the old ones is for nothing that stands."""
+        self._quoted = upcoming, pause
+
+        async def order_next() -> None:
+            await self._give({"kind": "next", "upcoming": upcoming})
+
+        async def order_run_to() -> None:
+            await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._to.value)})
+
+        async def order_resume() -> None:
+            await self._give(
+                {"kind": "resume", "upcoming": upcoming}
+                if pause is None
+                else {"kind": "resume", "question": pause}
+            )
+
+        self._next_place.clear()
+        with self._next_place:
+            self._next = self._button(f"Next: {upcoming}" if upcoming else "Next", order_next, "next", "go")
+        self._run_place.clear()
+        with self._run_place:
+            self._run_to = self._button("Run to", order_run_to, "run_to")
+            words = "Run on" if pause is None else "Go on"
+            self._resume = self._button(words, order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable what can be asked now; quotes what is shown from here on."""
-        self._view = view
-        paused = view.question is not None and view.question.topic == AT_PAUSE
+        """Enable what can be asked now; its buttons quote what they were shown with."""
+        pause = view.question.question if view.question and view.question.topic == AT_PAUSE else None
+        paused = pause is not None
         waits = view.waiting is not None and bool(view.upcoming) and view.question is None
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
+        quoted = view.upcoming if waits and is_mine else "", pause
+        if quoted != self._quoted:
+            self._build(*quoted)
         self._next.set_enabled(is_mine and waits and not ended)
         self._run_to.set_enabled(is_mine and waits and not ended)
         self._resume.set_enabled(is_mine and (waits or paused) and not ended)
@@ -88,7 +116,6 @@ class OrderPanel:
         if options != self._to.options:
             kept = self._to.value if self._to.value in options else (options[-1] if options else None)
             self._to.set_options(options, value=kept)
-        self._next.set_text(f"Next: {view.upcoming}" if waits and is_mine else "Next")
 
     def _button(
         self, label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain"
@@ -98,15 +125,6 @@ class OrderPanel:
             .classes(kind)
             .props(f"no-caps unelevated data-do={name}")
         )
-
-    async def _order_next(self) -> None:
-        await self._give({"kind": "next", "upcoming": self._view.upcoming})
-
-    async def _order_run_to(self) -> None:
-        await self._give({"kind": "run_to", "upcoming": self._view.upcoming, "step": str(self._to.value)})
-
-    async def _order_resume(self) -> None:
-        await self._give({"kind": "resume"})
 
     async def _order_pause(self) -> None:
         await self._give({"kind": "pause"})

@@ -72,6 +72,8 @@ class Resume(_Order):
     """Go on to the end of the case, or where it is paused."""
 
     kind: Literal["resume"] = "resume"
+    upcoming: Short = Field(default="", description="The step that was shown as the next, between steps.")
+    question: int = Field(default=0, description="The question of the pause, where the case is paused.")
 
 
 class Stop(_Order):

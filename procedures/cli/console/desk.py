@@ -165,7 +165,9 @@ class Desk:
                 if self._waiting_for is not None:
                     return "no step is running"
                 engine.checkpoint.pause(f"{name} asked for a pause")
-            case Resume() if paused:
+            case Resume(question=number) if paused:
+                if self._standing is None or self._standing.question.number != number:
+                    return "that pause is past"
                 self._settle(GO_ON, order.session)
             case Abort() if paused:
                 self._settle(ABORT, order.session)
@@ -177,7 +179,9 @@ class Desk:
                 self._wish = Wish("abort", by=name, vacated=vacated)
             case _ if self._waiting_for is None:
                 return "the engine is not waiting for this: a step is running, or a question stands"
-            case Next(upcoming=seen) | RunTo(upcoming=seen) if seen != self._waiting_for:
+            case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if (
+                seen != self._waiting_for
+            ):
                 return f"that is past: the next step is {self._waiting_for}"
             case Next():
                 self._wish = Wish("next", by=name, vacated=vacated)

@@ -149,10 +149,12 @@ def test_resume_answers_a_pause_and_between_steps_runs_on(stand: Stand) -> None:
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
     answers = stand.ask(pause)
     assert stand.give("next", upcoming="image") != ""
-    assert stand.give("resume") == ""
+    assert stand.give("resume", question=2) == "that pause is past"
+    assert stand.give("resume", question=3) == ""
     eventually(lambda: answers == ["continue"])
     wishes = stand.wish()
-    assert stand.give("resume") == ""
+    assert stand.give("resume", question=3) == "that is past: the next step is image"
+    assert stand.give("resume", upcoming="image") == ""
     eventually(lambda: wishes == [Wish("end", by="Ana")])
 
 

@@ -95,7 +95,7 @@ def test_run_to_stops_after_that_step_and_run_on_at_the_end(cell: RecordingCell)
         eventually(lambda: case.stands("fit:T1"))
         case.await_waiting()
         assert case.engine.upcoming != case.engine.order.find("fit:T1")
-        assert case.give("resume") == ""
+        assert case.give("resume", upcoming=str(case.engine.upcoming)) == ""
         eventually(lambda: case.ended_by == [None])
         assert case.engine.machine.state == "finished"
 
@@ -137,7 +137,7 @@ def test_what_was_ordered_from_a_seat_that_became_free_is_not_done_for_the_next_
     with running(case):
         case.await_waiting()
         case.give("claim", name="Ana")
-        case.give("resume")
+        case.give("resume", upcoming="image")
         eventually(lambda: case.stands("image"))
         case.await_waiting()
         assert not case.stands("localization:T1")
