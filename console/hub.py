@@ -7,6 +7,7 @@ import json
 import secrets
 import time
 from collections.abc import Awaitable, Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ from console.feed.fold import fold
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView
 from console.sessions import Role, Session
-from procedures.engine.events import Event
+from procedures.engine.events import DeviceAge, Event, Pose
 from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
 
+UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are told five times a second
 SILENT_S = 1.0  # host time without a line from the engine, which sends one each quarter of a second
 REPLY_S = 3.0  # host time
 NOT_RUNNING = "this case is not running: it can only be looked at"
@@ -36,6 +38,7 @@ class Hub:
         self.seated = ""  # session that sits in the operator's seat
         self._now_s = now_s
         self._heard_s = now_s()
+        self._seen_s: dict[str, float] = {}  # host time at which each device was last told of
         self._waiting: set[asyncio.Event] = set()
         self._send: SendOrder | None = None
         self._replies: dict[str, asyncio.Future[str]] = {}
@@ -44,6 +47,9 @@ class Hub:
 
     def take(self, event: Event) -> None:
         """Let an event change the view."""
+        match event.what:
+            case Pose(arm=device) | DeviceAge(device=device):
+                self._seen_s[device] = self._now_s()
         self.show(fold(self.view, event))
 
     def show(self, view: CaseView) -> None:
@@ -52,6 +58,23 @@ class Hub:
             self.seated = ""
         self.view = view
         self.tell()
+
+    @property
+    def aged(self) -> CaseView:
+        """The view; what it says of a device that the engine tells nothing new of grows old by host time."""
+        view = self.view
+        unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
+        old_s = {name: age_s for name, age_s in unseen_s.items() if age_s > UNSEEN_S}
+        if not self.live or view.outcome or not old_s:
+            return view
+        devices = {
+            name: replace(row, age_s=row.age_s + old_s.get(name, 0.0)) if row.age_s is not None else row
+            for name, row in view.devices.items()
+        }
+        stood = view.pose
+        if stood is not None:
+            stood = replace(stood, said_s=stood.said_s - old_s.get(stood.pose.arm, 0.0))
+        return replace(view, devices=devices, pose=stood)
 
     def heard(self) -> None:
         """The engine gave a sign of life."""

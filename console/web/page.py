@@ -194,7 +194,7 @@ class CasePage:
         return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
     def _show(self, now_s: float) -> None:
-        view = self._hub.view if self._moment is None else self._moment.view(self._hub.view)
+        view = self._hub.aged if self._moment is None else self._moment.view(self._hub.view)
         self._slow = int(now_s / SLOW_KEYS_S)
         for place, render, key, shown in self._panels:
             current = key(view)

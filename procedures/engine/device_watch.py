@@ -8,9 +8,10 @@ from types import TracebackType
 from typing import Self
 
 from procedures.engine.body_view import BodyView
-from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
+from procedures.engine.events import DeviceAge, DeviceState, EventStream, Fault, Pose
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, Stamp
+from ronna_hw.errors import RonnaError
 
 PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
 SEEN_MOVING_S = 0.05  # where an arm is drawn
@@ -77,5 +78,17 @@ class DeviceWatch:
         self.look()
 
     def _look_on(self) -> None:
+        told = ""
         while not self._ending.wait(self._period_s):
-            self.look()
+            try:
+                self.look()
+            except Exception as problem:  # it looks again, and what it cannot see is told once
+                if str(problem) != told:
+                    told = str(problem)
+                    self._events.publish(_fault(problem))
+
+
+def _fault(problem: Exception) -> Fault:
+    if isinstance(problem, RonnaError):
+        return Fault(code=problem.code, what=str(problem), advice=problem.advice)
+    return Fault(code=type(problem).__name__, what=f"the devices cannot be looked at: {problem}")

@@ -16,7 +16,7 @@ from console.feed.engine_socket import follow_engine
 from console.hub import NOT_RUNNING, SILENT_S, Hub
 from console.reviewing import review
 from console.sessions import MOST_SESSIONS, Role, Session, Sessions
-from procedures.engine.events import CaseState, Event, JournalLine
+from procedures.engine.events import CaseState, DeviceAge, DeviceState, Event, Happening, JournalLine, Pose
 from procedures.engine.orders import Reply, read_order
 
 OPERATOR = Session(Role.OPERATOR, "session-1")
@@ -40,7 +40,28 @@ def test_an_engine_that_falls_silent_is_told() -> None:
     assert hub.frozen == ""
 
 
-def event(number: int, what: CaseState | JournalLine) -> Event:
+def test_an_arm_that_nothing_new_is_told_of_grows_old_while_the_engine_lives() -> None:
+    clock = Clock()
+    hub = Hub(Path(), clock)
+    hub.live = True
+    for number, what in enumerate(
+        (
+            DeviceState(device="arm", state="active"),
+            DeviceAge(device="arm", age_s=0.1),
+            Pose(arm="arm", joints_rad=(0.0,) * 6, age_s=0.1),
+        )
+    ):
+        hub.take(event(number, what))
+    clock.now_s = 0.5
+    assert hub.aged is hub.view
+    clock.now_s = 7.0
+    hub.heard()
+    assert hub.aged.pose is not None
+    assert hub.aged.theatre_time_s - hub.aged.pose.said_s == 7.0
+    assert hub.aged.devices["arm"].age_s == 7.1
+
+
+def event(number: int, what: Happening) -> Event:
     return Event(number=number, host_time=datetime.now(UTC), theatre_time_s=1.0, what=what)
 
 
@@ -55,7 +76,7 @@ def fed(*lines: bytes) -> Hub:
     return hub
 
 
-def line(number: int, what: CaseState | JournalLine) -> bytes:
+def line(number: int, what: Happening) -> bytes:
     return b'{"event":' + event(number, what).model_dump_json().encode() + b"}"
 
 

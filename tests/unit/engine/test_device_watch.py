@@ -4,6 +4,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from recording_cell import HOME, RecordingArm
+from waiting import eventually
 
 from procedures.engine.device_watch import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
@@ -46,3 +47,20 @@ def test_the_last_look_is_made_when_the_watch_ends() -> None:
         device.state = Lifecycle.HOLD
     states = [event.what.state for event in reader.read(0).events if event.what.kind == "device"]
     assert states[-1] == "hold"
+
+
+def test_a_watch_that_cannot_look_tells_it_once_and_looks_again() -> None:
+    looks: list[bool] = []
+
+    def observe() -> LastKnown[object]:
+        looks.append(True)
+        if len(looks) < 3:
+            raise RuntimeError("no such register")
+        return LastKnown[object](Lifecycle.HOLD, None, None)
+
+    stream = EventStream()
+    reader = stream.subscribe()
+    with DeviceWatch({"arm": SimpleNamespace(observe=observe)}, stream, lambda: 5.0, period_s=0.01):
+        eventually(lambda: len(looks) > 3)
+    kinds = [event.what.kind for event in reader.read(0).events]
+    assert kinds == ["fault", "device"]
