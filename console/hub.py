@@ -21,6 +21,7 @@ from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
 UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are told five times a second
 SILENT_S = 1.0  # host time without a line from the engine, which sends one each quarter of a second
 REPLY_S = 3.0  # host time
+NO_REPLY = "no reply from the engine; the order may still be carried out"
 NOT_RUNNING = "this case is not running: it can only be looked at"
 
 SendOrder = Callable[[AnyOrder], Awaitable[None]]
@@ -148,12 +149,13 @@ class Hub:
         reply: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if order.nonce in self._replies:
             return "this order was given before"
+        order = order.model_copy(update={"expires_s": self._now_s() + REPLY_S})
         self._replies[order.nonce] = reply
         try:
             await self._send(order)
             refused = await asyncio.wait_for(reply, REPLY_S)
         except (TimeoutError, OSError):
-            refused = "the engine does not answer"
+            refused = NO_REPLY
         finally:
             self._replies.pop(order.nonce, None)
         if order.kind == "claim" and not refused:

@@ -15,7 +15,7 @@ from nicegui import core, ui
 from console.feed.view import CaseView
 from console.figures import Figures, as_of
 from console.guard import SESSION
-from console.hub import Hub
+from console.hub import NO_REPLY, Hub
 from console.panels import bar
 from console.panels.accuracy import accuracy
 from console.panels.chart import chart, chart_key
@@ -167,7 +167,8 @@ class CasePage:
             refused = (
                 "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "that is no order"
             )
-        self._say(f"Refused: {refused}." if refused else "")
+        words = refused if refused == NO_REPLY else f"Refused: {refused}"
+        self._say(f"{words}." if refused else "")
 
     def _say(self, words: str) -> None:
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")

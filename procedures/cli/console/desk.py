@@ -129,6 +129,9 @@ class Desk:
                 return "this order was given before"
             self._nonces.append(order.nonce)
             self._notice_lapse()
+            late = order.expires_s is not None and self._now_s() > order.expires_s
+            if late and not isinstance(order, Stop):
+                return "that came too late"
             refused = self._refused(order)
             self._changed.notify_all()
             return refused

@@ -105,6 +105,13 @@ def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(sta
     eventually(lambda: answers == ["yes"])
 
 
+def test_an_order_that_comes_too_late_is_refused_and_a_stop_never_is(stand: Stand) -> None:
+    late = {"expires_s": stand.clock.now_s - 0.1}
+    stand.wish()
+    assert stand.give("next", upcoming="image", **late) == "that came too late"
+    assert stand.give("stop", **late) == ""
+
+
 def test_silence_is_the_last_answer(stand: Stand) -> None:
     answers = stand.ask(question())
     stand.clock.now_s += 61.0
