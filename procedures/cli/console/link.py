@@ -21,6 +21,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 READY_S = 15.0  # host time; heavy imports on a busy computer
 STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
 BEAT_S = 0.25  # host time between two signs of life when nothing happens
+BEAT = '{"beat":1}'
 BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
 
 
@@ -44,15 +45,19 @@ class ConsoleLink:
                 timeout_s=None,
                 inherited=(theirs.fileno(),),
             )
+        self._followed = threading.Event()
         self._start(self._await_ready, "console ready")
+        self._start(self._beat_until_followed, "console beats")
 
     def follow(self, events: EventStream) -> None:
         """Send everything that happens from now on."""
+        self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
 
     def close(self) -> None:
         """The run has ended: let the console say so, and end it. Never raises."""
         self._ending = True
+        self._followed.set()
         if self._feed is not None:
             self._feed.join(STALLED_S)
         with contextlib.suppress(OSError):
@@ -89,6 +94,11 @@ class ConsoleLink:
                 self._send(Reply(nonce=order.nonce, refused=self._desk.take(order)).model_dump_json())
         self._gone()
 
+    def _beat_until_followed(self) -> None:
+        """A theatre that is being opened has no events yet; its console hears that this program lives."""
+        while not self._followed.wait(BEAT_S) and self._send(BEAT):
+            pass
+
     def _send_all(self, events: EventStream) -> None:
         reader, ended = events.subscribe(), False
         while not ended:
@@ -96,7 +106,7 @@ class ConsoleLink:
             batch = reader.read(0.0)
             ended = batch.ended
             lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]
-            if not self._send("\n".join(lines or ['{"beat":1}'])):
+            if not self._send("\n".join(lines or [BEAT])):
                 return
             if all(event.what.signal for event in batch.events):
                 time.sleep(BETWEEN_SIGNALS_S)
