@@ -16,11 +16,15 @@ from procedures.reporting.case_figures import CaseFigures, read_case_figures
 from ronna_hw.errors import RonnaError
 
 
-def as_of(figures: CaseFigures | None, view: CaseView) -> CaseFigures | None:
-    """Without what had not been measured yet at the moment of a view."""
+def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
+    """Without what had not been measured yet at the moment of a view, or was measured again since.
+
+    `latest` is the view that the figures are of.
+    """
     if figures is None:
         return None
-    done = {row.step for row in view.steps if row.state == "done"}
+    stand = {(row.step, row.record) for row in latest.steps if row.state == "done"}
+    done = {row.step for row in view.steps if row.state == "done" and (row.step, row.record) in stand}
     names = {step.partition(":")[0] for step in done}
     matched, tracked = "correspondence" in names, "global_localization" in names
     localized = "relocalization" in names

@@ -153,10 +153,10 @@ class CasePage:
 
     def _measured(self, view: CaseView) -> object:
         """Changes with what had been measured at that moment."""
-        key = self._figures.key(view), view.steps
+        key = self._figures.key(view), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
-            self._figures_then = as_of(self._figures.latest, view)
+            self._figures_then = as_of(self._figures.latest, view, self._hub.view)
         return key
 
     async def _give(self, order: dict[str, Any]) -> None:
@@ -174,7 +174,7 @@ class CasePage:
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")
 
     async def _alive(self) -> None:
-        if self._is_mine:
+        if self._hub.seated == self._session.identifier:  # also before the engine's first event says so
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:

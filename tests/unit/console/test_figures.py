@@ -18,13 +18,14 @@ FIGURES = CaseFigures(
 
 
 def after(*done: str) -> CaseFigures:
-    found = as_of(FIGURES, CaseView(steps=tuple(StepRow(one, one, "", False, "done") for one in done)))
+    view = CaseView(steps=tuple(StepRow(one, one, "", False, "done") for one in done))
+    found = as_of(FIGURES, view, view)
     assert found is not None
     return found
 
 
 def test_instruments_appear_one_after_the_other() -> None:
-    assert as_of(None, CaseView()) is None
+    assert as_of(None, CaseView(), CaseView()) is None
     nothing = after("ct_import")
     tracked = after("global_localization")
     matched = after("global_localization", "correspondence")
@@ -43,3 +44,12 @@ def test_a_prediction_appears_with_the_registration_that_is_for_its_target() -> 
     first, every = after("registration:T1"), after("registration")
     assert [one.target for one in first.predictions] == ["T1"]
     assert every.predictions == FIGURES.predictions
+
+
+def test_figures_of_a_result_that_was_repeated_since_are_not_shown_before_that() -> None:
+    then, now = (
+        CaseView(steps=(StepRow("registration", "", "", False, "done", record=record),))
+        for record in ("registration-1", "registration-2")
+    )
+    shown = [as_of(FIGURES, view, now) for view in (then, now)]
+    assert [bool(one and one.predictions) for one in shown] == [False, True]
