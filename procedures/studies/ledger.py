@@ -89,7 +89,8 @@ def _difference(there: Any, head: Mapping[str, Any]) -> str:
     """What another study is, in words: its name, or the parameters that differ."""
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
-    before, now = there.get("parameters", {}), head["parameters"]
+    # As the file has them: a list for a tuple, a name for a choice.
+    before, now = there.get("parameters", {}), json.loads(json.dumps(head["parameters"]))
     differ = [
         f"{name} {before.get(name)!r}, now {now.get(name)!r}"
         for name in sorted({*before, *now})

@@ -179,7 +179,7 @@ def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Pa
         (["localize", tmp_path / "empty"], 1, "CT-002", "no DICOM image"),
         (["localize", mixed], 1, "CT-003", "1.2.3.4.5"),
         (["localize", truncated], 1, "CT-005", "0005.dcm"),
-        (["localize", series, "--diameter-mm", "0"], 1, "CT-017", "0 mm"),
+        (["localize", series, "--diameter-mm", "0"], 2, "CLI-001", "--diameter-mm"),
         (["localize", series, "--pictures", tmp_path / "file"], 1, "CLI-005", "file"),
         (["localize", series, "--expected", "some"], 2, "CLI-001", "--expected"),
         (["localize"], 2, "CLI-001", "SERIES_DIR"),

@@ -11,7 +11,7 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.set_points import PathMotion
 
 BATCH = 100
-PAST_THE_HEAD = (46, 66, 67)  # requests that must be much slower on a part of their way
+PAST_THE_HEAD = (66, 93, 103)  # requests that must be much slower on a part of their way
 
 
 def _judge(seeds: range, every: int = 1) -> Counter[str]:
