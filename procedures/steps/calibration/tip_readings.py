@@ -112,12 +112,22 @@ class _Reading:
         dials_mm = self.context.setting.room.read_dials(f"orientation {look + 1}")
         require_plausible(dials_mm)
         joints = workcell.joints_rad()
+        self._confirm_clear(look)
         workcell.settle(hover_rad, SAME_SIDE)
         return DivotReading(
             look=look,
             joints_rad=joints,
             robot_from_flange=pose_record(workcell.flange_pose(joints)),
             dials_mm=dials_mm,
+        )
+
+    def _confirm_clear(self, look: int) -> None:
+        """Hands were at the stand to read the dials. Raises PRO-002 unless they and the divot are away."""
+        self.context.confirm(
+            Topic.CALIBRATION,
+            "The arm will leave the divot. The divot is lowered, hands are clear of stand and guide, and "
+            "nobody is within the arm's reach until the next reading is asked for",
+            f"orientation {look + 1}",
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:

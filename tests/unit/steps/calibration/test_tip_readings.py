@@ -77,6 +77,24 @@ def test_nothing_is_done_that_is_not_confirmed(cell: ClinicalCell, topic: Topic)
         assert cell.arm.motions == []
 
 
+def test_after_a_reading_the_arm_stays_until_the_divot_is_lowered_and_hands_are_clear(
+    cell: ClinicalCell,
+) -> None:
+    stand(cell)
+    dials, motions = cell.room.dials, []
+
+    def read_then_refuse(joints: JointVector) -> Numbers3:
+        motions.append(len(cell.arm.motions))
+        cell.operator.refusing = (Topic.CALIBRATION,)
+        return dials(joints)
+
+    cell.room.dials = read_then_refuse
+    with pytest.raises(NotConfirmed):
+        read(cell)
+    assert motions == [len(cell.arm.motions)]
+    assert "hands are clear" in cell.operator.asked[-1].subject
+
+
 @pytest.mark.hazard(37)
 def test_with_another_tool_than_the_guide_nothing_moves_to_the_divot(cell: ClinicalCell) -> None:
     stand(cell)
