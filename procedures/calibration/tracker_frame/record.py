@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -101,12 +101,12 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
             expected="at least 2 looks from there",
             got=str(len(returns)),
         )
-    for number, (before, after) in enumerate(pairwise(returns), start=1):
+    for (number, before), (later, after) in combinations(enumerate(returns, start=1), 2):
         was, now = (one.tracker_from_marker.transform(Frame.TRACKER, Frame.MARKER) for one in (before, after))
         moved_mm, moved_rad = _change(was, now, limited=False)
         if moved_mm > MOVED_MM or moved_rad > MOVED_RAD:
             raise TrackerMoved(
-                f"tracker, arm or frame moved between looks {number} and {number + 1} at the first pose",
+                f"tracker, arm or frame moved between looks {number} and {later} at the first pose",
                 limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
                 got=f"{moved_mm:.2f} mm and {np.degrees(moved_rad):.2f} deg",
             )

@@ -154,6 +154,15 @@ def test_a_tracker_that_moved_meanwhile_is_noticed_at_the_pose_that_is_returned_
     assert refused.value.got.startswith("0.4")
 
 
+def test_a_tracker_that_creeps_is_noticed_though_no_step_of_it_is(seen: tuple[FrameCell, FrameLooks]) -> None:
+    _, observed = seen
+    first, *_ = (one for one in observed.looks if one.use is Use.RETURN)
+    others = [one for one in observed.looks if one.use is not Use.RETURN]
+    creeping = [pushed(first, (0.0, 0.15 * step, 0.0)) for step in range(3)]
+    with pytest.raises(TrackerMoved, match="between looks 1 and 3"):
+        calibrate_frame(among(observed, [*others, *creeping]))
+
+
 def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
     _, observed = seen
     generator = np.random.default_rng(5)
