@@ -67,7 +67,8 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
         Frame.TOOL,
         RigidTransform.from_components(head.apply(fit.tip_mm), before.rigid.rotation),
     )
-    stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + 3.0 * STAND_MM**2))
+    gap_mm = max(fit.hidden_gap_mm, np.sqrt(3.0) * STAND_MM)
+    stated_mm = float(np.sqrt(np.trace(fit.covariance_mm2) + gap_mm**2))
     return TipResult(
         fit=fit,
         misses_mm=misses,

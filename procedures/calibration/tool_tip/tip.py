@@ -31,6 +31,7 @@ LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
 LARGEST_GAP_MM = 0.08  # of ball and divot; what is smaller goes into the tip, so the stand must be good
 SURE = 3.0  # standard errors, where pivoting leaves more open than that
+MOST_OPEN_MM = 0.15  # beyond, readings this bad would excuse any gap; good ones leave 0.08 to 0.13
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,11 @@ class TipFit:
     misses_mm: Array
     gap_mm: Array
     gap_error_mm: float
+
+    @property
+    def hidden_gap_mm(self) -> float:
+        """One standard deviation of the gap that may be in the tip: no accepted gap exceeds three of them."""
+        return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / SURE)
 
 
 def fit_tip(pairs: TipPairs) -> TipFit:
@@ -67,6 +73,13 @@ def fit_tip(pairs: TipPairs) -> TipFit:
             action="Check that stand, guide and dials are rigid, and x, y, z not mixed up; then repeat.",
         )
     gap, gap_error = _pivoted_gap(pairs)
+    if SURE * gap_error > MOST_OPEN_MM:
+        raise DoesNotFit(
+            "pivoting does not tell whether the divot is where the ball was",
+            limit=f"{MOST_OPEN_MM:g} mm",
+            got=f"{SURE * gap_error:.2f} mm",
+            action="Check that stand, guide and dials are rigid, or read more orientations; then repeat.",
+        )
     limit = max(LARGEST_GAP_MM, SURE * gap_error)
     if np.linalg.norm(gap) > limit:
         raise BallAndDivotApart(

@@ -141,6 +141,19 @@ def test_a_divot_that_is_not_where_the_ball_was_is_told_from_a_shifted_tip_by_pi
         fit_tip(apart)
 
 
+def test_a_gap_that_is_accepted_is_counted_and_bad_readings_excuse_none(
+    read: tuple[TipCell, TipLooks],
+) -> None:
+    _, observed = read
+    result = calibrate_tip(observed)
+    assert result.tool_tip.stated_error_mm >= result.fit.gap_error_mm
+    assert np.linalg.norm(result.fit.gap_mm) <= 3.0 * result.tool_tip.stated_error_mm
+    generator = np.random.default_rng(2)
+    shaky = [with_dials(one, generator.normal(0.0, 0.06, 3)) for one in observed.readings]
+    with pytest.raises(DoesNotFit, match="does not tell whether"):
+        calibrate_tip(among(observed, shaky))
+
+
 def test_head_and_tip_in_different_orientations_are_refused(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     pairs = pairs_of(observed, observed.readings)
