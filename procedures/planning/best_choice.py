@@ -34,16 +34,17 @@ def with_best_chosen(
             alone = replace(setting, strategy=candidate)
             turned = choose_free_angles(alone, (one,), fiducials_mm, sight)
             if turned.check.passed:
-                predicted_mm[candidate] = predicted_arm_error_mm(alone, turned.check)
+                predicted_mm[candidate] = predicted_arm_error_mm(alone, turned.check, one)
         if predicted_mm:
             chosen[one.identifier] = min(predicted_mm, key=lambda name: predicted_mm[name])
     return replace(setting, strategy=replace(setting.strategy, others=chosen))
 
 
-def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck) -> float:
-    """Rms of what the arm's own errors leave at the target of a check of one trajectory.
+def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
+    """Rms of what the arm's own errors leave at the target of a trajectory, from the check of it alone.
 
-    CT and stereo head err alike in whatever orientation. For strategies that control the approach.
+    The instrument's tip is there, wherever on the axis the guide is held. CT and stereo head err alike in
+    whatever orientation. For strategies that control the approach.
     """
     looks = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
     (target,) = (one for one in check.reached if one.visit.kind is VisitKind.TARGET)
@@ -51,7 +52,7 @@ def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck) -> float:
         [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)]
     ).astype(float)
     spheres = np.array([one.visit.pose.translation_mm for one in looks])
-    tip = np.asarray(target.visit.pose.translation_mm)
+    tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
     rotations = np.array([one.visit.pose.rotation_matrix for one in looks])
     sources = [
         tool_frame(rotations, target.visit.pose.rotation_matrix, setting.sizes.tool_mm),

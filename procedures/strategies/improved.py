@@ -10,7 +10,8 @@ Minimise over the rotation w of the tool about the fiducial the sum over the err
 
     |d_k(q(w)) - d_k(q_target)|^2,   d_k: displacement of the tool by one standard deviation of error k
 
-by Gauss and Newton, from the orientation that JDMS chooses.
+by Gauss and Newton, from the orientation that JDMS chooses. At the target the displacement is that of the
+instrument's tip, which the guide holds beyond its own end.
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
     ) -> tuple[Transform, ...]:
         """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm; raises as JDMS does."""
         at_target, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
-        return tuple(arm.stereo_pose(_nearest(arm, start, at_target)) for start in at_fiducials)
+        wanted = _errors(arm, [at_target], robot_from_ct.apply(along.target_mm))[0]
+        return tuple(arm.stereo_pose(_nearest(arm, start, wanted)) for start in at_fiducials)
 
 
-def _nearest(arm: ArmInBranch, start_rad: Joints, at_target_rad: Joints) -> Joints:
-    """Joints with the tool where `start_rad` brings it, in the orientation that errs as at the target."""
+def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
+    """Joints with the tool where `start_rad` brings it, in the orientation whose errors are as wanted."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
-    wanted = _errors(arm, [at_target_rad])[0]
     try:
         turn, joints = pose.rigid.rotation, arm.stereo_at(pose)
     except LimitError:
@@ -68,7 +69,7 @@ def _nearest(arm: ArmInBranch, start_rad: Joints, at_target_rad: Joints) -> Join
             ]
         except LimitError:
             break
-        here, *beside = _errors(arm, [joints, *steps])
+        here, *beside = _errors(arm, [joints, *steps], place)
         slopes = np.stack([(one - here) / STEP_RAD for one in beside], axis=1)
         way = np.linalg.lstsq(slopes, wanted - here, rcond=None)[0]
         size = float(np.linalg.norm(way))
@@ -83,10 +84,10 @@ def _nearest(arm: ArmInBranch, start_rad: Joints, at_target_rad: Joints) -> Join
     return joints
 
 
-def _errors(arm: ArmInBranch, joints_rad: list[Joints]) -> Array:
-    """What each error of one standard deviation makes of the tool's place, (p, 3 k) mm."""
-    poses = [arm.stereo_pose(joints) for joints in joints_rad]
-    places = np.array([pose.translation_mm for pose in poses])
+def _errors(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
+    """What each error of one standard deviation makes of a point (3,) mm that the tool holds, (p, 3 k) mm."""
+    places = np.tile(place_mm, (len(joints_rad), 1))
+    rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)
-    tool = arm.sizes.tool_mm * np.array([pose.rotation_matrix for pose in poses])
-    return np.concatenate([moved.links_mm, moved.joints_mm, tool], axis=2).reshape(len(poses), -1)
+    tool = arm.sizes.tool_mm * rotations
+    return np.concatenate([moved.links_mm, moved.joints_mm, tool], axis=2).reshape(len(joints_rad), -1)

@@ -6,23 +6,24 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from strategy_arms import ARM, FIDUCIALS, LEANING, ROOM
+from strategy_arms import ARM, FIDUCIALS, KR6, LEANING, ROOM
 
-from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, tool_frame
+from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources, displacements, tool_frame
 from procedures.registration.target_prediction import predict_target_error
 from procedures.strategies.best import BestOfEach
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.target import target_pose
+from procedures.strategies.trajectory import Trajectory
 
 CALIBRATED = ErrorSizes(tool_mm=0.1, links=0.16)
 
 
-def predicted_mm(name: str, sizes: ErrorSizes) -> float:
+def predicted_mm(name: str, sizes: ErrorSizes, along: Trajectory = LEANING) -> float:
     """Rms of what the arm's errors leave at the target; joints rest on the same side everywhere."""
     arm = replace(ARM, sizes=sizes)
-    at_target = target_pose(LEANING, ROOM)
-    poses = strategy_named(name).localization_poses(LEANING, FIDUCIALS, ROOM, arm)
-    spheres, tip = ROOM.apply(FIDUCIALS), np.asarray(at_target.translation_mm)
+    at_target = target_pose(along, ROOM)
+    poses = strategy_named(name).localization_poses(along, FIDUCIALS, ROOM, arm)
+    spheres, tip = ROOM.apply(FIDUCIALS), ROOM.apply(along.target_mm)
     looks = np.array([arm.stereo_at(pose) for pose in poses])
     sources = [
         tool_frame(
@@ -41,6 +42,25 @@ def predicted_mm(name: str, sizes: ErrorSizes) -> float:
 @pytest.mark.parametrize("sizes", [ErrorSizes(), CALIBRATED], ids=["set S", "calibrated"])
 def test_less_error_is_predicted_than_for_what_it_improves_on(sizes: ErrorSizes) -> None:
     assert predicted_mm("improved", sizes) < min(predicted_mm("jdms", sizes), predicted_mm("ocs", sizes))
+
+
+@pytest.mark.parametrize("beyond_mm", [-90.0, 60.0], ids=["held back", "held in"])
+def test_where_the_guide_is_held_elsewhere_on_the_axis_the_error_at_the_target_is_what_is_improved(
+    beyond_mm: float,
+) -> None:
+    held, sizes = LEANING.held(beyond_mm), ErrorSizes(tool_mm=0.0)
+    arm = replace(ARM, sizes=sizes)
+    at_target = np.array([arm.guide_at(target_pose(held, ROOM))])
+    wanted = displacements(KR6.chain, at_target, ROOM.apply([held.target_mm]), sizes)
+
+    def unlike_mm(name: str) -> float:
+        poses = strategy_named(name).localization_poses(held, FIDUCIALS, ROOM, arm)
+        looks = np.array([arm.stereo_at(pose) for pose in poses])
+        there = displacements(KR6.chain, looks, ROOM.apply(FIDUCIALS), sizes)
+        links, joints = there.links_mm - wanted.links_mm, there.joints_mm - wanted.joints_mm
+        return float(np.sqrt(np.sum(links**2) + np.sum(joints**2)))
+
+    assert unlike_mm("improved") < min(unlike_mm("jdms"), unlike_mm("ocs"))
 
 
 def test_with_an_error_of_the_tool_frame_alone_the_orientation_is_the_targets() -> None:
