@@ -19,6 +19,7 @@ from procedures.engine.events import (
     JournalLine,
     LinkHealth,
     Order,
+    OrderedStep,
     Pose,
     Progress,
     Questioned,
@@ -30,7 +31,7 @@ from procedures.engine.events import (
 
 NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
-OPENED, CLOSED = "opened", "closed"
+BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
 
 
 def fold(view: CaseView, event: Event) -> CaseView:
@@ -61,7 +62,8 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
         case Seat():
             return {"seat": what if what.holder else None}
         case Order(steps=steps):
-            return {"steps": tuple(StepRow(one.step, one.title, one.phase, one.moves) for one in steps)}
+            standing = sum(one.record is not None for one in steps)
+            return {"steps": tuple(map(_ordered, steps)), "results": view.results + standing}
         case Waiting():
             return {"waiting": what}
         case Bodies():
@@ -76,6 +78,11 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
             return _journal(view, line)
         case Fault() | Refusal() | Finding():
             return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
+
+
+def _ordered(one: OrderedStep) -> StepRow:
+    state = "" if one.record is None else "done"
+    return StepRow(one.step, one.title, one.phase, one.moves, state, record=one.record)
 
 
 def _step(view: CaseView, step: StepState) -> dict[str, Any]:
@@ -128,8 +135,12 @@ def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     changes: dict[str, Any] = {
         "journal": (*view.journal, f"{line.get('sequence')} {entry} {about}".rstrip())[-JOURNAL_KEPT:]
     }
-    if entry == OPENED or (entry == "restarted" and view.banner is None):
+    if entry in BEGINNINGS:  # of a session: what the last one left open is over
         changes |= {
+            "outcome": "",
+            "running": "",
+            "question": None,
+            "seat": None,
             "run": str(line.get("run") or ""),
             "theatre": str(line.get("theatre") or ""),
             "banner": str(line.get("banner") or ""),

@@ -12,7 +12,7 @@ from console.panels.bar import seat_line
 from console.panels.question import HeldButton
 
 Give = Callable[[dict[str, Any]], Awaitable[None]]
-AT_PAUSE = "pause"
+AT_PAUSE = "pause"  # topic of the question that is answered to go on: no button here does
 NOT_EMERGENCY = (
     "Stop motion lets the driver bring the arm to rest. It is not an emergency stop: use the red button."
 )
@@ -67,11 +67,11 @@ class OrderPanel:
             self._acknowledge = self._button("Acknowledge faults", self._order_acknowledge, "acknowledge")
             self._abort = HeldButton("Abort (hold)", self._order_abort, tell).button
             self._abort.props("data-do=abort").classes("plain")
-        self._build("", None)
+        self._build("")
 
-    def _build(self, upcoming: str, pause: int | None) -> None:
+    def _build(self, upcoming: str) -> None:
         """New buttons for what is shown now: a late click on the old ones is for nothing that stands."""
-        self._quoted = upcoming, pause
+        self._quoted = upcoming
 
         async def order_next() -> None:
             await self._give({"kind": "next", "upcoming": upcoming})
@@ -80,11 +80,7 @@ class OrderPanel:
             await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._to.value)})
 
         async def order_resume() -> None:
-            await self._give(
-                {"kind": "resume", "upcoming": upcoming}
-                if pause is None
-                else {"kind": "resume", "question": pause}
-            )
+            await self._give({"kind": "resume", "upcoming": upcoming})
 
         self._next_place.clear()
         with self._next_place:
@@ -92,21 +88,19 @@ class OrderPanel:
         self._run_place.clear()
         with self._run_place:
             self._run_to = self._button("Run to", order_run_to, "run_to")
-            words = "Run on" if pause is None else "Go on"
-            self._resume = self._button(words, order_resume, "resume")
+            self._resume = self._button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
         """Enable what can be asked now; its buttons quote what they were shown with."""
-        pause = view.question.question if view.question and view.question.topic == AT_PAUSE else None
-        paused = pause is not None
+        paused = view.question is not None and view.question.topic == AT_PAUSE
         waits = view.waiting is not None and bool(view.upcoming) and view.question is None
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
-        quoted = view.upcoming if waits and is_mine else "", pause
+        quoted = view.upcoming if waits and is_mine else ""
         if quoted != self._quoted:
-            self._build(*quoted)
+            self._build(quoted)
         self._next.set_enabled(is_mine and waits and not ended)
         self._run_to.set_enabled(is_mine and waits and not ended)
-        self._resume.set_enabled(is_mine and (waits or paused) and not ended)
+        self._resume.set_enabled(is_mine and waits and not ended)
         self._pause.set_enabled(is_mine and not waits and not paused and not ended)
         faulty = any(row.seen.fault for row in view.devices.values())
         self._acknowledge.set_visibility(faulty)

@@ -12,6 +12,7 @@ import typer
 
 from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
+from procedures.cli.console.options import ConsoleOption, ConsolePortOption, console_request
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.console import (
@@ -26,7 +27,6 @@ from ronna_hw.command_line.errors import UsageMistake
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.request import CaseRequest
-    from procedures.cli.console.attaching import ConsoleRequest
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -80,12 +80,6 @@ ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the e
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
 AnswersOption = Annotated[
     Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
-]
-ConsoleOption = Annotated[
-    bool, typer.Option("--console", help="Serve a page on this computer that shows and operates the case.")
-]
-ConsolePortOption = Annotated[
-    int, typer.Option(min=0, max=65535, help="Port of the page of --console; 0: any free one.")
 ]
 OutOption = Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")]
 
@@ -145,7 +139,7 @@ def run_command(
         answers=answers,
         out=out,
     )
-    follow_case(request, as_json=as_json, console=_console(console, console_port))
+    follow_case(request, as_json=as_json, console=console_request(wanted=console, port=console_port))
 
 
 @app.command("step")
@@ -184,7 +178,7 @@ def step_command(
             answers=answers,
             out=out,
         ),
-        _console(console, console_port),
+        console_request(wanted=console, port=console_port),
     )
 
 
@@ -310,17 +304,6 @@ def _request(
         config=config,
         case=case,
     )
-
-
-def _console(wanted: bool, port: int) -> ConsoleRequest | None:
-    if not wanted:
-        if port:
-            raise UsageMistake("--console-port goes with --console")
-        return None
-    from procedures.cli.console.attaching import ConsoleRequest, check_console
-
-    check_console()
-    return ConsoleRequest(port)
 
 
 def _answers(path: Path | None) -> Answers | None:

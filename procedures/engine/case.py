@@ -94,6 +94,10 @@ class Case:
         """Whether that step has a result that has not been superseded."""
         return key in self._standing
 
+    def record_of(self, key: StepKey) -> str | None:
+        """Identifier of that step's standing result."""
+        return self._standing[key].record.identifier if key in self._standing else None
+
     def was_superseded(self, key: StepKey) -> bool:
         """Whether that step had results and none of them stands."""
         had = any(one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded)

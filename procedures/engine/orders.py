@@ -70,11 +70,10 @@ class Pause(_Order):
 
 
 class Resume(_Order):
-    """Go on to the end of the case, or where it is paused."""
+    """Go on to the end of the case. A pause is no step: its question is answered, with what it showed."""
 
     kind: Literal["resume"] = "resume"
-    upcoming: Short = Field(default="", description="The step that was shown as the next, between steps.")
-    question: int = Field(default=0, description="The question of the pause, where the case is paused.")
+    upcoming: Short = Field(description="The step that was shown as the next.")
 
 
 class Stop(_Order):

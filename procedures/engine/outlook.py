@@ -16,7 +16,13 @@ def publish_order(engine: Engine) -> None:
     engine.events.publish(
         Order(
             steps=tuple(
-                OrderedStep(step=str(key), title=spec.title, phase=str(spec.phase), moves=spec.moves)
+                OrderedStep(
+                    step=str(key),
+                    title=spec.title,
+                    phase=str(spec.phase),
+                    moves=spec.moves,
+                    record=engine.case.record_of(key),
+                )
                 for key, spec in specs
             )
         )

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from modest_chromium import MISSING, modest_chromium
-from operated_case import OperatedCase, operated_cases
+from operated_case import OperatedCases, operated_cases
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -39,7 +39,7 @@ def page(browser: Any) -> Iterator[Any]:
 
 
 @pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., OperatedCase]]:
+def start(tmp_path: Path) -> Iterator[OperatedCases]:
     """Start `ronna-procedure ARGUMENTS --sim --scene mini --seed 3 --console`; ended with the test."""
     with operated_cases(tmp_path) as start:
         yield start

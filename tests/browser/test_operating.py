@@ -5,19 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import psutil
 from console_clicks import answer, hold, run_by_clicks, take_seat
-from operated_case import OperatedCase, enter
+from operated_case import OperatedCase, OperatedCases, enter
 from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
-
-Start = Callable[..., OperatedCase]
 
 
 def outcome_of(case: OperatedCase) -> dict[str, Any]:
@@ -30,7 +27,7 @@ def payloads(run: Path, *kinds: str) -> dict[str, Any]:
 
 
 def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_console(
-    start: Start, page: Any
+    start: OperatedCases, page: Any
 ) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
@@ -62,7 +59,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
 
 
 def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
-    start: Start, page: Any, browser: Any
+    start: OperatedCases, page: Any, browser: Any
 ) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
@@ -83,7 +80,7 @@ def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
     assert not any((case.run / "records").iterdir())
 
 
-def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: Start, page: Any) -> None:
+def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json")
     enter(page, case.addresses["url"])
     os.kill(case.console_pid, signal.SIGKILL)
@@ -94,7 +91,9 @@ def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: Start, page: A
     assert outcome_of(case)["targets"]
 
 
-def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(start: Start, page: Any) -> None:
+def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(
+    start: OperatedCases, page: Any
+) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
@@ -106,7 +105,7 @@ def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(sta
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: Start, page: Any) -> None:
+def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases, page: Any) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
@@ -133,7 +132,7 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: Start, page: A
     eventually(lambda: page.locator("[data-do=next]").is_enabled())
 
 
-def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Start, page: Any) -> None:
+def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json")
     enter(page, case.addresses["viewer_url"])
     ours = psutil.Process().children(recursive=True)
@@ -149,7 +148,7 @@ def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Start, 
     assert outcome_of(case)["targets"]
 
 
-def test_eight_viewers_look_on_and_one_more_is_refused(start: Start, browser: Any) -> None:
+def test_eight_viewers_look_on_and_one_more_is_refused(start: OperatedCases, browser: Any) -> None:
     case = start("step")
     contexts = [browser.new_context() for _ in range(9)]
     pages = [context.new_page() for context in contexts]

@@ -6,16 +6,15 @@ import json
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from operated_case import READY_S, OperatedCase, enter
+from operated_case import READY_S, OperatedCases, enter
 from waiting import eventually
 
 
 def test_a_finished_case_is_reviewed_back_to_its_first_event(
-    start: Callable[..., OperatedCase], page: Any, tmp_path: Path
+    start: OperatedCases, page: Any, tmp_path: Path
 ) -> None:
     case = start("run", "--json")
     assert case.process.wait(90) == 0

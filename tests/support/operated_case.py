@@ -7,7 +7,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +16,7 @@ from typing import Any
 from waiting import eventually
 
 READY_S = 60.0
+MINI = ("--scene", "mini", "--seed", "3")
 
 
 @dataclass
@@ -52,29 +53,44 @@ class OperatedCase:
         self.addresses = json.loads(re.findall(r"^CONSOLE (\{.*\})$", self.said, re.M)[0])
 
 
-@contextmanager
-def operated_cases(folder: Path) -> Iterator[Callable[..., OperatedCase]]:
-    """Start `ronna-procedure ARGUMENTS --sim --scene mini --seed 3 --console`; each ends with the block."""
-    started: list[OperatedCase] = []
+class OperatedCases:
+    """Starts commands that run a case with a console."""
 
-    def start(*arguments: str) -> OperatedCase:
-        number = len(started)
-        out, errors, output = (folder / f"{name}-{number}" for name in ("runs", "errors", "output"))
-        line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments]
-        line += ["--sim", "--scene", "mini", "--seed", "3", "--console", "--out", str(out)]
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.started: list[OperatedCase] = []
+
+    def __call__(self, *arguments: str, scene: tuple[str, ...] = MINI) -> OperatedCase:
+        """Start `ronna-procedure ARGUMENTS --sim SCENE --console`."""
+        out = self._folder / f"runs-{len(self.started)}"
+        return self._start(out, *arguments, "--sim", *scene, "--out", str(out))
+
+    def resume(self, case: OperatedCase) -> OperatedCase:
+        """Start `ronna-procedure resume RUN --console` for a case that was left."""
+        return self._start(case.folder, "resume", str(case.run))
+
+    def _start(self, runs: Path, *arguments: str) -> OperatedCase:
+        number = len(self.started)
+        errors, output = (self._folder / f"{name}-{number}" for name in ("errors", "output"))
+        line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments, "--console"]
         with errors.open("w") as error, output.open("w") as written:
             process = subprocess.Popen(
                 line, stdin=subprocess.DEVNULL, stdout=written, stderr=error, text=True
             )
-        case = OperatedCase(process, out, errors, output)
-        started.append(case)
+        case = OperatedCase(process, runs, errors, output)
+        self.started.append(case)
         case.await_addresses()
         return case
 
+
+@contextmanager
+def operated_cases(folder: Path) -> Iterator[OperatedCases]:
+    """Each case that was started ends with the block."""
+    cases = OperatedCases(folder)
     try:
-        yield start
+        yield cases
     finally:
-        for case in started:
+        for case in cases.started:
             if case.process.poll() is None:
                 case.process.send_signal(signal.SIGTERM)
             case.process.wait(30)

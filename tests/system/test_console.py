@@ -98,6 +98,33 @@ def test_a_fault_is_acknowledged_by_name_when_its_cause_is_gone_and_the_case_goe
         await_state(script, lambda state: state["steps"]["relocalization:T1"] == "done")
 
 
+@pytest.mark.slow
+def test_a_case_that_was_killed_is_taken_up_again_by_whoever_takes_its_seat(tmp_path: Path) -> None:
+    with operated_cases(tmp_path) as start:
+        left = start("step")
+        script = ConsoleScript(left.addresses["url"])
+        assert script.order("claim", name="Script") == ""
+        await_state(script, lambda state: state["waiting"])
+        assert script.order("run_to", upcoming="ct_import", step="path_check") == ""
+        assert script.answer(await_question(script, "patient")) == ""
+        await_state(script, lambda state: state["steps"].get("path_check") == "done")
+        left.process.kill()
+        left.process.wait()
+
+        case = start.resume(left)
+        script = ConsoleScript(case.addresses["url"])
+        state = await_state(script, lambda state: bool(state["steps"]))
+        assert state["steps"]["path_check"] == "done"
+        assert state["question"] is None, "nothing is asked before somebody sits in the seat"
+        assert script.order("claim", name="Script") == ""
+        assert script.answer(await_question(script, "resume")) == ""
+        state = await_state(script, lambda state: state["waiting"])
+        assert state["upcoming"] == "relocalization:T1"
+        assert script.order("next", upcoming="relocalization:T1") == ""
+        assert script.answer(await_question(script, "first_motion")) == ""
+        await_state(script, lambda state: state["steps"]["relocalization:T1"] == "done")
+
+
 def simulator(case: OperatedCase, fault: str) -> None:
     """Put a fault into the case's theatre, or clear it."""
     control = re.findall(r"control port (\S+)", case.said)[0]

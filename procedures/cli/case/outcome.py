@@ -37,6 +37,8 @@ def run_case(
         if resumption is not None and not resumption.left.untouched:
             from procedures.recovery import recover
 
+            if watcher.pilot is not None:
+                watcher.pilot.await_operator()
             recover(engine, resumption.left)
         _run(engine, watcher)
         theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import why_not_up_to
 from procedures.cli.console.seat import Seat
-from procedures.engine.checkpoint import ABORT, GO_ON
+from procedures.engine.checkpoint import ABORT
 from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.shown import shown_digest
 from procedures.engine.operator import Question, Signature, Topic
@@ -168,10 +168,6 @@ class Desk:
                 if self._waiting_for is not None:
                     return "no step is running"
                 engine.checkpoint.pause(f"{name} asked for a pause")
-            case Resume(question=number) if paused:
-                if self._standing is None or self._standing.question.number != number:
-                    return "that pause is past"
-                self._settle(GO_ON, order.session)
             case Abort() if paused:
                 self._settle(ABORT, order.session)
             case Abort():
@@ -271,6 +267,13 @@ class Desk:
         if standing.signature is not None:
             question.signed(standing.signature)
         return standing.answer
+
+    def await_seat(self) -> None:
+        """Wait, where nothing is done without, until somebody sits in the seat or the console has ended."""
+        with self._changed:
+            while self._waits and not self._seat.holder and not self._gone:
+                self._changed.wait(LOOK_AGAIN_S)
+                self._notice_lapse()
 
     def wish(self, upcoming: str, timeout_s: float | None = None) -> Wish | None:
         """Wait between steps for what is wished; None when nothing is in time, or the console has ended."""

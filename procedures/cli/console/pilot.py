@@ -72,6 +72,11 @@ class Pilot:
             if self._engine is not None:
                 self._engine.seated(session, name)
 
+    def await_operator(self) -> None:
+        """Wait until somebody sits in the seat of a case that waits for it, or the console has ended."""
+        self.desk.await_seat()
+        self.note_seat()
+
     def run_to_end(self, engine: Engine) -> None:
         """Run the case as ordered. Raises OperatorAborted, and what a step raises while nobody operates.
 

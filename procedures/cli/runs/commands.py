@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from procedures.cli.console.options import ConsoleOption, ConsolePortOption, console_request
 from ronna_hw.command_line.console import JsonOption, LogLevelOption, VerboseOption, set_up_logging
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -38,6 +39,8 @@ def resume_command(
     run_folder: RunArgument,
     accept: AcceptOption = False,
     answers: AnswersOption = None,
+    console: ConsoleOption = False,
+    console_port: ConsolePortOption = 0,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
@@ -45,12 +48,14 @@ def resume_command(
     """Go on with a run that was killed, left or interrupted.
 
     Nothing moves before devices, tool, calibrations, CT, plan, patient and robot base were read again and
-    compared with the record, and accepted. Exit codes: 0 finished, 8 not taken up again.
+    compared with the record, and accepted. With --console whoever takes the operator's seat accepts; only
+    --accept goes on without. Exit codes: 0 finished, 8 not taken up again.
     """
     set_up_logging(verbose)
     from procedures.cli.runs.resume import resume
 
-    resume(run_folder, accept=accept, answers=answers, as_json=as_json)
+    request = console_request(wanted=console, port=console_port)
+    resume(run_folder, accept=accept, answers=answers, as_json=as_json, console=request)
 
 
 def home_command(

@@ -20,11 +20,21 @@ from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
 
 if TYPE_CHECKING:
+    from procedures.cli.console.attaching import ConsoleRequest
     from procedures.reporting.outcome import FinishedRun
 
 
-def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
+def resume(
+    folder: Path,
+    *,
+    accept: bool,
+    answers: Path | None,
+    as_json: bool,
+    console: ConsoleRequest | None = None,
+) -> None:
     """Take a run up again and finish it; a finished one is shown.
+
+    With a console nothing is looked at before somebody sits in its seat, unless a script accepts.
 
     Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, and what devices and steps raise.
     """
@@ -44,9 +54,20 @@ def resume(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -
         follow(
             request,
             left.run.path,
-            lambda watcher: _go_on(request, left, watcher, accepted=accept),
+            lambda watcher: _operated(request, left, watcher, console, accepted=accept),
             as_json=as_json,
         )
+
+
+def _operated(
+    request: CaseRequest, left: LeftRun, watcher: Watcher, console: ConsoleRequest | None, *, accepted: bool
+) -> FinishedRun:
+    if console is None:
+        return _go_on(request, left, watcher, accepted=accepted)
+    from procedures.cli.console.attaching import with_console
+
+    with with_console(watcher, left.run.path, console, waits=not accepted) as operated:
+        return _go_on(request, left, operated, accepted=accepted)
 
 
 def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: bool) -> FinishedRun:

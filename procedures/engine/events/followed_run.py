@@ -36,7 +36,7 @@ class FollowedRun:
         over = self._nobody_writes()
         course = self._read()
         if whole:
-            yield sorted(course, key=lambda event: event.number)  # signals are written late
+            yield _in_order(course)
         else:
             present = Present()
             for event in course:
@@ -81,3 +81,14 @@ class FollowedRun:
             except BlockingIOError:
                 return False
         return True
+
+
+def _in_order(course: Sequence[Event]) -> list[Event]:
+    """As it happened: signals are written late, and each time that a run is taken up numbers begin anew."""
+    session, latest, sessions = 0, 0, list[tuple[int, int, Event]]()
+    for event in course:
+        if not event.what.signal:  # facts are written in their order
+            session += event.number < latest
+            latest = event.number
+        sessions.append((session, event.number, event))
+    return [event for _, _, event in sorted(sessions, key=lambda one: one[:2])]

@@ -104,6 +104,9 @@ class OrderedStep(BaseModel):
     title: str
     phase: str
     moves: bool
+    record: str | None = Field(
+        default=None, description="Identifier of the result that stands already: the run was taken up again."
+    )
 
 
 class Order(_Happening):

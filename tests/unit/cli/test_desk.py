@@ -152,15 +152,16 @@ def test_of_two_who_claim_at_once_one_has_it_and_the_other_is_told(tmp_path: Pat
     assert sorted(bool(one) for one in told) == [False, True]
 
 
-def test_resume_answers_a_pause_and_between_steps_runs_on(stand: Stand) -> None:
+def test_a_pause_ends_by_its_question_alone_and_resume_runs_on_between_steps(stand: Stand) -> None:
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
     answers = stand.ask(pause)
     assert stand.give("next", upcoming="image") != ""
-    assert stand.give("resume", question=2) == "that pause is past"
-    assert stand.give("resume", question=3) == ""
+    assert stand.give("resume", upcoming="image").startswith("the engine is not waiting for this")
+    assert answers == []
+    assert stand.give("answer", question=3, answer="continue", shown=shown(pause)) == ""
     eventually(lambda: answers == ["continue"])
     wishes = stand.wish()
-    assert stand.give("resume", question=3) == "that is past: the next step is image"
+    assert stand.give("resume", upcoming="fit:T1") == "that is past: the next step is image"
     assert stand.give("resume", upcoming="image") == ""
     eventually(lambda: wishes == [Wish("end", by="Ana")])
 

@@ -100,6 +100,14 @@ def test_a_step_that_is_done_is_shown_done_and_what_it_superseded_as_gone() -> N
     assert again.steps[2].state == "superseded"
 
 
+def test_what_stands_in_a_run_that_is_taken_up_is_done_and_what_was_left_open_is_over() -> None:
+    step = OrderedStep(step="image", title="Image", phase="operation", moves=False, record="01-image")
+    killed = (JournalLine(line={"entry": "opened"}), ORDER, question(2), Seat(holder="Ana"))
+    view = view_after(*killed, JournalLine(line={"entry": "restarted"}), Order(steps=(step,)))
+    assert [(row.state, row.record) for row in view.steps] == [("done", "01-image")]
+    assert (view.question, view.seat, view.results) == (None, None, 1)
+
+
 def test_an_answer_takes_away_its_own_question_and_no_other() -> None:
     assert view_after(question(2), Answered(question=1, answer="yes")).question is not None
     assert view_after(question(2), Answered(question=2, answer="yes")).question is None

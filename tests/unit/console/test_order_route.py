@@ -24,7 +24,7 @@ ORDERS = [
     {"kind": "next", "upcoming": "image"},
     {"kind": "run_to", "upcoming": "image", "step": "fit:T1"},
     {"kind": "pause"},
-    {"kind": "resume"},
+    {"kind": "resume", "upcoming": "image"},
     {"kind": "stop"},
     {"kind": "abort"},
     {"kind": "acknowledge"},

@@ -131,3 +131,17 @@ def test_what_is_no_event_of_this_version_is_refused_with_its_line(tmp_path: Pat
 
 def _all(run: FollowedRun) -> list[Sequence[Event]]:
     return list(run.batches())
+
+
+def test_a_run_that_was_taken_up_again_is_followed_session_by_session(tmp_path: Path) -> None:
+    for states in (("idle", "held"), ("recovery", "finished")):
+        stream = EventStream()
+        file = EventFile(tmp_path, stream)
+        for state in states:
+            stream.publish(CaseState(state=state))
+            stream.publish(pose(0.0))
+        ended(stream, file)
+    (course,) = FollowedRun(tmp_path).batches(whole=True)
+    happened = [event.what for event in course]
+    states_seen = [what.state for what in happened if isinstance(what, CaseState)]
+    assert states_seen == ["idle", "held", "recovery", "finished"]
