@@ -46,6 +46,16 @@ def test_stored_looks_are_computed_again_into_a_record_for_the_theatre_file(
     assert "the arm's own share, mm" in shown.stdout
 
 
+def test_stored_looks_can_be_written_into_the_theatre_file_at_once(looks: Path, tmp_path: Path) -> None:
+    theatre, written = tmp_path / "theatre.toml", tmp_path / "calibrated.toml"
+    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
+    run = ("calibrate", "tracker-frame", "--from", looks, "--config", theatre, "--write", written)
+    done = in_this_process(app, *run, "--out", tmp_path / "out", "--json")
+    assert done.returncode == 0, done.stderr
+    frame = tomllib.loads(written.read_text())["calibration"]["tracker_frame"]
+    assert frame["identifier"] == json.loads(done.stdout)["calibration"]
+
+
 def test_a_record_in_metres_is_refused_by_the_number(looks: Path, tmp_path: Path) -> None:
     stored = json.loads((looks / LOOKS_FILE).read_text())
     stored["start"]["tool_from_marker"]["translation_mm"] = [-0.15, 0.0, -0.14]

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,7 +17,7 @@ from procedures.cli.calibrating.options import (
     SeedOption,
     SimOption,
     WriteOption,
-    require_one_source,
+    calibration_request,
     theatre_request,
 )
 from ronna_hw.command_line import console
@@ -27,10 +25,6 @@ from ronna_hw.command_line import console
 if TYPE_CHECKING:
     from procedures.calibration.arm.check import ArmCheck
     from procedures.calibration.arm.looks import ArmLooks
-    from procedures.calibration.arm.record import ArmResult
-    from procedures.cli.case.request import TheatreRequest
-    from procedures.engine.engine import Engine
-    from ronna_hw.config import Calibrations
 
 app = typer.Typer(
     name="ronna-arm",
@@ -47,8 +41,8 @@ def arm() -> None:
     """The arm: calibrate its geometry by spheres at rest, check that the calibration still holds."""
 
 
-@app.command()
-def calibrate(
+@app.command("calibrate")
+def calibrate_arm(
     sim: SimOption = False,
     scene: SceneOption = "default",
     seed: SeedOption = 0,
@@ -73,35 +67,23 @@ def calibrate(
     confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
-    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
-    from procedures.calibration.arm.record import calibrate_arm
-    from procedures.cli.arm import files
-    from procedures.cli.calibrating.files import write_theatre
-    from procedures.cli.calibrating.running import concluded, new_folder
+    request = calibration_request(
+        sim=sim,
+        scene=scene,
+        seed=seed,
+        config=config,
+        recorded=recorded,
+        write=write,
+        days=days,
+        out=out,
+        as_json=as_json,
+        answers=answers,
+    )
+    from procedures.cli.arm.files import KIND
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.steps.calibration.procedures import arm_looks
 
-    observed = None if recorded is None else files.read_looks(recorded)
-    request = None if recorded is not None else theatre_request(sim, scene, seed, config)
-    folder = new_folder(out, "arm")
-
-    def conclude(observed: ArmLooks) -> ArmResult:
-        files.write_looks(observed, folder)
-        result = calibrate_arm(observed, life=timedelta(days=days))
-        files.write_result(result, folder)
-        return result
-
-    def look(then: Callable[[ArmLooks], None]) -> None:
-        assert request is not None, "without recorded looks there is a theatre"
-        _look(request, folder, (looks, validation), answers, then)
-
-    result = concluded(folder, observed, look, conclude)
-    if write is not None and config is not None:
-        write_theatre(config, write, files.records_of(result))
-    if as_json:
-        console.print_json({**files.payload_of(result), "folder": str(folder)})
-        return
-    from procedures.cli.arm.display import print_calibration
-
-    print_calibration(result, folder)
+    calibrate(KIND, arm_looks(looks, validation), request)
 
 
 @app.command()
@@ -126,9 +108,11 @@ def check(
     from procedures.calibration.arm.check import check_arm
     from procedures.cli.arm import files
     from procedures.cli.arm.display import print_check
+    from procedures.cli.calibrating.calibration import observe
     from procedures.cli.calibrating.files import write_payload
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
+    from procedures.steps.calibration.procedures import arm_looks
 
     results: list[ArmCheck] = []
 
@@ -141,50 +125,13 @@ def check(
     folder = new_folder(out, "check")
     try:
         with leaving_report(folder, with_truth=False):
-            _look(request, folder, (0, looks), answers, conclude)
+            observe(files.CHECK, arm_looks(0, looks), request, folder, conclude, answers=answers)
     finally:
         for result in results:
             if as_json:
                 console.print_json(files.check_payload(result))
             else:
                 print_check(result)
-
-
-def _look(
-    request: TheatreRequest,
-    folder: Path,
-    numbers: tuple[int, int],
-    answers: Path | None,
-    conclude: Callable[[ArmLooks], None],
-) -> None:
-    """Look at the spheres; what `conclude` raises is how the run has ended."""
-    from procedures.cli.calibrating.running import run_steps
-    from procedures.steps.calibration.procedures import arm_looks
-    from procedures.steps.calibration.sphere_looks import ObservedSpheres
-
-    identifying = numbers[0] > 0
-
-    def in_use(calibrations: Calibrations) -> Calibrations:
-        """An arm is identified from its nominal geometry, whatever a former record says."""
-        return calibrations.model_copy(update={"arm": None}) if identifying else calibrations
-
-    def judge(engine: Engine) -> None:
-        conclude(engine.case.get(ObservedSpheres).result.observed)
-
-    title = "Calibration of the arm" if identifying else "Check of the arm"
-    with console.progress_bar("looking at the spheres") as advance:
-        engine = run_steps(
-            request,
-            folder,
-            arm_looks(*numbers),
-            advance,
-            title=title,
-            answers=answers,
-            in_use=in_use,
-            judge=judge,
-        )
-    for remark in engine.case.get(ObservedSpheres).result.remarks:
-        console.tell(remark)
 
 
 def main() -> None:

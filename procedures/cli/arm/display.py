@@ -1,25 +1,11 @@
-"""What `ronna-arm` prints: a calibration, a check."""
+"""What `ronna-arm check` prints."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from procedures.calibration.arm.check import ArmCheck
-from procedures.calibration.arm.record import ArmResult
-from procedures.cli.arm.files import check_payload, payload_of
-from procedures.reporting.calibration import ArmCheckFigures, ArmFigures
+from procedures.cli.arm.files import check_payload
+from procedures.reporting.calibration import ArmCheckFigures
 from ronna_hw.command_line import console
-
-
-def print_calibration(result: ArmResult, folder: Path) -> None:
-    """The figures of a calibration, and where its files are."""
-    figures = ArmFigures.model_validate(payload_of(result)).figures()
-    console.print_table(
-        f"calibration {result.arm.identifier}",
-        ["", "value"],
-        [[one.name, one.value] for one in figures],
-    )
-    console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
 
 
 def print_check(result: ArmCheck) -> None:

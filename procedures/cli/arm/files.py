@@ -1,35 +1,17 @@
-"""What a calibration of the arm leaves behind, beside records and figures: the looks.
-
-OUT/<id>/looks.json          what was seen from where; calibrate again with --from
-"""
+"""A calibration of the arm: what is observed for it, and the figures that it and its check leave."""
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 from procedures.calibration.arm.check import ArmCheck
 from procedures.calibration.arm.looks import LOOKS_FILE, ArmLooks
-from procedures.calibration.arm.record import ArmResult
-from procedures.calibration.observations import read_strict
-from procedures.cli.calibrating.files import write_payload, write_records
-from ronna_hw.records import write_whole
-
-
-def read_looks(path: Path) -> ArmLooks:
-    """Stored looks, from their file or folder. Raises CAL-005."""
-    return read_strict(ArmLooks, path / LOOKS_FILE if path.is_dir() else path)
-
-
-def write_looks(observed: ArmLooks, folder: Path) -> None:
-    """Keep the looks before anything is computed from them."""
-    write_whole(folder / LOOKS_FILE, observed.model_dump_json(by_alias=True, indent=1).encode())
-
-
-def write_result(result: ArmResult, folder: Path) -> None:
-    """Write records and figures."""
-    write_records(records_of(result), folder)
-    write_payload(payload_of(result), folder)
+from procedures.calibration.arm.record import ArmResult, calibrate_arm
+from procedures.cli.calibrating.calibration import CalibrationKind
+from procedures.reporting.calibration import ArmFigures
+from procedures.steps.calibration.sphere_looks import ObservedSpheres
+from ronna_hw.config import Calibrations
 
 
 def records_of(result: ArmResult) -> dict[str, Any]:
@@ -73,3 +55,25 @@ def check_payload(result: ArmCheck) -> dict[str, Any]:
         "statistic": result.statistic,
         "limit": result.limit,
     }
+
+
+def without_arm(of_theatre: Calibrations) -> Calibrations:
+    """An arm is identified from its nominal geometry, whatever a former record says."""
+    return of_theatre.model_copy(update={"arm": None})
+
+
+KIND = CalibrationKind(
+    name="arm",
+    title="Calibration of the arm",
+    activity="looking at the spheres",
+    looks_type=ArmLooks,
+    looks_file=LOOKS_FILE,
+    observed=lambda case: case.get(ObservedSpheres).result.observed,
+    remarks=lambda case: case.get(ObservedSpheres).result.remarks,
+    compute=lambda looks, life: calibrate_arm(looks, life=life),
+    records=records_of,
+    payload=payload_of,
+    figures=lambda payload: ArmFigures.model_validate(payload).figures(),
+    in_use=without_arm,
+)
+CHECK = replace(KIND, title="Check of the arm", in_use=lambda of_theatre: of_theatre)

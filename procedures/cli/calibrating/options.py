@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
+from ronna_hw.calibration import Numbers3
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
+    from procedures.cli.calibrating.calibration import CalibrationRequest
     from procedures.cli.case.request import TheatreRequest
 
 SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
@@ -49,13 +53,38 @@ AnswersOption = Annotated[
 OutOption = Annotated[Path, typer.Option(help="Folder for what is written.")]
 
 
-def require_one_source(*, sim: bool, config: Path | None, recorded: Path | None, write: Path | None) -> None:
-    """Raise CLI-001 unless the looks come from one place, and the theatre file to write from another."""
+def calibration_request(
+    *,
+    sim: bool,
+    scene: str,
+    seed: int,
+    config: Path | None,
+    recorded: Path | None,
+    write: Path | None,
+    days: int,
+    out: Path,
+    as_json: bool,
+    answers: Path | None = None,
+    calibrated: bool = False,
+    first_day: bool = False,
+    records: Sequence[Path] = (),
+) -> CalibrationRequest:
+    """What the options ask for; raises CLI-001 unless looks and theatre file each come from one place."""
     one_theatre = sim != (config is not None)
     if (recorded is None and not one_theatre) or (recorded is not None and sim):
         raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
     if write is not None and config is None:
         raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
+    from procedures.cli.calibrating.calibration import CalibrationRequest
+
+    theatre = None
+    if recorded is None:
+        theatre = theatre_request(
+            sim, scene, seed, config, calibrated=calibrated, first_day=first_day, records=records
+        )
+    return CalibrationRequest(
+        theatre, recorded, config, write, life=timedelta(days=days), out=out, as_json=as_json, answers=answers
+    )
 
 
 def theatre_request(
@@ -86,3 +115,11 @@ def theatre_request(
     if sim:
         choice.check()
     return TheatreRequest(config=config, choice=choice)
+
+
+def finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
+    """The place of a ball as it was given. Raises CLI-001 for what is no number."""
+    if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
+        got = " ".join(f"{value:g}" for value in ball_mm)
+        raise UsageMistake("--ball needs three finite numbers", got=got)
+    return ball_mm

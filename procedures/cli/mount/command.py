@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from datetime import timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -20,11 +18,10 @@ from procedures.cli.calibrating.options import (
     SeedOption,
     SimOption,
     WriteOption,
-    require_one_source,
-    theatre_request,
+    calibration_request,
+    finite_ball,
 )
 from ronna_hw.command_line import console
-from ronna_hw.command_line.errors import UsageMistake
 
 app = typer.Typer(
     name="calibrate",
@@ -40,7 +37,7 @@ CalibratedOption = Annotated[
 
 
 @app.callback()
-def calibrate() -> None:
+def mount() -> None:
     """Calibrate what hangs on the arm's mount."""
 
 
@@ -71,29 +68,25 @@ def tracker_frame(
     3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
-    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
-    from procedures.cli.mount.tracker_frame import calibrate_tracker_frame
-
-    request = None
-    if recorded is None:
-        request = theatre_request(
-            sim,
-            scene,
-            seed,
-            config,
-            calibrated=calibrated,
-            first_day=first_day,
-            records=calibration or (),
-        )
-    calibrate_tracker_frame(
-        request,
-        recorded,
-        (looks, validation),
-        life=timedelta(days=days),
+    request = calibration_request(
+        sim=sim,
+        scene=scene,
+        seed=seed,
+        config=config,
+        recorded=recorded,
         write=write,
+        days=days,
         out=out,
         as_json=as_json,
+        calibrated=calibrated,
+        first_day=first_day,
+        records=calibration or (),
     )
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.cli.mount.tracker_frame import KIND
+    from procedures.steps.calibration.procedures import frame_looks
+
+    calibrate(KIND, frame_looks(looks, validation), request)
 
 
 @app.command("tool-tip")
@@ -129,29 +122,23 @@ def tool_tip(
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
     console.set_up_logging(verbose)
-    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
-    from procedures.cli.mount.tool_tip import calibrate_tool_tip
-
-    if ball is not None and not all(map(math.isfinite, ball)):
-        raise UsageMistake("--ball needs three finite numbers", got=" ".join(f"{value:g}" for value in ball))
-    request = None
-    if recorded is None:
-        request = theatre_request(
-            sim,
-            scene,
-            seed,
-            config,
-            calibrated=calibrated,
-            first_day=first_day,
-            records=calibration or (),
-        )
-    calibrate_tool_tip(
-        request,
-        recorded,
-        (readings, validation),
-        ball,
-        life=timedelta(days=days),
+    finite_ball(ball)
+    request = calibration_request(
+        sim=sim,
+        scene=scene,
+        seed=seed,
+        config=config,
+        recorded=recorded,
         write=write,
+        days=days,
         out=out,
         as_json=as_json,
+        calibrated=calibrated,
+        first_day=first_day,
+        records=calibration or (),
     )
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.cli.mount.tool_tip import KIND
+    from procedures.steps.calibration.procedures import tip_readings
+
+    calibrate(KIND, tip_readings(readings, validation, ball), request)

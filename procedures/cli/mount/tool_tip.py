@@ -1,73 +1,19 @@
-"""Runs a calibration of the guide's tip, or computes one again, and leaves its files.
-
-OUT/<id>/tip-looks.json    what head and dials said in each orientation; calibrate again with --from
-"""
+"""A calibration of the guide's tip: what is observed for it, and the figures that it leaves."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from datetime import timedelta
-from pathlib import Path
 from typing import Any
 
-from procedures.calibration.observations import read_strict
 from procedures.calibration.tool_tip.looks import LOOKS_FILE, TipLooks
 from procedures.calibration.tool_tip.record import TipResult, calibrate_tip
-from procedures.cli.calibrating.files import write_payload, write_records, write_theatre
-from procedures.cli.calibrating.running import concluded, new_folder, run_steps, valid_now
-from procedures.cli.case.request import TheatreRequest
-from procedures.engine.engine import Engine
+from procedures.cli.calibrating.calibration import CalibrationKind
+from procedures.cli.calibrating.running import valid_now
 from procedures.reporting.calibration import TipFigures
-from ronna_hw.calibration import Numbers3
-from ronna_hw.command_line import console
-from ronna_hw.records import write_whole
+from procedures.steps.calibration.stand_ball import ObservedStand
+from procedures.steps.calibration.tip_readings import ReadTip
 
-
-def calibrate_tool_tip(
-    request: TheatreRequest | None,
-    recorded: Path | None,
-    numbers: tuple[int, int],
-    ball_mm: Numbers3 | None,
-    *,
-    life: timedelta,
-    write: Path | None,
-    out: Path,
-    as_json: bool,
-) -> None:
-    """Read so many, and so many more to judge by; or compute from `recorded`. Raises CAL-002 to CAL-019."""
-    observed = None if recorded is None else read_looks(recorded)
-    folder = new_folder(out, "tool-tip")
-
-    def conclude(observed: TipLooks) -> TipResult:
-        write_whole(folder / LOOKS_FILE, observed.model_dump_json(by_alias=True, indent=1).encode())
-        result = calibrate_tip(observed, life=life)
-        write_records(records_of(result), folder)
-        write_payload(payload_of(result), folder)
-        return result
-
-    def look(then: Callable[[TipLooks], None]) -> None:
-        assert request is not None, "without recorded readings there is a theatre"
-        _read(request, folder, numbers, ball_mm, then)
-
-    result = concluded(folder, observed, look, conclude)
-    if write is not None and request is not None and request.config is not None:
-        write_theatre(request.config, write, records_of(result))
-    if as_json:
-        console.print_json({**payload_of(result), "folder": str(folder)})
-        return
-    figures = TipFigures.model_validate(payload_of(result)).figures()
-    console.print_table(
-        f"calibration {result.tool_tip.identifier}",
-        ["", "value", "standard error"],
-        [[one.name, one.value, one.spread] for one in figures],
-    )
-    console.tell(f"record in {folder}: put calibration.toml into the theatre file, or use --write")
-
-
-def read_looks(path: Path) -> TipLooks:
-    """Stored looks and readings, from their file or folder. Raises CAL-005."""
-    return read_strict(TipLooks, path / LOOKS_FILE if path.is_dir() else path)
+MOUNT_THE_HEAD = "the guide hangs on the arm: mount the stereo head before the next case"
 
 
 def records_of(result: TipResult) -> dict[str, Any]:
@@ -99,31 +45,17 @@ def payload_of(result: TipResult) -> dict[str, Any]:
     }
 
 
-def _read(
-    request: TheatreRequest,
-    folder: Path,
-    numbers: tuple[int, int],
-    ball_mm: Numbers3 | None,
-    conclude: Callable[[TipLooks], None],
-) -> None:
-    """Look and read; what `conclude` raises is how the run has ended."""
-    from procedures.steps.calibration.procedures import tip_readings
-    from procedures.steps.calibration.stand_ball import ObservedStand
-    from procedures.steps.calibration.tip_readings import ReadTip
-
-    def judge(engine: Engine) -> None:
-        conclude(engine.case.get(ReadTip).result.observed)
-
-    with console.progress_bar("looking at the ball, reading the divot") as advance:
-        engine = run_steps(
-            request,
-            folder,
-            tip_readings(*numbers, ball_mm),
-            advance,
-            title="Calibration of the guide's tip",
-            in_use=lambda given: valid_now(given, "tool_tip", "tracker_frame"),
-            judge=judge,
-        )
-    for remark in engine.case.get(ObservedStand).result.remarks:
-        console.tell(remark)
-    console.tell("the guide hangs on the arm: mount the stereo head before the next case")
+KIND = CalibrationKind(
+    name="tool-tip",
+    title="Calibration of the guide's tip",
+    activity="looking at the ball, reading the divot",
+    looks_type=TipLooks,
+    looks_file=LOOKS_FILE,
+    observed=lambda case: case.get(ReadTip).result.observed,
+    remarks=lambda case: (*case.get(ObservedStand).result.remarks, MOUNT_THE_HEAD),
+    compute=lambda looks, life: calibrate_tip(looks, life=life),
+    records=records_of,
+    payload=payload_of,
+    figures=lambda payload: TipFigures.model_validate(payload).figures(),
+    in_use=lambda given: valid_now(given, "tool_tip", "tracker_frame"),
+)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,15 +16,14 @@ from procedures.cli.calibrating.options import (
     SeedOption,
     SimOption,
     WriteOption,
-    require_one_source,
+    calibration_request,
+    finite_ball,
     theatre_request,
 )
 from ronna_hw.command_line import console
-from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.calibration import CheckResult, HeadResult, ObservationSet
-    from procedures.cli.case.request import TheatreRequest
+    from procedures.calibration import CheckResult
     from procedures.engine.engine import Engine
 
 Triple = tuple[float, float, float]
@@ -55,8 +51,8 @@ def stereo() -> None:
     """The stereo head: calibrate it, check that it still holds, look at a ball."""
 
 
-@app.command()
-def calibrate(
+@app.command("calibrate")
+def calibrate_head(
     sim: SimOption = False,
     scene: SceneOption = "default",
     seed: SeedOption = 0,
@@ -80,37 +76,26 @@ def calibrate(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     console.set_up_logging(verbose)
-    _finite(ball)
-    require_one_source(sim=sim, config=config, recorded=recorded, write=write)
-    from procedures.calibration import calibrate_head
-    from procedures.calibration.observations import read_observations
-    from procedures.cli.calibrating.files import write_theatre
-    from procedures.cli.calibrating.running import concluded, new_folder
-    from procedures.cli.stereo import files
+    finite_ball(ball)
+    request = calibration_request(
+        sim=sim,
+        scene=scene,
+        seed=seed,
+        config=config,
+        recorded=recorded,
+        write=write,
+        days=days,
+        out=out,
+        as_json=as_json,
+    )
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.cli.stereo.display import warn_of_arm
+    from procedures.cli.stereo.files import KIND
+    from procedures.steps.calibration.procedures import head_calibration
 
-    observed = None if recorded is None else read_observations(recorded)
-    request = None if recorded is not None else theatre_request(sim, scene, seed, config)
-    folder = new_folder(out, "stereo")
-
-    def conclude(observed: ObservationSet) -> HeadResult:
-        files.write_observations(observed, folder)
-        result = calibrate_head(observed, life=timedelta(days=days))
-        files.write_result(observed, result, folder)
-        return result
-
-    def look(then: Callable[[ObservationSet], None]) -> None:
-        assert request is not None, "without recorded looks there is a theatre"
-        _observe(request, folder, (poses, visits), ball, then)
-
-    result = concluded(folder, observed, look, conclude)
-    if write is not None and config is not None:
-        write_theatre(config, write, files.records_of(result))
-    if as_json:
-        console.print_json({**files.payload_of(result), "folder": str(folder)})
-        return
-    from procedures.cli.stereo.display import print_calibration
-
-    print_calibration(result, folder)
+    result = calibrate(KIND, head_calibration(poses, visits, ball), request)
+    if not as_json:
+        warn_of_arm(result)
 
 
 @app.command()
@@ -201,7 +186,7 @@ def measure(
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
-    steps = head_look(_finite(ball)) if find or sim or ball is not None else look_where_it_stands()
+    steps = head_look(finite_ball(ball)) if find or sim or ball is not None else look_where_it_stands()
     folder = new_folder(out, "measure")
     with leaving_report(folder, with_truth=False):
         engine = run_steps(request, folder, steps, lambda _share: None, title="A look of the stereo head")
@@ -216,34 +201,6 @@ def measure(
         from procedures.cli.stereo.display import show_look
 
         write_payload(show_look(seen, as_json=as_json), folder)
-
-
-def _finite(ball: Triple | None) -> Triple | None:
-    if ball is not None and not all(map(math.isfinite, ball)):
-        raise UsageMistake("--ball needs three finite numbers", got=" ".join(f"{value:g}" for value in ball))
-    return ball
-
-
-def _observe(
-    request: TheatreRequest,
-    folder: Path,
-    numbers: tuple[int, int],
-    ball_mm: Triple | None,
-    conclude: Callable[[ObservationSet], None],
-) -> None:
-    """Observe the ball; what `conclude` raises is how the run has ended."""
-    from procedures.cli.calibrating.running import run_steps, valid_now
-    from procedures.steps.calibration.ball_observation import ObservedBall
-    from procedures.steps.calibration.procedures import head_calibration
-
-    def judge(engine: Engine) -> None:
-        conclude(engine.case.get(ObservedBall).result.observed)
-
-    with console.progress_bar("looking at the ball") as advance:
-        steps, title = head_calibration(*numbers, ball_mm), "Calibration of the stereo head"
-        engine = run_steps(request, folder, steps, advance, title=title, in_use=valid_now, judge=judge)
-    for remark in engine.case.get(ObservedBall).result.remarks:
-        console.tell(remark)
 
 
 def main() -> None:

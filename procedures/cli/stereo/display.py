@@ -2,35 +2,24 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from procedures.calibration import CheckResult, HeadResult
 from procedures.calibration.bundle import REPEATABILITY_MM
-from procedures.cli.stereo.files import payload_of
 from procedures.relocalization import SphereImage, StereoPoint
 from procedures.relocalization.errors import NoSphere, NotTrusted
-from procedures.reporting.calibration import HeadFigures
 from procedures.workcell.stereo_look import Look
 from ronna_hw.command_line import console
 
 
-def print_calibration(result: HeadResult, folder: Path) -> None:
-    """The figures of a calibration, and where its files are."""
-    fit, head = result.fit, result.stereo_head
-    figures = HeadFigures.model_validate(payload_of(result)).figures()
-    console.print_table(
-        f"calibration {head.identifier}",
-        ["", "value", "standard error"],
-        [[one.name, one.value, one.spread] for one in figures],
-    )
-    if fit.arm_error_mm > REPEATABILITY_MM:
+def warn_of_arm(result: HeadResult) -> None:
+    """Say it when the arm that carried the head was worse than it repeats."""
+    if result.fit.arm_error_mm > REPEATABILITY_MM:
         console.tell(
-            f"warning: the arm error over these poses, {fit.arm_error_mm:.2f} mm per axis, exceeds its "
-            f"repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link adds to "
-            "the tool centre; calibrate the arm before using a strategy that turns the tool"
+            f"warning: the arm error over these poses, {result.fit.arm_error_mm:.2f} mm per axis, exceeds "
+            f"its repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
+            "adds to the tool centre; calibrate the arm before using a strategy that turns the tool"
         )
-    console.tell(f"records and baseline in {folder}: put calibration.toml into the theatre file")
 
 
 def print_check(result: CheckResult) -> None:

@@ -1,6 +1,5 @@
-"""What a stereo calibration leaves behind, beside records and figures: observations and baseline.
+"""A calibration of the stereo head: what is observed for it, and what it leaves beside looks and records.
 
-OUT/<id>/observations.json   what was seen from where; calibrate again with --from
 OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`
 """
 
@@ -11,31 +10,25 @@ from typing import Any
 
 import numpy as np
 
-from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet
+from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet, calibrate_head
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
-from procedures.cli.calibrating.files import write_payload, write_records
-from ronna_hw.calibration import Strict
+from procedures.cli.calibrating.calibration import CalibrationKind
+from procedures.cli.calibrating.running import valid_now
+from procedures.reporting.calibration import HeadFigures
+from procedures.steps.calibration.ball_observation import ObservedBall
 from ronna_hw.records import write_whole
 
 
-def write_observations(observed: ObservationSet, folder: Path) -> None:
-    """Keep the looks before anything is computed from them."""
-    _write(observed, folder / OBSERVATIONS_FILE)
-
-
-def write_result(observed: ObservationSet, result: HeadResult, folder: Path) -> Baseline:
-    """Write baseline, records and figures; returns the baseline."""
+def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
+    """Keep the looks of the self-check, and the head that they belong to."""
     baseline = Baseline(
         created=observed.created,
         stereo_head=result.stereo_head,
         arm_variant=observed.arm_variant,
         looks=tuple(look for look in observed.observations if look.orientation is not None),
     )
-    _write(baseline, folder / BASELINE_FILE)
-    write_records(records_of(result), folder)
-    write_payload(payload_of(result), folder)
-    return baseline
+    write_whole(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
 
 
 def records_of(result: HeadResult) -> dict[str, Any]:
@@ -94,5 +87,18 @@ def check_payload(result: CheckResult, baseline: Baseline) -> dict[str, Any]:
     }
 
 
-def _write(content: Strict, path: Path) -> None:
-    write_whole(path, content.model_dump_json(by_alias=True, indent=1).encode())
+KIND = CalibrationKind(
+    name="stereo",
+    title="Calibration of the stereo head",
+    activity="looking at the ball",
+    looks_type=ObservationSet,
+    looks_file=OBSERVATIONS_FILE,
+    observed=lambda case: case.get(ObservedBall).result.observed,
+    remarks=lambda case: case.get(ObservedBall).result.remarks,
+    compute=lambda looks, life: calibrate_head(looks, life=life),
+    records=records_of,
+    payload=payload_of,
+    figures=lambda payload: HeadFigures.model_validate(payload).figures(),
+    in_use=valid_now,
+    keep=write_baseline,
+)

@@ -21,7 +21,7 @@ from procedures.calibration.errors import (
     TooFewPoses,
     Unobservable,
 )
-from procedures.cli.arm.files import read_looks, write_looks
+from procedures.cli.arm.files import KIND
 from ronna_hw.arm.calibrated import CalibratedArm
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.frames import Frame
@@ -151,9 +151,9 @@ def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
 
 
 def test_looks_of_an_arm_that_nobody_knows_are_refused(tmp_path: Path) -> None:
-    write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
+    KIND.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
     with pytest.raises(BadObservations, match=r"CAL-005.*no arm is called 'kr3'"):
-        read_looks(tmp_path)
+        KIND.read_looks(tmp_path)
 
 
 def test_a_model_that_the_looks_leave_open_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,132 @@
+"""One kind of calibration on the command line, and what running whichever kind has in common.
+
+OUT/<name>-<id>/<looks file>    what was observed, kept before anything is computed; compute again with --from
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from procedures.calibration.observations import read_strict
+from procedures.cli.calibrating.files import write_payload, write_records, write_theatre
+from procedures.cli.calibrating.running import concluded, new_folder, run_steps
+from procedures.cli.case.request import TheatreRequest
+from procedures.engine.case import Case
+from procedures.engine.engine import Engine
+from procedures.engine.order import Steps
+from procedures.reporting.calibration import Figure
+from ronna_hw.calibration import Strict
+from ronna_hw.command_line import console
+from ronna_hw.config import Calibrations
+from ronna_hw.records import write_whole
+
+Looks = TypeVar("Looks", bound=Strict)
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class CalibrationKind(Generic[Looks, Result]):
+    """What is observed, computed from it and kept.
+
+    `observed` takes the looks out of a case whose steps are done, `remarks` what the operator should know of
+    them; `in_use` says which records its steps work with, given the theatre's.
+    """
+
+    name: str
+    title: str
+    activity: str
+    looks_type: type[Looks]
+    looks_file: str
+    observed: Callable[[Case], Looks]
+    remarks: Callable[[Case], Sequence[str]]
+    compute: Callable[[Looks, timedelta], Result]
+    records: Callable[[Result], dict[str, Any]]
+    payload: Callable[[Result], dict[str, Any]]
+    figures: Callable[[dict[str, Any]], Iterable[Figure]]
+    in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
+    keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
+
+    def read_looks(self, path: Path) -> Looks:
+        """Stored looks, from their file or folder. Raises CAL-005."""
+        return read_strict(self.looks_type, path / self.looks_file if path.is_dir() else path)
+
+    def write_looks(self, looks: Looks, folder: Path) -> None:
+        """Keep the looks, before anything is computed from them."""
+        write_whole(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
+
+
+@dataclass(frozen=True)
+class CalibrationRequest:
+    """What the command line asks of any kind: look in a theatre, or compute from recorded looks."""
+
+    theatre: TheatreRequest | None
+    recorded: Path | None
+    config: Path | None
+    write: Path | None
+    life: timedelta
+    out: Path
+    as_json: bool
+    answers: Path | None = None
+
+
+def calibrate(kind: CalibrationKind[Looks, Result], steps: Steps, request: CalibrationRequest) -> Result:
+    """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-019."""
+    recorded = None if request.recorded is None else kind.read_looks(request.recorded)
+    folder = new_folder(request.out, kind.name)
+
+    def conclude(looks: Looks) -> Result:
+        kind.write_looks(looks, folder)
+        result = kind.compute(looks, request.life)
+        kind.keep(looks, result, folder)
+        write_records(kind.records(result), folder)
+        write_payload(kind.payload(result), folder)
+        return result
+
+    def look(then: Callable[[Looks], None]) -> None:
+        assert request.theatre is not None, "without recorded looks there is a theatre"
+        observe(kind, steps, request.theatre, folder, then, answers=request.answers)
+
+    result = concluded(folder, recorded, look, conclude)
+    if request.write is not None and request.config is not None:
+        write_theatre(request.config, request.write, kind.records(result))
+    payload = kind.payload(result)
+    if request.as_json:
+        console.print_json({**payload, "folder": str(folder)})
+    else:
+        rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
+        console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
+        console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
+    return result
+
+
+def observe(
+    kind: CalibrationKind[Looks, Result],
+    steps: Steps,
+    theatre: TheatreRequest,
+    folder: Path,
+    conclude: Callable[[Looks], None],
+    *,
+    answers: Path | None = None,
+) -> None:
+    """Run the steps and tell their remarks; what `conclude` raises is how the run has ended."""
+
+    def judge(engine: Engine) -> None:
+        conclude(kind.observed(engine.case))
+
+    with console.progress_bar(kind.activity) as advance:
+        engine = run_steps(
+            theatre,
+            folder,
+            steps,
+            advance,
+            title=kind.title,
+            answers=answers,
+            in_use=kind.in_use,
+            judge=judge,
+        )
+    for remark in kind.remarks(engine.case):
+        console.tell(remark)
