@@ -12,10 +12,10 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
 
 from procedures.engine.errors import GuardUnmet, OperatorAborted
-from procedures.engine.machine import PAUSED, SUSPENDED
 from procedures.engine.operator import Question, Topic
 from ronna_hw.errors import RonnaError
 
+PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
 CHOICES = "wait goes on as soon as it is as it must be, leave ends the step here with the arm at rest"
 WITHOUT = "continue goes on without it for a while"

@@ -24,7 +24,7 @@ BETWEEN_S = 0.15  # ten orders a second are too many
 
 
 def await_state(script: ConsoleScript, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The first state that is as awaited."""
+    """The first state that meets the condition."""
     deadline_s = time.monotonic() + HANG_LIMIT_S
     while not holds(state := script.state()):
         assert time.monotonic() < deadline_s, state
