@@ -17,6 +17,7 @@ from typing import Any, Protocol
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import UnknownDriver
+from ronna_hw.devices.finding import Finder
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.probing import (
     Diagnostic,
@@ -68,8 +69,17 @@ def load_probe(driver: str) -> Probe:
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
     """The probes that can look at bare endpoints, by driver."""
-    loaded = {point.name: point.load() for point in entry_points(group=PROBE_GROUP)}
-    return {driver: probe for driver, probe in sorted(loaded.items()) if isinstance(probe, EndpointProbe)}
+    return {driver: probe for driver, probe in _probes() if isinstance(probe, EndpointProbe)}
+
+
+def finders() -> dict[str, Finder]:
+    """The probes that can search lines and networks for their devices, by driver."""
+    return {driver: probe for driver, probe in _probes() if isinstance(probe, Finder)}
+
+
+def _probes() -> list[tuple[str, Any]]:
+    """Every installed probe with its driver."""
+    return sorted((point.name, point.load()) for point in entry_points(group=PROBE_GROUP))
 
 
 def _default_probe(

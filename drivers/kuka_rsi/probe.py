@@ -10,8 +10,10 @@ import errno
 from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
+from drivers.kuka_rsi.finding import example_arm, find_controllers
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.finding import Proposal, Search
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
@@ -24,13 +26,27 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import user_of_udp_port
 
 
-def probe(
-    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
-) -> Sequence[Diagnostic]:
-    """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
-    streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
-    ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
-    return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
+class KukaProbe:
+    """The probe of this driver; its `find` serves a new theatre file."""
+
+    table = "robot"
+
+    def __call__(
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    ) -> Sequence[Diagnostic]:
+        """The stream's port, then the controller. Nothing is sent to the stream, and nothing moves."""
+        streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
+        ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
+        return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return find_controllers(search, progress)
+
+    def example(self, search: Search) -> Proposal:
+        return example_arm(search)
+
+
+probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:

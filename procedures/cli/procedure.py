@@ -14,6 +14,7 @@ from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
 from procedures.cli.console.options import ConsoleOption, ConsolePortOption, console_request
 from procedures.cli.mount.command import app as calibrate_app
+from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.console import (
     JsonOption,
@@ -316,6 +317,7 @@ def _answers(path: Path | None) -> Answers | None:
 
 add_commands(app)
 app.add_typer(calibrate_app, name="calibrate")
+app.command("new-theatre")(new_theatre)
 
 
 def main() -> None:

@@ -8,7 +8,9 @@ from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.pair import BaslerStereoPair
 from drivers.basler_stereo.probe.camera_state import look_at_camera
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
+from drivers.basler_stereo.probe.finding import example_pair, find_pairs
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.finding import Proposal, Search
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_and_leave, leave_alone
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interface_of
@@ -17,9 +19,10 @@ CAMERAS_SHARE = 0.5  # of the whole probe; the rest is connecting
 
 
 class BaslerProbe:
-    """The probe of this driver; its `look_at` also serves bare endpoints."""
+    """The probe of this driver; its `look_at` also serves bare endpoints, its `find` a new theatre file."""
 
     endpoint_schemes = frozenset({"gev"})
+    table = "stereo"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
@@ -30,6 +33,12 @@ class BaslerProbe:
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return find_pairs(search, progress)
+
+    def example(self, search: Search) -> Proposal:
+        return example_pair()
 
     def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Diagnostic]:
         """Broadcast discovery on the cameras' own networks, then each address."""

@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 from drivers.ndi_polaris.driver import PolarisTracker
 from drivers.ndi_polaris.probe.diagnosis import line_diagnostic
+from drivers.ndi_polaris.probe.finding import example_tracker, find_trackers
 from drivers.ndi_polaris.probe.line import look_at_line
 from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.finding import Proposal, Search
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
@@ -22,9 +24,10 @@ LINE_SHARE = 0.5  # of the whole probe; the rest is connecting
 
 
 class PolarisProbe:
-    """The probe of this driver; its `look_at` also serves bare endpoints."""
+    """The probe of this driver; its `look_at` also serves bare endpoints, its `find` a new theatre file."""
 
     endpoint_schemes = frozenset({"serial", "tcp"})
+    table = "tracker"
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
@@ -40,6 +43,12 @@ class PolarisProbe:
             diagnostics.append(line_diagnostic(look_at_line(endpoint)))
             progress(len(diagnostics) / len(endpoints))
         return diagnostics
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        return find_trackers(search, progress)
+
+    def example(self, search: Search) -> Proposal:
+        return example_tracker()
 
 
 probe = PolarisProbe()

@@ -76,6 +76,13 @@ def examine(
 
 def show(report: Report, *, as_json: bool) -> None:
     """Print the diagnostics; ends with exit code 4 where a device, endpoint or calibration has a problem."""
+    show_findings(report, as_json=as_json)
+    if not all(diagnostic.well for diagnostic in report.calibrations + report.devices):
+        raise SystemExit(EXIT_NOT_FOUND)
+
+
+def show_findings(report: Report, *, as_json: bool) -> None:
+    """Print the diagnostics, and the verdicts where there are any."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -103,8 +110,6 @@ def show(report: Report, *, as_json: bool) -> None:
                     for one in report.verdicts
                 ],
             )
-    if not all(diagnostic.well for diagnostic in report.calibrations + report.devices):
-        raise SystemExit(EXIT_NOT_FOUND)
 
 
 def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[tuple[str, Look]]:

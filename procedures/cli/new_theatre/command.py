@@ -1,0 +1,165 @@
+"""`ronna-procedure new-theatre`."""
+
+from __future__ import annotations
+
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.cli.new_theatre.searching import Found
+
+NO_CARD = "none"
+REHEARSAL = "REHEARSAL: EVERY DEVICE IS ON THIS COMPUTER"  # where only simulators can be
+
+
+def new_theatre(
+    hardware: Annotated[
+        bool, typer.Option("--hardware", help="For devices of your own; ronna-sim theatre writes the others.")
+    ] = False,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file.")] = Path("theatre.toml"),
+    name: Annotated[str | None, typer.Option(help="Name of the theatre [default: the file's].")] = None,
+    interface: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Network card to search for cameras and controller, by name or address; repeatable. "
+            "No other is used.",
+        ),
+    ] = None,
+    serial: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="LINE",
+            help="Line to ask for a tracker: a path or an endpoint; repeatable [default: every serial port].",
+        ),
+    ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(metavar="HOST[:PORT]", help="The robot's controller, instead of a search; repeatable."),
+    ] = None,
+    stream: Annotated[
+        str | None,
+        typer.Option(
+            metavar="udp://HOST:PORT",
+            help="Where the robot's telegrams arrive [default: as in the controller's Ethernet file].",
+        ),
+    ] = None,
+    left: Annotated[
+        str | None, typer.Option(metavar="CAMERA", help="The left camera, by serial number or address.")
+    ] = None,
+    right: Annotated[str | None, typer.Option(metavar="CAMERA", help="The right one.")] = None,
+    records: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Take over the records of mount, tools and cell from another theatre file or a part of one.",
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="TABLE.KEY=VALUE", help="Option of a driver, as stereo.exposure_us=1500; repeatable."
+        ),
+    ] = None,
+    clock: Annotated[str, typer.Option(help="Source of time; that of a simulated theatre to rehearse.")] = (
+        "host:"
+    ),
+    check: Annotated[bool, typer.Option(help="Check the file as ronna-procedure doctor does.")] = True,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Begin the theatre file of your own devices: find them, write down every option, check the file.
+
+    Only the given lines, addresses and network cards are asked; nothing moves. On a terminal, what is not
+    given is asked for. Exit codes: 0 written, and every device is there and ready; 2 usage; 4 written, and
+    a device was not found or is not ready; 130 interrupted.
+    """
+    console.set_up_logging(verbose)
+    if not hardware:
+        raise UsageMistake(
+            "new-theatre writes the file of real devices: give --hardware",
+            action="For simulated ones run ronna-sim theatre, which writes its own.",
+        )
+    if out.exists():
+        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file with --out.")
+    from procedures.cli.new_theatre import searching, taken_over, writing
+    from ronna_hw.config import parse_theatre
+    from ronna_hw.devices.finding import Search
+    from ronna_hw.endpoints import parse_endpoint
+    from ronna_hw.errors import EXIT_NOT_FOUND
+    from ronna_hw.records import write_whole
+    from ronna_hw.registry import finders
+    from ronna_hw.theatre_kind import is_simulated
+
+    search = Search(
+        interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
+        lines=searching.lines(serial),
+        controllers=tuple(map(searching.controller, controller or ())),
+        stream=None if stream is None else parse_endpoint(stream).require("udp"),
+    )
+    tables = {} if records is None else taken_over.read_tables(records)
+    with console.progress_bar("looking for the devices") as advance:
+        found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
+    if records is not None:
+        found = taken_over.with_tools_of(records, found)
+    found = taken_over.with_options(found, option or ())
+    draft = writing.Draft(name or out.stem, found, clock, taken_over=tables)
+    text = writing.theatre_text(draft)
+    if is_simulated(parse_theatre(tomllib.loads(text), out.name)):
+        text = writing.theatre_text(writing.Draft(draft.name, found, clock, REHEARSAL, tables))
+    write_whole(out, text.encode(), exclusive=True)
+    ready = _tell(out, found, check=check, as_json=as_json)
+    if not ready:
+        raise typer.Exit(EXIT_NOT_FOUND)
+
+
+def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> bool:
+    """What was found, and what the doctor says of it; True when every device is there and ready."""
+    from procedures.cli.doctor.report import examine, show_findings
+
+    for one in found:
+        addresses = ", ".join(one.proposal.endpoints.values())
+        what = f"{one.proposal.what} at {addresses}" if one.there else "not found"
+        console.tell(f"{one.table}: {what}")
+    complete = all(one.there for one in found)
+    if not check:
+        console.tell(f"{out} is written; check it with ronna-procedure doctor --config {out}")
+        return complete
+    with console.progress_bar("checking the file") as progress:
+        report = examine(out, progress=progress)
+    show_findings(report, as_json=as_json)
+    console.tell(f"{out} is written; what is missing stands in it")
+    return complete and all(one.well for one in report.devices)
+
+
+def _interfaces() -> list[str]:
+    """Ask which networks may be searched; none without a terminal."""
+    from ronna_hw.host.network_interfaces import interfaces
+
+    if not console.on_terminal(sys.stdin):
+        console.tell("no --interface: no network is searched for cameras or controller")
+        return []
+    known = ", ".join(f"{each.name} ({each.address})" for each in interfaces())
+    answer: str = typer.prompt(f"Network cards to search, of {known}", default=NO_CARD, err=True)
+    return [] if answer == NO_CARD else answer.replace(",", " ").split()
+
+
+def _choose(question: str, words: Sequence[str]) -> int | None:
+    """Ask a person; None without a terminal."""
+    if not console.on_terminal(sys.stdin):
+        return None
+    for number, one in enumerate(words, start=1):
+        console.tell(f"{number}: {one}")
+    while True:
+        answer: int = typer.prompt(question, type=int, err=True)
+        if 1 <= answer <= len(words):
+            return answer - 1

@@ -1,0 +1,115 @@
+"""Where devices are looked for, and which of those found go into the file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from ronna_hw.command_line.console import Progress
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.devices.finding import Finder, Proposal, Search
+from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.host.network_interfaces import Interface, interfaces
+from ronna_hw.wire.kuka_eki import PROJECT_PORT
+
+Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
+
+
+@dataclass(frozen=True)
+class Found:
+    """One table of the theatre file: a device that was found, or an example of one."""
+
+    table: str
+    proposal: Proposal
+    there: bool
+
+
+def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
+    """The network interfaces of these names or addresses. Raises CLI-001 with those that exist."""
+    every = interfaces()
+    chosen: list[Interface] = []
+    for name in names:
+        alike = [each for each in every if name in (each.name, each.address)]
+        if not alike:
+            known = ", ".join(f"{each.name} ({each.address})" for each in every)
+            raise UsageMistake(f"this computer has no network interface {name}", expected=f"one of {known}")
+        chosen += [each for each in alike if each not in chosen]
+    return tuple(chosen)
+
+
+def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
+    """The lines to ask: those given as path or endpoint, else every serial port of this computer.
+
+    Raises CFG-002 for what is no line.
+    """
+    if given is None:
+        from serial.tools import list_ports
+
+        given = sorted(str(port.device) for port in list_ports.comports())
+    texts = (f"serial://{text}" if text.startswith("/") else text for text in given)
+    return tuple(parse_endpoint(text).require("serial", "tcp") for text in texts)
+
+
+def controller(text: str) -> Endpoint:
+    """The controller's address, with the port of our EKI server unless another is given. Raises CFG-002."""
+    full = text if "://" in text else f"tcp://{text}"
+    host = full.removeprefix("tcp://")
+    return parse_endpoint(full if ":" in host else f"{full}:{PROJECT_PORT}").require("tcp")
+
+
+def search_all(
+    finders: Iterable[Finder],
+    search: Search,
+    cameras: tuple[str | None, str | None],
+    choose: Choose,
+    progress: Progress,
+) -> tuple[Found, ...]:
+    """Let every finder search, and choose where there are several. Raises CLI-001 where nobody chooses."""
+    each = sorted(finders, key=lambda finder: finder.table)
+    found = []
+    for number, finder in enumerate(each):
+
+        def advance(share: float, before: int = number) -> None:
+            progress((before + share) / len(each))
+
+        proposals = finder.find(search, advance)
+        if finder.table == "stereo":
+            proposals = _of_cameras(proposals, cameras)
+        chosen = _one_of(finder.table, proposals, choose)
+        found.append(Found(finder.table, chosen or finder.example(search), chosen is not None))
+        advance(1.0)
+    return tuple(found)
+
+
+def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
+    """The pairs with these cameras at these sides, by serial number or address. Raises CLI-001 for others."""
+    for side, wanted in zip(("left", "right"), cameras, strict=True):
+        if wanted is None:
+            continue
+        before, pairs = pairs, [pair for pair in pairs if wanted in _camera(pair, side)]
+        if not pairs:
+            known = sorted({" at ".join(_camera(pair, side)) for pair in before})
+            raise UsageMistake(
+                f"--{side}: no camera {wanted} replied",
+                expected=f"one of {', '.join(known)}" if known else "two cameras on the given interfaces",
+            )
+    return pairs
+
+
+def _camera(pair: Proposal, side: str) -> tuple[str, str]:
+    """(serial number, address)."""
+    serial = next(str(option.value) for option in pair.options if option.key == f"{side}_serial")
+    return serial, parse_endpoint(pair.endpoints[side]).host
+
+
+def _one_of(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
+    if len(proposals) < 2:
+        return next(iter(proposals), None)
+    words = [f"{one.what} at {', '.join(one.endpoints.values())}" for one in proposals]
+    number = choose(f"Which is [{table}]?", words)
+    if number is None:
+        raise UsageMistake(
+            f"{len(proposals)} devices could be [{table}]: {'; '.join(words)}",
+            action="Say which with --left and --right, --serial or --controller.",
+        )
+    return proposals[number]

@@ -1,0 +1,89 @@
+"""What a new theatre file takes over from another: records, tools, cell; and single options as told."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from procedures.cli.new_theatre.searching import Found
+from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
+from ronna_hw.bounded_input import read_toml
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.config import BadTheatreFile
+from ronna_hw.devices.finding import Option
+
+TOOLS = "tools"  # option of a tracker: definitions of what it is to see
+
+
+def read_tables(source: Path) -> dict[str, Any]:
+    """`flange` and the tables that belong to mount and cell, from a theatre file or a part of one.
+
+    Raises CFG-001 for a file that cannot be read or has none of them.
+    """
+    try:
+        content = read_toml(source, BadTheatreFile)
+    except OSError as error:
+        raise BadTheatreFile(f"cannot read {source}: {error.strerror}") from error
+    found = {name: content[name] for name in ("flange", *TAKEN_OVER) if name in content}
+    if not found:
+        raise BadTheatreFile(f"{source} has none of the tables", expected=", ".join(TAKEN_OVER))
+    return found
+
+
+def with_tools_of(source: Path, found: Sequence[Found]) -> tuple[Found, ...]:
+    """The tracker with the tool definitions of another theatre file, where that names some."""
+    tracker = read_toml(source, BadTheatreFile).get("tracker", {})
+    tools = tracker.get("options", {}).get(TOOLS) if isinstance(tracker, dict) else None
+    if not tools:
+        return tuple(found)
+    folder = source.resolve().parent
+    whole = [{**tool, "rom": _where(tool.get("rom", ""), folder)} for tool in tools]
+    return tuple(_changed(one, {TOOLS: whole}) if one.table == "tracker" else one for one in found)
+
+
+def with_options(found: Sequence[Found], told: Sequence[str]) -> tuple[Found, ...]:
+    """With options such as `stereo.exposure_us=1500`, values as TOML has them. Raises CLI-001."""
+    changed = list(found)
+    for text in told:
+        place, equals, value = text.partition("=")
+        table, _, key = place.strip().rpartition(".")
+        number = next((n for n, one in enumerate(changed) if _named(one, table)), None)
+        if not equals or number is None:
+            tables = ", ".join(TABLE_NAMES.get(one.table, one.table) for one in found)
+            raise UsageMistake(f"--option {text!r}", expected=f"TABLE.KEY=VALUE, TABLE one of {tables}")
+        known = [option.key for option in changed[number].proposal.options]
+        if key not in known:
+            raise UsageMistake(
+                f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
+            )
+        changed[number] = _changed(changed[number], {key: _value(value)})
+    return tuple(changed)
+
+
+def _named(found: Found, table: str) -> bool:
+    return table in (found.table, TABLE_NAMES.get(found.table))
+
+
+def _where(rom: str, folder: Path) -> str:
+    """A definition beside the other file, by its whole path; one that comes with the driver, by its name."""
+    beside = folder / rom
+    return str(beside) if beside.is_file() else rom
+
+
+def _changed(found: Found, values: Mapping[str, Any]) -> Found:
+    options = tuple(
+        Option(one.key, values[one.key], True, one.meaning) if one.key in values else one
+        for one in found.proposal.options
+    )
+    return replace(found, proposal=replace(found.proposal, options=options))
+
+
+def _value(text: str) -> Any:
+    """A value of TOML, or else the text itself."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text.strip()

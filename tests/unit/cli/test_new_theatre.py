@@ -1,0 +1,221 @@
+"""A new theatre file: what was found stands in it, what was not is an example, mistakes leave no file."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+from user_commands import in_this_process, one_error
+
+from procedures.cli.new_theatre import command
+from procedures.cli.procedure import app
+from ronna_hw import registry
+from ronna_hw.config import parse_theatre, read_theatre_file
+from ronna_hw.devices.finding import ONLY, Option, Proposal, Search
+from ronna_hw.devices.probing import Progress
+from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_USAGE
+
+EXPOSURE = Option("exposure_us", 2000.0, False, "Exposure of both cameras.")
+
+
+def pair(left: str, right: str) -> Proposal:
+    serials = (Option("left_serial", left, True, "Left."), Option("right_serial", right, True, "Right."))
+    endpoints = {"left": "gev://192.168.3.1", "right": "gev://192.168.3.2"}
+    return Proposal("cameras", f"{left} and {right}", endpoints, (*serials, EXPOSURE))
+
+
+class Cameras:
+    """Finds what it is given, wherever it is asked to look."""
+
+    table = "stereo"
+
+    def __init__(self, *pairs: Proposal) -> None:
+        self.pairs = pairs
+        self.searches: list[Search] = []
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        self.searches.append(search)
+        progress(1.0)
+        return self.pairs
+
+    def example(self, search: Search) -> Proposal:
+        return pair("1", "2")
+
+
+class Tracker(Cameras):
+    """A tracker at the line that is asked."""
+
+    table = "tracker"
+
+    def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
+        tools = Option("tools", [{"name": "frame", "rom": "frame.rom"}], True, "What it sees.")
+        return [Proposal("unit", "a unit", {ONLY: str(line)}, (tools,)) for line in search.lines]
+
+
+@pytest.fixture
+def cameras(monkeypatch: pytest.MonkeyPatch) -> Cameras:
+    found = Cameras(pair("11", "12"))
+    monkeypatch.setattr(registry, "finders", lambda: {"cameras": found, "unit": Tracker()})
+    return found
+
+
+@pytest.fixture
+def out(tmp_path: Path) -> Path:
+    return tmp_path / "lab.toml"
+
+
+def new_theatre(out: Path, *more: object, serial: str = "/dev/ttyUSB7") -> tuple[int, str, str]:
+    given = ("--hardware", "--no-check", "--interface", "lo", "--serial", serial, "--out", out)
+    done = in_this_process(app, "new-theatre", *given, *more)
+    return done.returncode, done.stdout, done.stderr
+
+
+def test_what_was_found_stands_in_the_file(cameras: Cameras, out: Path) -> None:
+    code, _, _ = new_theatre(out, "--name", "our lab")
+    file = read_theatre_file(out)
+    assert code == 0
+    assert file.theatre == "our lab"
+    assert file.tracker is not None
+    assert file.stereo is not None
+    assert file.tracker.endpoint == "serial:///dev/ttyUSB7"
+    assert file.tracker.options == {"tools": ({"name": "frame", "rom": "frame.rom"},)}
+    assert file.stereo.options == {"left_serial": "11", "right_serial": "12"}
+
+
+def test_other_options_stand_in_comments_with_meaning_and_default(cameras: Cameras, out: Path) -> None:
+    new_theatre(out)
+    assert "# Exposure of both cameras.\n# exposure_us = 2000.0\n" in out.read_text()
+
+
+def test_a_device_that_was_not_found_is_an_example_in_comments(cameras: Cameras, out: Path) -> None:
+    cameras.pairs = ()
+    code, _, errors = new_theatre(out)
+    text = out.read_text()
+    assert code == EXIT_NOT_FOUND
+    assert "stereo: not found" in errors
+    assert read_theatre_file(out).stereo is None
+    _, _, example = text.partition("NOT FOUND")
+    uncommented = "\n".join(line[2:] for line in example.splitlines() if line.startswith("# "))
+    stereo = uncommented[uncommented.index("[stereo]") : uncommented.index("tracker:")]
+    read = parse_theatre(tomllib.loads('theatre = "lab"\n' + stereo))
+    assert read.stereo is not None
+
+
+def test_missing_records_are_described_key_by_key(cameras: Cameras, out: Path) -> None:
+    new_theatre(out)
+    text = out.read_text()
+    assert "# [calibration.tracker_frame]" in text
+    assert "ronna-procedure calibrate tool-tip" in text
+    assert read_theatre_file(out).calibration is None
+
+
+def test_only_the_given_lines_and_cards_are_searched(cameras: Cameras, out: Path) -> None:
+    new_theatre(out)
+    (search,) = cameras.searches
+    assert [each.name for each in search.interfaces] == ["lo"]
+    assert [str(line) for line in search.lines] == ["serial:///dev/ttyUSB7"]
+
+
+def test_without_an_interface_no_network_is_searched(cameras: Cameras, out: Path) -> None:
+    in_this_process(app, "new-theatre", "--hardware", "--no-check", "--serial", "/dev/ttyUSB7", "--out", out)
+    assert cameras.searches[0].interfaces == ()
+
+
+def test_of_several_pairs_the_serial_numbers_choose(cameras: Cameras, out: Path) -> None:
+    cameras.pairs = (pair("11", "12"), pair("12", "11"), pair("11", "13"))
+    new_theatre(out, "--left", "12")
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    assert stereo.options["right_serial"] == "11"
+
+
+def test_a_camera_is_chosen_by_its_address_as_well(cameras: Cameras, out: Path) -> None:
+    new_theatre(out, "--right", "192.168.3.2")
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    assert stereo.options["right_serial"] == "12"
+
+
+def test_on_a_terminal_a_person_chooses(cameras: Cameras, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras.pairs = (pair("11", "12"), pair("12", "11"))
+    monkeypatch.setattr(command, "_choose", lambda _question, words: len(words) - 1)
+    new_theatre(out)
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    assert stereo.options["left_serial"] == "12"
+
+
+def test_an_option_is_taken_as_toml_has_it(cameras: Cameras, out: Path) -> None:
+    new_theatre(out, "--option", "stereo.exposure_us=1500.5")
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    assert stereo.options["exposure_us"] == 1500.5
+
+
+def test_records_of_another_file_are_taken_over(cameras: Cameras, out: Path, tmp_path: Path) -> None:
+    (tmp_path / "mount").mkdir()
+    (tmp_path / "mount/special.rom").write_bytes(b"rom")
+    other = tmp_path / "mount/drawing.toml"
+    other.write_text(
+        'flange = "ours"\n[procedure]\narm_error_mm = 0.2\n'
+        '[tracker.options]\ntools = [{name = "special", rom = "special.rom"}]\n'
+    )
+    new_theatre(out, "--records", other)
+    file = read_theatre_file(out)
+    assert file.flange == "ours"
+    assert file.procedure.arm_error_mm == 0.2
+    assert file.tracker is not None
+    assert file.tracker.options["tools"][0]["rom"] == str(tmp_path / "mount/special.rom")
+
+
+def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: Path) -> None:
+    cameras.pairs = ()
+    new_theatre(out, serial="/dev/pts/77")
+    assert "REHEARSAL" in read_theatre_file(out).banner
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--interface", "eth77"), "no network interface eth77"),
+        (("--controller", "192.168.10.300"), "192.168.10.300 is no IPv4 address"),
+        (("--stream", "tcp://127.0.0.1:1"), "cannot be used here"),
+        (("--left", "99"), "no camera 99 replied; expected one of 11 at 192.168.3.1"),
+        (("--option", "stereo.exposure=1"), "no option 'exposure'"),
+        (("--option", "exposure_us=1"), "TABLE.KEY=VALUE"),
+        (("--clock", "tcp://127.0.0.1:1"), "clock.endpoint"),
+        (("--records", "/nonexist.toml"), "cannot read /nonexist.toml"),
+    ],
+)
+def test_a_mistake_is_told_and_leaves_no_file(
+    cameras: Cameras, out: Path, options: tuple[str, str], told: str
+) -> None:
+    code, _, errors = new_theatre(out, *options)
+    assert code == EXIT_USAGE
+    assert any(told in line for line in one_error(errors)), errors
+    assert not list(out.parent.iterdir())
+
+
+def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Path) -> None:
+    cameras.pairs = (pair("11", "12"), pair("12", "11"))
+    code, _, errors = new_theatre(out)
+    assert code == EXIT_USAGE
+    assert "11 and 12" in errors
+    assert "--left" in errors
+    assert not out.exists()
+
+
+def test_an_existing_file_is_left_as_it_is(cameras: Cameras, out: Path) -> None:
+    out.write_text("mine")
+    code, _, errors = new_theatre(out)
+    assert code == EXIT_USAGE
+    assert "exists" in errors
+    assert out.read_text() == "mine"
+
+
+def test_without_hardware_the_command_says_what_writes_the_other_file(out: Path) -> None:
+    done = in_this_process(app, "new-theatre", "--out", out)
+    assert done.returncode == EXIT_USAGE
+    assert "ronna-sim theatre" in done.stderr
