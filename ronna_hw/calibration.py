@@ -23,6 +23,7 @@ Numbers2 = tuple[float, float]
 CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
 SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
 SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera of some hundred pixels; 50 mm are not that many
+AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: of a guide that points as its drawing says, never measured
 SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
 
 
@@ -152,6 +153,10 @@ class ToolTipCalibration(DatedRecord):
         description="As the controller's inputs report it."
     )
     flange_from_tool: PoseRecord = Field(description="Pose flange <- tip, z along the guide.")
+    stated_direction_error_rad: Annotated[float, Field(ge=0, lt=0.1)] = Field(
+        default=AS_MACHINED_RAD,
+        description="Angle between z and the bore, one standard deviation; without, as machined.",
+    )
 
 
 class TrackerFrameCalibration(DatedRecord):

@@ -33,6 +33,7 @@ MADE_BY = "ronna-sim theatre"
 ARM_ERROR_MM = 0.10
 # Of a frame and a guide that were mounted by their drawing and never measured, per axis.
 DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
+DRAWN_DIRECTION_RAD = 1.2e-3  # of the bore about either axis: 0.1 degrees in all
 DRAWN = "drawing"
 LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be believed
 BANNER = "SIMULATED THEATRE"
@@ -124,6 +125,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     if error.first_day:
         drawn = {
             "tip_mm": DRAWN_TIP_MM,
+            "tip_direction_rad": DRAWN_DIRECTION_RAD,
             "marker_translation_mm": DRAWN_FRAME_MM,
             "marker_rotation_rad": DRAWN_FRAME_RAD,
         }
@@ -132,7 +134,8 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     measured = error.arm and measured_mount(scene.mount, error.arm, noise(scene.seed, "arm calibration", 0))
     head = matrix_of(measured or scene.mount.flange_from_tool_nominal)
     tip = head @ matrix_of(scene.mount.tool_from_tip_true)
-    tip = tip @ matrix_from(generator.normal(0.0, error.tip_mm, 3), np.eye(3))
+    tilt = noise(scene.seed, "guide direction", 0).normal(0.0, error.tip_direction_rad, 2)
+    tip = tip @ matrix_from(generator.normal(0.0, error.tip_mm, 3), rotation_from_vector((*tilt, 0.0)))
     marker = matrix_of(scene.mount.tool_from_marker_true) @ matrix_from(
         generator.normal(0.0, error.marker_translation_mm, 3),
         rotation_from_vector(generator.normal(0.0, error.marker_rotation_rad, 3)),
@@ -170,6 +173,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             3**0.5 * error.tip_mm,
             tool_number=scene.mount.tool_number_guide,
             flange_from_tool=_pose(pose_of(tip)),
+            stated_direction_error_rad=2**0.5 * error.tip_direction_rad,
         ),
         "tracker_frame": mounted(
             "tracker-frame",

@@ -61,7 +61,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
         raise FarFromRecord(
             "the tip is not where its record has it", limit=f"{FAR_MM:g} mm", got=f"{change_mm:.1f} mm"
         )
-    # A divot shows where the tip is, not where the guide points: that stays as the record has it.
+    # A divot shows where the tip is, not where the guide points: that and its error are taken over.
     found = Transform(
         Frame.FLANGE,
         Frame.TOOL,
@@ -82,6 +82,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
             stated_error_mm=stated_mm,
             tool_number=observed.start.tool_number,
             flange_from_tool=pose_record(found),
+            stated_direction_error_rad=observed.start.stated_direction_error_rad,
         ),
     )
 

@@ -36,6 +36,7 @@ def payload_of(result: TipResult) -> dict[str, Any]:
         "flange_from_tool": record.flange_from_tool.model_dump(),
         "error_mm": math.sqrt(float(fit.covariance_mm2.trace())),
         "stated_error_mm": record.stated_error_mm,
+        "stated_direction_error_rad": record.stated_direction_error_rad,
         "reading_scatter_mm": fit.scatter_mm,
         "validation_mm": math.sqrt(sum(missed) / len(missed)),
         "predicted_mm": result.predicted_mm,

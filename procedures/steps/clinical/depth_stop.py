@@ -13,9 +13,9 @@ from procedures.steps.clinical.errors import DepthStopWrong
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.wire.room_tasks import DEPTH_STOP
 
-# A vernier is set and read to 0.05 mm, which the prediction counts; beyond twice that it is wrong.
+# A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
 STOP_LIMIT_MM = 0.1
-SET_BY_HAND_MM = 0.05  # how exactly it is set, one standard deviation
+SET_BY_HAND_MM = 0.03  # how exactly hands set it, one standard deviation; the prediction counts it
 
 
 class DepthStop(Values):

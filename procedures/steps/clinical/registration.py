@@ -34,8 +34,12 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.instrument_error import SOURCE as INSTRUMENT
-from procedures.steps.clinical.instrument_error import instrument_covariance_mm2
+from procedures.steps.clinical.instrument_error import (
+    DIRECTION,
+    INSTRUMENT,
+    direction_covariance_mm2,
+    instrument_covariance_mm2,
+)
 from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -287,6 +291,7 @@ def predict_tip_error(
         "guide tip calibration": calibrations.tool_tip.stated_error_mm,
         **({} if move is None else move.shares_mm(tip_mm)),
     }
+    stated_rad = calibrations.tool_tip.stated_direction_error_rad
     nothing = np.zeros_like(pairs.ct_mm2)
     predicted = predict_target_error(
         fit.physical_mm,
@@ -298,6 +303,7 @@ def predict_tip_error(
             *arm_errors(context, pairs.fiducials, fit.physical_mm, target, tip_mm),
             shared_with_target(context, pairs.tool_mm, target),
             OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, held)),
+            OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, held)),
             *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
         ],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),

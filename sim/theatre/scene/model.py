@@ -338,6 +338,9 @@ class CalibrationError(Strict):
     camera_translation_mm: NotNegative = Field(default=0.01, description="Of each camera, per axis.")
     focal_relative: NotNegative = Field(default=1e-4, description="Of the focal lengths.")
     tip_mm: NotNegative = Field(default=0.03, description="Of the guide's tip per axis: 0.05 mm in space.")
+    tip_direction_rad: NotNegative = Field(
+        default=2e-4, description="Of the guide's bore, about either axis: 0.01 mm in 60 mm."
+    )
     marker_translation_mm: NotNegative = Field(default=0.2, description="Of the reference frame, per axis.")
     marker_rotation_rad: NotNegative = Field(default=1e-3, description="Of the reference frame, per axis.")
     first_day: bool = Field(

@@ -43,7 +43,7 @@ def test_the_written_theatre_file_is_a_valid_one(tmp_path: Path) -> None:
 
 
 def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path: Path) -> None:
-    found = []
+    found, angles_rad = [], []
     for seed in range(30):
         scene = named_scene("mini", seed=seed)
         record = read_theatre_file(_written(scene, tmp_path)).calibration
@@ -53,10 +53,12 @@ def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path
             scene.mount.flange_from_tool_nominal.translation_mm,
         )
         found.append(float(tip @ tip))
+        angles_rad.append(2.0 * np.arccos(min(1.0, record.tool_tip.flange_from_tool.quaternion_wxyz[0])))
         assert not np.allclose(tip, 0.0)
     stated = read_theatre_file(tmp_path / "theatre.toml").calibration
     assert stated is not None
     assert 0.7 < np.sqrt(np.mean(found)) / stated.tool_tip.stated_error_mm < 1.3
+    assert 0.7 < np.sqrt(np.mean(np.square(angles_rad))) / stated.tool_tip.stated_direction_error_rad < 1.3
 
 
 def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_path: Path) -> None:

@@ -61,6 +61,7 @@ def test_the_record_is_dated_and_keeps_where_the_guide_points(read: tuple[TipCel
     assert np.allclose(
         record.flange_from_tool.quaternion_wxyz, observed.start.flange_from_tool.quaternion_wxyz
     )
+    assert record.stated_direction_error_rad == observed.start.stated_direction_error_rad > 0.0
 
 
 def test_the_record_puts_the_tip_where_the_fit_has_it(read: tuple[TipCell, TipLooks]) -> None:
