@@ -34,7 +34,7 @@ class HeadEllipsoid(Strict):
 
 
 def head_shape(volume: Volume) -> HeadEllipsoid:
-    """The least ellipsoid of the head's own proportions that holds all of it. Raises PLAN-014.
+    """The least ellipsoid along the CT's axes that holds all of the head. Raises PLAN-014.
 
     A head that the CT cuts is taken as far as the CT shows it.
     """
@@ -56,11 +56,43 @@ def head_shape(volume: Volume) -> HeadEllipsoid:
     largest = labels == 1 + int(sizes.argmax())
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
-    low, high = points.min(axis=0), points.max(axis=0)
-    centre = (low + high) / 2.0
-    semi = (high - low) / 2.0 + float(spacing_mm.max())  # the grid's step, and what opening rounds off
-    beyond = np.sqrt((((points - centre) / semi) ** 2).sum(axis=1).max())
-    return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi * max(1.0, float(beyond))))
+    centre, semi = least_ellipsoid(points)
+    # the grid's step, and what opening rounds off
+    return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi + float(spacing_mm.max())))
+
+
+def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
+    """Centre and semi-axes, (3,) each, of the smallest ellipsoid along the axes that holds points (n, 3).
+
+    Convex in reciprocal axes and scaled centre: min -sum(log b) under |b p - d| <= 1 (Boyd & Vandenberghe,
+    Convex Optimization, 8.4.1). Not the box of the points: half a head is no small whole one.
+    """
+    from scipy.optimize import minimize
+    from scipy.spatial import ConvexHull
+
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    unit = (points_mm[ConvexHull(points_mm).vertices] - middle) / half  # each between -1 and 1
+
+    def room(unknown: Array) -> Array:
+        return np.asarray(1.0 - ((unknown[:3] * unit - unknown[3:]) ** 2).sum(axis=1))
+
+    def slope(unknown: Array) -> Array:
+        beside = unknown[:3] * unit - unknown[3:]
+        return np.hstack([-2.0 * beside * unit, 2.0 * beside])
+
+    found = minimize(
+        lambda unknown: -np.log(unknown[:3]).sum(),
+        np.r_[np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)],  # the ball around the box holds them all
+        jac=lambda unknown: np.r_[-1.0 / unknown[:3], np.zeros(3)],
+        constraints={"type": "ineq", "fun": room, "jac": slope},
+        bounds=[(0.1, 2.0)] * 3 + [(None, None)] * 3,
+        method="SLSQP",
+    )
+    semi, centre = 1.0 / found.x[:3], found.x[3:] / found.x[:3]
+    # exactly around all of them, whatever was left of the search
+    beyond = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
+    return middle + half * centre, half * semi * beyond
 
 
 def _three(values: Any) -> Numbers3:

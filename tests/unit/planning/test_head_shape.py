@@ -75,3 +75,8 @@ def test_air_is_no_head() -> None:
     with pytest.raises(NoHeadInCt) as caught:
         head_shape(_volume(np.zeros(SHAPE, dtype=bool)))
     assert caught.value.code == "PLAN-014"
+
+
+def test_a_head_that_the_ct_cuts_is_no_larger_for_it() -> None:
+    points = _points()
+    _fits(head_shape(_volume(_head(points) & (points[..., 2] > -55.0))))
