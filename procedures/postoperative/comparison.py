@@ -4,37 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
-from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.planning.plan import Plan, PlannedTrajectory
+from procedures.planning.plan import Plan
+from procedures.postoperative.assignment import Candidate, FoundKind, assigned
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
-from procedures.postoperative.drill_hole import find_hole
+from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes
 from procedures.postoperative.errors import (
+    FitFailed,
     InstrumentAmbiguous,
     InstrumentMissing,
     OneSeriesTwice,
     SeriesSwapped,
 )
-from procedures.postoperative.instrument import find_rod
+from procedures.postoperative.fit_quality import FitQuality, Usual
+from procedures.postoperative.instrument import USUAL_ROD, find_rods
 from procedures.postoperative.way import Way
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
-
-ONE_INSTRUMENT_MM = 1.5  # tips nearer than this are one; electrodes are wider
-
-
-class FoundKind(StrEnum):
-    """What was found along a trajectory."""
-
-    INSTRUMENT = "instrument"  # an electrode or a needle: a rod of metal
-    DRILL_HOLE = "drill hole"
 
 
 @dataclass(frozen=True)
@@ -45,7 +37,8 @@ class ProvenTrajectory:
     `axis_at_target_mm`: the tip, or where the axis of a hole passes the depth of the target.
     `target_error_mm`: from the planned target to the tip; `lateral_mm` its part across the planned way and
     `depth_error_mm` along it, positive when too deep. A hole has no tip: these are None, but for
-    `lateral_mm`, which is then that of its axis. `angle_deg` is between both axes.
+    `lateral_mm`, which is then that of its axis. `angle_deg` is between both axes. `doubts` says what of
+    the fit is not as it should be.
     """
 
     identifier: str
@@ -58,6 +51,7 @@ class ProvenTrajectory:
     lateral_mm: float
     depth_error_mm: float | None
     angle_deg: float
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +65,7 @@ class Proof:
 def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
     """Find what lies along the trajectories of a plan; `only` names those that were done, all by default.
 
-    Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007.
+    Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
     require_series(plan, pre, post)
     return proof_by(register_on_bone(pre, post), plan, pre, post, only)
@@ -80,22 +74,27 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
 def proof_by(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> Proof:
-    """The same by a registration that is known. Raises POST-006, POST-007."""
+    """The same by a registration that is known. Raises POST-006, POST-007, POST-009."""
     asked = [one for one in plan.trajectories if not only or one.id in only]
-    found = {one.id: _found(one, pre, post, registration) for one in asked}
-    if missing := [name for name, one in found.items() if one is None]:
-        there = [name for name, one in found.items() if one is not None]
+    ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
+    candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
+    found, lost_to = assigned(ways, candidates)
+    if lost_to:
+        pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
+        raise InstrumentAmbiguous(f"the same instrument or hole lies along {pairs}")
+    if missing := [name for name in ways if name not in found]:
         raise InstrumentMissing(
             f"neither an instrument nor a drilled hole lies along {', '.join(missing)}",
             expected=f"one along each of {len(asked)}",
-            got=f"found along {', '.join(there)}" if there else "none",
+            got=f"found along {', '.join(found)}" if found else "none",
         )
-    found_all = tuple(one for one in found.values() if one is not None)
-    tips = [(one.identifier, np.array(one.tip_mm)) for one in found_all if one.tip_mm is not None]
-    for (one, tip), (other, other_tip) in combinations(tips, 2):
-        if np.linalg.norm(tip - other_tip) < ONE_INSTRUMENT_MM:
-            raise InstrumentAmbiguous(f"the same instrument lies along {one} and {other}")
-    return Proof(registration, found_all)
+    if failed := {name: one.failures for name, one in found.items() if one.failures}:
+        raise FitFailed(
+            "what lies along "
+            + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
+            + " is no straight rod and no round hole"
+        )
+    return Proof(registration, tuple(proven(name, way, found[name]) for name, way in ways.items()))
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -113,38 +112,43 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
     )
 
 
-def _found(
-    planned: PlannedTrajectory, pre: Volume, post: Volume, registration: BoneRegistration
-) -> ProvenTrajectory | None:
-    """A rod, else a hole, in the coordinates of the plan."""
+def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
+    """Rods and holes near a planned way, in the coordinates of the plan."""
     pose = registration.post_from_pre
-    way = Way(np.array(planned.entry_mm), np.array(planned.target_mm))
     back = pose.inv()
-    rod = find_rod(pre, post, way, pose)
-    if rod is not None:
-        inwards = -back.rotation.apply(rod.outwards)
-        return proven(planned.id, way, back.apply(rod.tip_mm), inwards, FoundKind.INSTRUMENT)
-    hole = find_hole(pre, post, way, pose)
-    if hole is None:
-        return None
-    inwards = -back.rotation.apply(hole.outwards)
-    return proven(planned.id, way, back.apply(hole.middle_mm), inwards, FoundKind.DRILL_HOLE)
+
+    def planned(
+        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: Usual
+    ) -> Candidate:
+        inwards = -back.rotation.apply(outwards)
+        return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
+
+    return (
+        *(
+            planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
+            for rod in find_rods(pre, post, way, pose)
+        ),
+        *(
+            planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
+            for hole in find_holes(pre, post, way, pose)
+        ),
+    )
 
 
-def proven(identifier: str, way: Way, point_mm: Array, inwards: Array, kind: FoundKind) -> ProvenTrajectory:
-    """The errors of an axis through a point (3,), the tip of an instrument, against a planned way."""
-    along = way.inwards
+def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
+    """The errors of an instrument or a hole against a planned way."""
+    along, point_mm, inwards = way.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((way.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm
-    if kind is FoundKind.DRILL_HOLE:
+    if found.kind is FoundKind.DRILL_HOLE:
         at_target = point_mm + inwards * (float((way.target_mm - point_mm) @ along) / float(inwards @ along))
     off = at_target - way.target_mm
     depth_mm = float(off @ along)
     angle_rad = np.arctan2(np.linalg.norm(np.cross(inwards, along)), inwards @ along)
-    has_tip = kind is FoundKind.INSTRUMENT
+    has_tip = found.kind is FoundKind.INSTRUMENT
     return ProvenTrajectory(
         identifier=identifier,
-        kind=kind,
+        kind=found.kind,
         entry_mm=_point(entry),
         axis_at_target_mm=_point(at_target),
         tip_mm=_point(point_mm) if has_tip else None,
@@ -153,6 +157,7 @@ def proven(identifier: str, way: Way, point_mm: Array, inwards: Array, kind: Fou
         lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
         depth_error_mm=depth_mm if has_tip else None,
         angle_deg=float(np.degrees(angle_rad)),
+        doubts=found.doubts,
     )
 
 

@@ -15,17 +15,33 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import erfc
 
 from procedures.imaging.volume import Volume
-from procedures.postoperative.bone_registration import BONE_HU, COMPACT_HU, SOFT_HU, bone_at
+from procedures.postoperative.bone_registration import (
+    BONE_HU,
+    COMPACT_HU,
+    SOFT_HU,
+    bone_at,
+    finely_at,
+)
+from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound, spread_of
 from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
 
 Array = NDArray[np.float64]
 
 LOST_HU = 300.0  # by which bone is darker than before
+MOST_PIECES = 3  # of lost bone near one way are looked at
 LEAST_VOLUME_MM3 = 8.0  # in one piece: a drill of 1.5 mm through 5 mm of bone
 AROUND_MM = 6.0
 BEFORE_MM, BEHIND_MM = 10.0, 25.0  # of the entry: a skull, cut at a slant
 FIRST_RADIUS_MM, FIRST_SPREAD_MM = 1.5, 0.6
 NOISE_HU = 60.0  # of both scans and of what the registration leaves
+
+
+# u and v in the middle, their slopes, radius, what fills the hole, spread of its edge
+PLACED = 5  # so many of them say where it is; what fills it may well be darker than soft tissue
+LOW = np.array([-3.0, -3.0, -0.5, -0.5, 0.4, SOFT_HU - 1.0, 0.2])
+HIGH = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
+# noise of both scans, and edges of bone that the registration leaves; from the thinnest to the thickest drill
+USUAL_HOLE = Usual(residual_hu=150.0, radius_mm=(0.5, 4.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,31 +50,29 @@ class FoundHole:
 
     middle_mm: Array
     outwards: Array
-    radius_mm: float
+    quality: FitQuality
 
 
-def find_hole(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> FoundHole | None:
-    """The hole near a planned way of the first scan, in the second scan's coordinates; None without one."""
+def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundHole, ...]:
+    """Holes near a planned way of the first scan, in the second scan's coordinates; the largest first."""
     back = post_from_pre.inv()
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -BEFORE_MM, BEHIND_MM)
     before = bone_at(pre, back.apply(there.to_patient_mm(seen.places_mm)))
     lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
     labels, count = ndimage.label(lost)
-    if not count:
-        return None
-    sizes = np.bincount(labels.ravel())[1:]
-    if sizes.max() * STEP_MM**3 < LEAST_VOLUME_MM3:
-        return None
-    piece = seen.places_mm[labels == 1 + int(sizes.argmax())]
-    return _fitted(pre, post, there, back, piece.mean(axis=0))
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    largest = [1 + int(number) for number in np.argsort(-sizes)[:MOST_PIECES]]
+    pieces = [number for number in largest if sizes[number - 1] * STEP_MM**3 >= LEAST_VOLUME_MM3]
+    middles = [seen.places_mm[labels == number].mean(axis=0) for number in pieces]
+    return tuple(_fitted(pre, post, there, back, middle) for middle in middles)
 
 
-def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole | None:
+def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole:
     """A blurred cylinder through the middle of what is lost, fitted to the second scan's voxels."""
     coarse = Way(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
-    before = bone_at(pre, back.apply(coarse.to_patient_mm(local)))
+    before = finely_at(pre, back.apply(coarse.to_patient_mm(local)))
     bone = before > BONE_HU
     local, before = local[bone], before[bone]
     after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
@@ -70,10 +84,14 @@ def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle:
         return np.asarray(before + (fluid - before) * share - after)
 
     start = np.array([0.0, 0.0, 0.0, 0.0, FIRST_RADIUS_MM, 20.0, FIRST_SPREAD_MM])
-    low = np.array([-3.0, -3.0, -0.5, -0.5, 0.4, SOFT_HU - 1.0, 0.2])
-    high = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
-    found = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=NOISE_HU)
-    u0, v0, du, dv, radius_mm = found.x[:5]
+    found = least_squares(residuals, start, bounds=(LOW, HIGH), loss="soft_l1", f_scale=NOISE_HU)
+    u0, v0, du, dv, radius_mm = found.x[:PLACED]
     middle_mm = coarse.to_patient_mm(np.array([0.0, u0, v0]))
     inwards = coarse.axes @ np.array([1.0, du, dv])
-    return FoundHole(middle_mm, -inwards / np.linalg.norm(inwards), float(radius_mm))
+    quality = FitQuality(
+        found.success,
+        not at_bound(found.x, LOW, HIGH)[:PLACED].any(),
+        spread_of(residuals(found.x)),
+        float(radius_mm),
+    )
+    return FoundHole(middle_mm, -inwards / np.linalg.norm(inwards), quality)

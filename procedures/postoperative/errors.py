@@ -1,4 +1,4 @@
-"""Errors of the check after the operation, POST-001 to POST-008."""
+"""Errors of the check after the operation, POST-001 to POST-009."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class InstrumentMissing(DataError):
 
 
 class InstrumentAmbiguous(DataError):
-    """One instrument lies along more than one trajectory."""
+    """One instrument, or one hole, lies along more than one trajectory."""
 
     code = "POST-007"
     action = "Look at the CT which trajectory it was; name the ones that were done with --only."
@@ -63,3 +63,11 @@ class RunOfAnotherCt(DataError):
 
     code = "POST-008"
     action = "Give the run of this operation, or leave --run out."
+
+
+class FitFailed(DataError):
+    """What was found along a trajectory is neither a straight rod nor a round hole: its axis is not known."""
+
+    code = "POST-009"
+    action = "Look at the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."
+    exit_code = EXIT_REFUSED

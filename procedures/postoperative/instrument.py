@@ -17,6 +17,7 @@ from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
 from procedures.postoperative.bone_registration import bone_at
+from procedures.postoperative.fit_quality import FitQuality, Usual, at_bound, spread_of
 from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
 
 Array = NDArray[np.float64]
@@ -33,32 +34,35 @@ VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean
 PROFILE_STEP_MM = 0.05
 SATURATED = 0.99  # of the largest value that is stored
 LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
+MOST_PIECES = 4  # of metal along one way are looked at
+PLACED = 5  # so many of the fitted parameters say where it is
+# streaks and a scanner's largest value leave up to 300 HU; from the thinnest lead to the thickest needle
+USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
 @dataclass(frozen=True)
 class FoundRod:
-    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head, how it fits."""
+    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head."""
 
     tip_mm: Array
     outwards: Array
-    residual_hu: float
+    quality: FitQuality
 
 
-def find_rod(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> FoundRod | None:
-    """The rod near a planned way of the first scan, in the second scan's coordinates; None without one."""
+def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
+    """Rods near a planned way of the first scan, in the second scan's coordinates; the longest first."""
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
     labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
-    best: tuple[float, Array] | None = None
-    for number in range(1, count + 1):
-        places = seen.places_mm[labels == number]
-        length_mm = float(np.ptp(places[:, 0]))
-        if length_mm >= LEAST_LENGTH_MM and (best is None or length_mm > best[0]):
-            best = length_mm, places
-    if best is None:
-        return None
-    return _fitted(post, _coarse(there, best[1]))
+    pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
+    long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
+    longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
+    return tuple(_fitted(post, _coarse(there, places)) for places in longest)
+
+
+def _length_mm(places: Array) -> float:
+    return float(np.ptp(places[:, 0]))
 
 
 def _coarse(way: Way, places: Array) -> Way:
@@ -91,14 +95,20 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
     first = least_squares(residuals, start, bounds=(low, high), loss="soft_l1", f_scale=LEAST_SCALE_HU * 3)
-    scale = max(LEAST_SCALE_HU, 1.4826 * float(np.median(np.abs(residuals(first.x)))))
+    scale = max(LEAST_SCALE_HU, spread_of(residuals(first.x)))
     found = least_squares(residuals, first.x, bounds=(low, high), loss="soft_l1", f_scale=2.0 * scale)
-    tip_u, tip_v, end_u, end_v, depth_mm = found.x[:5]
+    tip_u, tip_v, end_u, end_v, depth_mm = found.x[:PLACED]
     share = depth_mm / outside_mm  # the line goes on beyond the coarse tip
     at_tip = [coarse.length_mm + depth_mm, tip_u + share * (tip_u - end_u), tip_v + share * (tip_v - end_v)]
     outer, tip = coarse.to_patient_mm(np.array([[coarse.length_mm - outside_mm, end_u, end_v], at_tip]))
     outwards = (outer - tip) / np.linalg.norm(outer - tip)
-    return FoundRod(tip, outwards, 1.4826 * float(np.median(np.abs(residuals(found.x)))))
+    quality = FitQuality(
+        found.success,
+        not at_bound(found.x, low, high)[:PLACED].any(),
+        spread_of(residuals(found.x)),
+        float(found.x[6]),
+    )
+    return FoundRod(tip, outwards, quality)
 
 
 def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:

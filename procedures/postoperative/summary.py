@@ -8,7 +8,8 @@ from pydantic import Field
 
 from procedures.imaging.volume import Volume
 from procedures.planning.plan import Plan
-from procedures.postoperative.comparison import FoundKind, Proof
+from procedures.postoperative.assignment import FoundKind
+from procedures.postoperative.comparison import Proof
 from ronna_hw.calibration import Numbers3, Numbers4, Strict
 
 
@@ -27,6 +28,7 @@ class FoundTrajectory(Strict):
     lateral_mm: float = Field(description="At the target, across the planned way.")
     depth_error_mm: float | None = Field(description="Along the planned way; positive is too deep.")
     angle_deg: float = Field(description="Between the planned and the found axis.")
+    doubts: tuple[str, ...] = Field(default=(), description="Why it may be wrong, by its fit.")
 
 
 class PostoperativeCheck(Strict):
@@ -42,6 +44,12 @@ class PostoperativeCheck(Strict):
     bone_overlap: float = Field(description="Share of the first CT's bone that the second shows.")
     trajectories: tuple[FoundTrajectory, ...] = Field(description="In the order of the plan.")
     warnings: tuple[str, ...] = Field(default=(), description="What limits the accuracy.")
+
+
+def _doubts(proof: Proof) -> tuple[str, ...]:
+    return tuple(
+        f"{one.identifier} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts
+    )
 
 
 def summary_of(
@@ -67,6 +75,7 @@ def summary_of(
                 lateral_mm=one.lateral_mm,
                 depth_error_mm=one.depth_error_mm,
                 angle_deg=one.angle_deg,
+                doubts=one.doubts,
             )
         )
     return PostoperativeCheck(
@@ -76,5 +85,5 @@ def summary_of(
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
         trajectories=tuple(found),
-        warnings=(*pre.warnings, *post.warnings, *warnings),
+        warnings=(*pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
     )

@@ -1,0 +1,62 @@
+"""How a fitted rod or hole is judged: what its fit says of itself, and whether that can be relied on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+AT_BOUND = 1e-3  # of the range between both bounds
+
+
+@dataclass(frozen=True)
+class FitQuality:
+    """Whether the fit ended, inside the limits of what says where it is; what is left, HU; the radius, mm."""
+
+    ended: bool
+    inside: bool
+    residual_hu: float
+    radius_mm: float
+
+
+@dataclass(frozen=True)
+class Usual:
+    """What fits of real ones leave: the largest residual in HU, and radii in mm between which they lie."""
+
+    residual_hu: float
+    radius_mm: tuple[float, float]
+
+    def failures(self, quality: FitQuality) -> tuple[str, ...]:
+        """Why place and direction are not known at all."""
+        why = []
+        if not quality.ended:
+            why.append("the fit did not end")
+        if not quality.inside:
+            why.append("place, direction or radius ended at a limit of the fit")
+        return tuple(why)
+
+    def doubts(self, quality: FitQuality) -> tuple[str, ...]:
+        """Why they may be wrong."""
+        why = []
+        if quality.residual_hu > self.residual_hu:
+            why.append(
+                f"the fit leaves {quality.residual_hu:.0f} HU, usual are up to {self.residual_hu:g} HU"
+            )
+        low_mm, high_mm = self.radius_mm
+        if not low_mm <= quality.radius_mm <= high_mm:
+            why.append(f"its radius of {quality.radius_mm:.2f} mm is not within {low_mm:g} to {high_mm:g} mm")
+        return tuple(why)
+
+
+def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+    """Which parameters (n,) ended at one of their bounds."""
+    close = AT_BOUND * (high - low)
+    return np.asarray((found - low < close) | (high - found < close))
+
+
+def spread_of(residuals: Array) -> float:
+    """A robust standard deviation."""
+    return 1.4826 * float(np.median(np.abs(residuals)))
