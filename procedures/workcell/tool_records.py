@@ -26,15 +26,19 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """By name, and the flange on which they have to have been measured."""
+    """By name, and the flange on which they have to have been measured.
+
+    `calibrating`: no patient, and the tip is what is measured; its record may be of a former one.
+    """
 
     records: Mapping[str, ToolRecord]
     flange: str
+    calibrating: bool = False
 
     @classmethod
-    def of(cls, file: TheatreFile) -> ToolRecords:
+    def of(cls, file: TheatreFile, *, calibrating: bool = False) -> ToolRecords:
         """Those of a theatre file."""
-        return cls(file.tools, file.flange)
+        return cls(file.tools, file.flange, calibrating)
 
     @property
     def guide(self) -> GuideRecord:
@@ -62,7 +66,9 @@ class ToolRecords:
                     expected=str(numbers[name]),
                     got=str(record.number),
                 )
-        check_tip(self.guide.record, calibrations.tool_tip)
+        guide = self.guide.record
+        if not self.calibrating:
+            check_tip(guide, calibrations.tool_tip)
 
 
 def check_flange(record: ToolRecord, flange: str) -> None:
@@ -82,4 +88,5 @@ def check_tip(record: ToolRecord, tip: ToolTipCalibration) -> None:
             f"tool record {record.identifier} refers to another calibration of its tip",
             expected=tip.identifier,
             got=record.tip or "none",
+            action="Read the gauge with this tool, then ronna-tool renew: it dates the record for that tip.",
         )

@@ -53,9 +53,16 @@ class Workcell:
     """One arm with what it carries. All poses of the tool are ROBOT <- TOOL of the tool that is mounted."""
 
     def __init__(
-        self, theatre: Theatre, journal: Journal, *, calibrations: Calibrations | None = None
+        self,
+        theatre: Theatre,
+        journal: Journal,
+        *,
+        calibrations: Calibrations | None = None,
+        calibrating: bool = False,
     ) -> None:
         """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
+
+        While `calibrating`, the record of a tool may be of a former tip.
 
         Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004, CAL-013.
         """
@@ -69,7 +76,7 @@ class Workcell:
         self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
         self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
-        self.tools = ToolRecords.of(theatre.file)
+        self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(journal, theatre.clock)
         self._insertion: Insertion | None = None
         self._withdrawn_from: str | None = None

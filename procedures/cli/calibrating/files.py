@@ -14,6 +14,7 @@ from typing import Any
 from procedures.calibration.errors import BadObservations
 from procedures.reporting.calibration import RESULT_FILE
 from ronna_hw.bounded_input import read_toml
+from ronna_hw.command_line import console
 from ronna_hw.config import BadTheatreFile, Calibrations
 from ronna_hw.records import write_whole
 
@@ -51,16 +52,19 @@ def write_payload(payload: dict[str, Any], folder: Path) -> None:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
-    """The theatre file `source` with new calibration records, as `target`; only comments are lost."""
+    """The theatre file `source` with new calibration records, as `target`; only comments are lost.
+
+    Records of tools stay as they are: that a tool's gauge still fits its new tip, a person says.
+    """
     write_theatre_tables(source, target, {"calibration": records})
-
-
-def _refer_to_new_tip(content: dict[str, Any], before: object) -> None:
-    """Tools that referred to the former calibration of the tip refer to the one that took its place."""
-    now = content["calibration"].get("tool_tip", {}).get("identifier")
-    for tool in content.get("tools", {}).values():
-        if before is not None and tool.get("tip") == before:
-            tool["tip"] = now
+    tip = records.get("tool_tip", {}).get("identifier")
+    for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():
+        if tip is not None and tool.get("tip", tip) != tip:
+            console.tell(
+                f"record {tool['identifier']} refers to the former tip, and no case begins with it: read the "
+                f"gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
+                "--write FILE --by NAME --gauge-mm X Y Z UPPER_X UPPER_Y"
+            )
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
@@ -73,8 +77,6 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
             action="Name a file in the folder of the theatre file.",
         )
     content = read_toml(source, BadTheatreFile)
-    before = content["calibration"].get("tool_tip", {}).get("identifier")
     for name, entries in tables.items():
         content[name] = {**content.get(name, {}), **entries}
-    _refer_to_new_tip(content, before)
     write_whole(target, tomli_w.dumps(content).encode())

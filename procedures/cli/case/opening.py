@@ -324,7 +324,9 @@ def _make_engine(
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
-    workcell = Workcell(theatre, journal, calibrations=calibrations)
+    workcell = Workcell(
+        theatre, journal, calibrations=calibrations, calibrating=wanted.calibrations is not None
+    )
     journal.write(
         Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
         theatre.clock.now_s(),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,6 +22,7 @@ app = typer.Typer(
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
 SixDegrees = tuple[float, float, float, float, float, float]
+FiveReadings = tuple[float, float, float, float, float]
 
 
 @app.callback()
@@ -68,20 +69,15 @@ def define(
     mistakes, 2 usage.
     """
     console.set_up_logging(verbose)
-    from procedures.cli.calibrating.files import write_theatre_tables
     from procedures.cli.tool.records import record_of
 
-    if write.resolve() == config.resolve():
-        raise UsageMistake("--write names the file that it is made from", action="Name another file.")
-    made = datetime.now(UTC).replace(microsecond=0)
+    _require_another_file(config, write)
+    signed = _signed(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
     record = record_of(
         config,
         {
-            "identifier": f"{name}-{made:%Y%m%dT%H%M%S}",
-            "created": made,
-            "expires": made + timedelta(days=days),
-            "made_by": by,
+            **signed,
             "purpose": purpose.value,
             "number": number,
             "flange": flange,
@@ -92,11 +88,62 @@ def define(
         },
         name,
     )
+    _write(config, write, name, record, as_json=as_json)
+
+
+@app.command()
+def renew(
+    name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
+    config: ConfigOption,
+    write: Annotated[
+        Path, typer.Option(metavar="FILE", help="Theatre file to write, with the record, beside --config.")
+    ],
+    gauge_mm: Annotated[
+        FiveReadings,
+        typer.Option(metavar="X Y Z UPPER_X UPPER_Y", help="The gauge's dials, as read with this tool now."),
+    ],
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
+    days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
+    as_json: console.JsonOption = False,
+    verbose: console.VerboseOption = False,
+) -> None:
+    """After its tip was calibrated: date a tool's record anew, for that tip and the gauge as it reads now.
+
+    A calibration leaves the record alone: somebody has to say that this tool, on the gauge, is the one whose
+    tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
+    """
+    console.set_up_logging(verbose)
+    from procedures.cli.tool.records import renewed
+
+    _require_another_file(config, write)
+    record = renewed(config, name, _signed(name, by, days), gauge_mm)
+    _write(config, write, name, record, as_json=as_json)
+
+
+def _require_another_file(config: Path, write: Path) -> None:
+    if write.resolve() == config.resolve():
+        raise UsageMistake("--write names the file that it is made from", action="Name another file.")
+
+
+def _signed(name: str, by: str, days: int) -> dict[str, Any]:
+    """What all dated records have."""
+    made = datetime.now(UTC).replace(microsecond=0)
+    return {
+        "identifier": f"{name}-{made:%Y%m%dT%H%M%S}",
+        "created": made,
+        "expires": made + timedelta(days=days),
+        "made_by": by,
+    }
+
+
+def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_json: bool) -> None:
+    from procedures.cli.calibrating.files import write_theatre_tables
+
     write_theatre_tables(config, write, {"tools": {name: record}})
     if as_json:
         console.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
     else:
-        typer.echo(f"{record['identifier']} written to {write}; until {made + timedelta(days=days):%Y-%m-%d}")
+        typer.echo(f"{record['identifier']} written to {write}; until {record['expires']:%Y-%m-%d}")
 
 
 @app.command()

@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 import json
+import tomllib
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import pytest
 import tomli_w
 from recording_cell import ENDPOINTS
 from user_commands import in_this_process, one_error
 
+from procedures.cli.calibrating.files import write_theatre
 from procedures.cli.tool.command import app
 from procedures.cli.tool.purposes import Purpose
+from procedures.workcell.errors import ForeignTool
+from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.config import read_theatre_file
 from ronna_hw.tool_record import ToolPurpose
 from sim.theatre.scene.named_scenes import named_scene
@@ -65,3 +71,60 @@ def test_a_record_of_another_flange_does_not_fit(theatre: Path) -> None:
     done = in_this_process(app, "check", "--config", new)
     assert done.returncode == 3
     assert "TOOL-003" in " ".join(one_error(done.stderr))
+
+
+def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
+    """What `calibrate tool-tip --write` leaves: the new record, in a new file."""
+    old = read_theatre_file(theatre).calibration
+    assert old is not None
+    new = theatre.with_name("new.toml")
+    write_theatre(theatre, new, {"tool_tip": {**old.tool_tip.model_dump(), "identifier": "tip-of-today"}})
+    return new, tomllib.loads(new.read_text())["tools"]["guide"]
+
+
+@pytest.mark.hazard(47)
+def test_a_calibrated_tip_does_not_certify_the_tool_and_says_how_to_go_on(
+    theatre: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = tomllib.loads(theatre.read_text())["tools"]["guide"]
+    new, guide = _with_another_tip(theatre)
+    assert guide == before
+    assert "ronna-tool renew guide --config new.toml" in capsys.readouterr().err
+    refused = in_this_process(app, "check", "--config", new)
+    assert refused.returncode == 3
+    assert "TOOL-003" in refused.stderr
+    assert "ronna-tool renew" in refused.stderr
+
+
+def test_a_renewed_record_is_of_the_new_tip_and_of_the_gauge_as_it_was_read(theatre: Path) -> None:
+    new, _ = _with_another_tip(theatre)
+    last = theatre.with_name("last.toml")
+    dials = ("--gauge-mm", "0.01", "-0.02", "0.03", "0.04", "-0.05")
+    done = in_this_process(
+        app, "renew", "guide", "--config", new, "--write", last, "--by", "A. Nurse", *dials
+    )
+    assert done.returncode == 0, done.stderr
+    record = read_theatre_file(last).tools["guide"]
+    assert (record.tip, record.made_by) == ("tip-of-today", "A. Nurse")
+    assert record.gauge is not None
+    assert (record.gauge.reading_mm, record.gauge.upper_reading_mm) == ((0.01, -0.02, 0.03), (0.04, -0.05))
+    assert in_this_process(app, "check", "--config", last).returncode == 0
+
+
+def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path) -> None:
+    last = theatre.with_name("last.toml")
+    options = ("--config", theatre, "--write", last, "--by", "A. Nurse", "--gauge-mm", *"00000")
+    done = in_this_process(app, "renew", "stereo_head", *options)
+    assert done.returncode == 2
+    assert "TOOL-002" in done.stderr
+    assert not last.exists()
+
+
+def test_a_tip_can_be_calibrated_while_the_record_is_of_a_former_one(theatre: Path) -> None:
+    new, _ = _with_another_tip(theatre)
+    file = read_theatre_file(new)
+    assert file.calibration is not None
+    now = datetime.now(UTC)
+    ToolRecords.of(file, calibrating=True).check(file.calibration, now)
+    with pytest.raises(ForeignTool):
+        ToolRecords.of(file).check(file.calibration, now)
