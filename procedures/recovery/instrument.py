@@ -1,9 +1,12 @@
 """A guide of which the journal does not say that it is held: a lost block can have taken those lines.
 
-Where the arm carries the guide, its place is held against the axis of every trajectory that is registered.
+Where the arm carries the guide, its place is held against the axis of every trajectory that is registered,
+and its joints against those at the gauge.
 """
 
 from __future__ import annotations
+
+import math
 
 from procedures.engine.engine import Engine
 from procedures.steps.clinical.path_check import CheckedPaths
@@ -12,6 +15,7 @@ from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import TipOffAxis
 
+AT_GAUGE_RAD = math.radians(0.5)  # an arm that was stopped on its way there is farther, or asked in vain
 AT_STANDOFF_MM = 1.0  # where the approach begins it is away; the arm arrives there far more exactly
 
 
@@ -34,3 +38,13 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
         if beyond_mm > AT_STANDOFF_MM:
             return insertion, beyond_mm
     return None
+
+
+def guide_in_gauge(engine: Engine) -> bool:
+    """Whether the arm carries the guide and stands where the mandrel is put into the gauge."""
+    workcell = engine.setting.workcell
+    if workcell.tool is not MountedTool.GUIDE:
+        return False
+    gauge_rad = map(math.radians, workcell.tools.guide.gauge.joints_deg)
+    pairs = zip(workcell.joints_rad(), gauge_rad, strict=True)
+    return all(abs(here - there) < AT_GAUGE_RAD for here, there in pairs)

@@ -12,6 +12,7 @@ from dataclasses import replace
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
+from procedures.engine.hands import IN_GAUGE
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.operator import YES, Question, Topic
@@ -19,7 +20,7 @@ from procedures.engine.step import StepKey
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
-from procedures.recovery.instrument import guide_on_an_axis
+from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
@@ -97,6 +98,9 @@ def _take_up_arm(
         arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
         workcell.take_up(arm, set_up.home_rad)
         comparison.note(f"the guide is {beyond_mm:.0f} mm along {name}: an instrument counts as inside")
+    elif workcell.instrument.inside is None and guide_in_gauge(engine):
+        workcell.instrument.take_up(IN_GAUGE)
+        comparison.note("the guide is at the gauge: the mandrel counts as inside")
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:

@@ -281,7 +281,7 @@ GUIDE_PUSHED = Branch(
 INSTRUMENT_INSIDE = Branch(
     "the arm is to move while an instrument is in the guide, or may be: also after a restart",
     "the journal, which says that it goes in before it does",
-    ("at_target", "retreat"),
+    ("tool_check", "at_target", "retreat"),
     "nothing moves before the operator has said that it is out",
     Ending.ASK,
     (NotConfirmed,),

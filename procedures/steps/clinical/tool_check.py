@@ -76,6 +76,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     for number in range(APPROACHES):
         context.progress((1 + number) / (2 + APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ARRIVING, from_afar=number == 0)
+        workcell.hold()  # a hand pushes the mandrel in: only a motion that is asked for leads on
         workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))
         context.have_instrument_out()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +38,7 @@ from procedures.recovery import bring_home, inputs, recover, taking_up
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.workcell import MountedTool
+from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.config import Calibrations
@@ -153,6 +155,30 @@ def test_where_only_the_line_of_the_instrument_was_lost_it_counts_as_inside(
     again, engine, left = opened_again(cell, order)
     again.operator.refusing = (Topic.INSTRUMENT_OUT,)
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
+        way(engine, left)
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("INSTRUMENT_INSIDE")
+@pytest.mark.parametrize("way", [recover, bring_home])
+@pytest.mark.parametrize("inside", [True, False])
+def test_a_guide_at_the_gauge_holds_the_mandrel_until_it_is_said_to_be_out(
+    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], inside: bool
+) -> None:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find("tool_change"))
+    broken_off(cell)  # and the line that the mandrel goes in is lost
+    beside_rad = 0.0 if inside else math.radians(2.0)
+    A1, *others = map(math.radians, cell.workcell.tools.guide.gauge.joints_deg)
+    cell.arm.joints_rad = radians6(*map(math.degrees, (A1 + beside_rad, *others)))
+    again, engine, left = opened_again(cell, order)
+    again.operator.refusing = (Topic.INSTRUMENT_OUT,)
+    if not inside:
+        way(engine, left)
+        assert again.workcell.at_home
+        return
+    with pytest.raises(NotConfirmed, match="still in the gauge: nothing moves"):
         way(engine, left)
     assert again.arm.motions == []
 

@@ -12,7 +12,7 @@ from clinical_case import FIRST, ClinicalCell, checked_plan, coarse, localized_f
 from recording_cell import RecordingOperator
 
 from procedures.engine.errors import NotConfirmed, StepRefused
-from procedures.engine.operator import Topic
+from procedures.engine.operator import Task, Topic
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.errors import ToolBesideGauge
 from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
@@ -21,6 +21,7 @@ from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRec
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import ToolPurpose
+from ronna_hw.wire.room_tasks import GAUGE, OUT
 
 NOW = datetime(2031, 1, 1, tzinfo=UTC)
 
@@ -65,6 +66,23 @@ def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
 def test_a_gauge_that_nobody_reads_is_no_check(cell: ClinicalCell) -> None:
     with pytest.raises(NotConfirmed, match="PRO-002: nobody read it off"):
         check(cell)
+
+
+@pytest.mark.hazard(44)
+def test_the_arm_is_held_while_a_hand_pushes_the_mandrel_into_the_gauge(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stops: list[int] = []
+    work = cell.room.work
+
+    def seen(task: Task) -> tuple[float, ...]:
+        stops.append(cell.arm.stops)
+        return work(task)
+
+    monkeypatch.setattr(cell.room, "work", seen)
+    check(cell, *(0.0,) * 5)
+    assert [task.name for task in cell.room.worked] == [GAUGE, OUT, GAUGE, OUT]
+    assert stops == [1, 1, 2, 2]  # one for each approach, before anybody works there
 
 
 @pytest.mark.hazard(44)
