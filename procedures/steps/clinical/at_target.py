@@ -56,11 +56,14 @@ STAGES = (
 )
 
 
-class ReachedTarget(StepResult, kind="at_target", version=2):
+class ReachedTarget(StepResult, kind="at_target", version=3):
     """How the guide was held, and how deep the instrument went."""
 
     tool_pose: FramedPose = Field(description="Nominal pose robot <- tool at the measured joints.")
-    nominal_error_mm: float = Field(description="Of its origin against the commanded one.")
+    nominal_error_mm: float = Field(
+        description="Of the instrument's end by joints and depth stop: beside the axis and along it."
+    )
+    too_deep_mm: float = Field(description="By what was read off the depth stop; its part of that error.")
     depth_stop: DepthStop = Field(description="Of the instrument.")
     pushed_mm: float = Field(description="The most that the guide was beside its place after a stage.")
 
@@ -72,7 +75,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     context.setting.clock.sleep(DWELL_S)
     insertion = workcell.insertion
     reached = workcell.tool_pose(arrived=None if insertion is None else insertion.arriving)
-    error_mm = float(np.linalg.norm(reached.translation_mm - commanded.translation_mm))
+    beside_mm = reached.translation_mm - commanded.translation_mm
+    error_mm = float(np.linalg.norm(beside_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(
             "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
@@ -91,14 +95,17 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         context.progress(1.0, f"the instrument is out of {trajectory}")
     if begun.pushed_mm > PUSHED_MM:
         context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
+    too_deep_mm = begun.stop.too_deep_mm
+    error_mm = float(np.linalg.norm(beside_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
     return Outcome(
         ReachedTarget(
             tool_pose=FramedPose.of(reached),
             nominal_error_mm=error_mm,
+            too_deep_mm=too_deep_mm,
             depth_stop=begun.stop,
             pushed_mm=begun.pushed_mm,
         ),
-        summary=f"guide within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
+        summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
     )
 
 

@@ -27,6 +27,11 @@ class DepthStop(Values):
     computed_mm: float = Field(description="From the instrument's tip to the stop: their sum.")
     read_mm: float = Field(description="As it was read off the instrument.")
 
+    @property
+    def too_deep_mm(self) -> float:
+        """How much deeper than the target it lets the instrument go, as it was read."""
+        return self.read_mm - self.computed_mm
+
 
 def set_depth_stop(context: StepContext) -> DepthStop:
     """Have it set, read and confirmed; raises TOOL-004 when it does not come right, PRO-002."""

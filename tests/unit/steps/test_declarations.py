@@ -147,6 +147,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         ReachedTarget(
             tool_pose=pose,
             nominal_error_mm=0.1 + 0.2,
+            too_deep_mm=0.05,
             depth_stop=DepthStop(
                 bore_mm=90.0, standoff_mm=25.0, depth_mm=50.0, computed_mm=165.0, read_mm=165.05
             ),

@@ -82,6 +82,18 @@ def test_the_depth_stop_is_bore_stand_off_and_depth_and_all_of_it_is_shown(cell:
 
 
 @pytest.mark.hazard(45)
+@pytest.mark.parametrize("off_mm", [0.08, -0.08])
+def test_what_the_depth_stop_reads_beside_its_sum_is_part_of_the_error(
+    cell: ClinicalCell, off_mm: float
+) -> None:
+    cell.room.stop_off_mm = off_mm
+    work(before_the_entry(cell))
+    reached = cell.case.get(ReachedTarget, FIRST).result
+    assert reached.too_deep_mm == pytest.approx(off_mm)
+    assert reached.nominal_error_mm == pytest.approx(abs(off_mm), abs=1e-4)  # the arm is where it was sent
+
+
+@pytest.mark.hazard(45)
 @pytest.mark.branch("WRONG_STOP")
 def test_a_depth_stop_that_stays_wrong_lets_no_instrument_in(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
