@@ -73,7 +73,7 @@ def theatre(
         bool,
         typer.Option(
             "--continue",
-            help="Go on with the world that the last theatre left in that folder, without faults.",
+            help="Go on with the world left in that folder; of faults, what they moved or bent stays so.",
         ),
     ] = False,
     parameter: Annotated[

@@ -63,7 +63,8 @@ class Theatre:
         self.file = folder / THEATRE_FILE
         self.world = World.create(scene, paced=paced) if left is None else left.go_on(scene, paced=paced)
         if faults:
-            self.world.set_fault_script(faults)
+            _, standing = self.world.fault_script()
+            self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)
         write_whole(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         self._control = ControlPort(Room(self.world, folder))
         self._children: list[ChildProcess] = []

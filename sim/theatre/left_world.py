@@ -1,7 +1,7 @@
 """How a theatre left its world, so that another one can go on with it: the arm, the tool on it, the time.
 
-The file is written when the theatre ends, also when its parent died, and at each change of tools. Faults are
-not in it: a world that goes on has none but those that are injected anew.
+The file is written when the theatre ends, also when its parent died, and at each change of tools. It keeps
+what faults have moved, bent or turned; a world that goes on has no other fault until one is injected.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 from sim.errors import BadLeftWorld, TheatreRunning
+from sim.theatre.faults import parse_faults
+from sim.theatre.faults.standing import standing_faults
 from sim.theatre.scene.model import Numbers6, Scene
 from sim.theatre.world import ArmState, World
 
@@ -46,6 +48,9 @@ class LeftWorld(Strict):
     theatre_time_ns: Count = Field(description="Since the theatre first began.")
     mounted_tool: Count = Field(description="As the controller's inputs report it.")
     arm: LeftArm | None = Field(description="None before the robot has started.")
+    standing_faults: str = Field(
+        default="", description="Script of the faults whose effect stays: what was moved, bent or turned."
+    )
 
     @classmethod
     def of(cls, world: World) -> LeftWorld:
@@ -62,12 +67,14 @@ class LeftWorld(Strict):
                 motion_number=arm.motion_number,
                 moved_s=arm.moved_s,
             ),
+            standing_faults=standing_faults(world),
         )
 
     def go_on(self, scene: Scene, *, paced: bool) -> World:
         """A world of that scene that begins as this one was left."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool)
+        world.set_fault_script(self.standing_faults)
         if (arm := self.arm) is not None:
             # Where the flange truly is, the robot simulator says before anybody can look.
             world.publish_arm(
@@ -82,14 +89,16 @@ def write_left_world(world: World, folder: Path) -> None:
 
 
 def read_left_world(folder: Path) -> LeftWorld | None:
-    """How the last theatre in that folder left its world; None when it wrote nothing. Raises SIM-012."""
+    """How the last theatre there left its world; None when it wrote nothing. Raises SIM-003, SIM-012."""
     path = folder / LEFT_WORLD_FILE
     if not path.exists():
         return None
     try:
-        return LeftWorld.model_validate_json(read_json_bytes(path), strict=False)
+        left = LeftWorld.model_validate_json(read_json_bytes(path), strict=False)
     except ValidationError as error:
         raise BadLeftWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
+    parse_faults(left.standing_faults)
+    return left
 
 
 @contextmanager

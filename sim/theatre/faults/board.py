@@ -35,9 +35,15 @@ class FaultBoard:
 
     def acting(self) -> tuple[Fault, ...]:
         """All lasting faults of any kind that act now."""
+        return tuple(fault for fault, _ in self.acting_since())
+
+    def acting_since(self) -> tuple[tuple[Fault, float], ...]:
+        """The same, each with the theatre time at which it began."""
         now_s = self._world.clock.now_s()
         return tuple(
-            fault for fault, onset_s in self._onsets(now_s) if onset_s <= now_s < onset_s + fault.duration_s
+            (fault, onset_s)
+            for fault, onset_s in self._onsets(now_s)
+            if onset_s <= now_s < onset_s + fault.duration_s
         )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:

@@ -32,6 +32,12 @@ def _path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
         yield f"expected at least {SMALLEST_PATH_BYTES} bytes, got {arguments[1]}"
 
 
+TWIST = SIGHT.lasting(
+    "twist",
+    "twist NAME SIGNED deg",
+    "The left or right camera turns by that angle in its mount, in the plane of both.",
+    _side,
+)
 SIGHT_FAULTS = (
     SIGHT.lasting(
         "stain",
@@ -51,12 +57,7 @@ SIGHT_FAULTS = (
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
         both(_side, at_most(WHOLE_PERCENT, "%", argument=1)),
     ),
-    SIGHT.lasting(
-        "twist",
-        "twist NAME SIGNED deg",
-        "The left or right camera turns by that angle in its mount, in the plane of both.",
-        _side,
-    ),
+    TWIST,
     SIGHT.lasting(
         "creep",
         "creep NAME SIGNED deg per min",

@@ -51,15 +51,7 @@ def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
 _few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit reports")
 _socket = OneOf("socket", SOCKETS)
 
-SIGHT_FAULTS = (
-    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _visible_fiducial),
-    lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _tool),
-    lasting(
-        "occlude_tool_marker",
-        "occlude tool NAME marker INT",
-        "One marker of a tool is hidden; they count from 1.",
-        _tool_marker,
-    ),
+DISPLACED_TOOLS = (
     lasting(
         "bend_tool",
         "bend tool NAME NUMBER mm",
@@ -78,6 +70,17 @@ SIGHT_FAULTS = (
         "A tool is moved along x, y and z of the tracker.",
         _tool,
     ),
+)
+SIGHT_FAULTS = (
+    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _visible_fiducial),
+    lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _tool),
+    lasting(
+        "occlude_tool_marker",
+        "occlude tool NAME marker INT",
+        "One marker of a tool is hidden; they count from 1.",
+        _tool_marker,
+    ),
+    *DISPLACED_TOOLS,
     lasting("interference", "interference tool NAME", "Infrared interference on one tool.", _tool),
     lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
     lasting("strays", "strays INT", "That many additional spheres lie in the volume.", _few),

@@ -10,7 +10,9 @@ from sim.errors import BadLeftWorld, TheatreRunning
 from sim.kuka.arm.manipulator import Manipulator
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.theatre import left_world
+from sim.theatre.faults import FaultBoard
 from sim.theatre.left_world import LEFT_WORLD_FILE, folder_held, read_left_world, write_left_world
+from sim.theatre.room_shift import RoomShift, ShiftedRoom
 from sim.theatre.scene.model import Scene
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.world import World
@@ -45,6 +47,29 @@ def test_arm_tool_and_time_go_on_where_they_were_left(scene: Scene, tmp_path: Pa
     np.testing.assert_allclose(again.arm().robot_from_flange, world.arm().robot_from_flange, atol=1e-9)
     assert again.arm().motion_number == world.arm().motion_number
     assert degrees(again.arm().joints_rad[0]) == pytest.approx(scene.arm.home_deg[0] + 3.0)
+
+
+def test_what_was_moved_or_bent_stays_so_and_what_hid_or_pressed_is_gone(
+    scene: Scene, tmp_path: Path
+) -> None:
+    world = World.create(scene, paced=False)
+    world.clock.sleep(10.0)
+    lines = (
+        "at 3 s: room shift head 0 0.5 0 mm",
+        "at 4 s: camera twist left +0.2 deg for 20 s",
+        "at 5 s: room push guide 10 0 0 N",
+        "at 6 s: tracker occlude tool robot_frame",
+        "at 99 s: room loosen marker 2 1 0 0 mm",
+    )
+    world.set_fault_script("\n".join(lines))
+    write_left_world(world, tmp_path)
+    left = read_left_world(tmp_path)
+    assert left is not None
+    again = left.go_on(scene, paced=False)
+    assert ShiftedRoom(again).now() == RoomShift(head_mm=(0.0, 0.5, 0.0))
+    (twist,) = FaultBoard(again, "camera").acting()
+    assert (twist.kind.name, twist.duration_s) == ("twist", pytest.approx(14.0))
+    assert FaultBoard(again, "tracker").empty
 
 
 def test_a_folder_in_which_no_theatre_ended_leaves_nothing_to_go_on_with(tmp_path: Path) -> None:

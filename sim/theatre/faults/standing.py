@@ -1,0 +1,26 @@
+"""What faults have changed and no program puts right by ending: things that were moved, bent or turned."""
+
+from __future__ import annotations
+
+import math
+
+from sim.theatre.faults.board import FaultBoard
+from sim.theatre.faults.camera import TWIST
+from sim.theatre.faults.room import PUSH, ROOM_FAULTS
+from sim.theatre.faults.tracker import DISPLACED_TOOLS
+from sim.theatre.world import World
+
+STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLACED_TOOLS)
+
+
+def standing_faults(world: World) -> str:
+    """The script by which a world that goes on has them still, to the end that they were given."""
+    now_s = world.clock.now_s()
+    lines = []
+    for device in sorted({kind.device for kind in STANDING}):
+        for fault, onset_s in FaultBoard(world, device).acting_since():
+            if fault.kind in STANDING:
+                left_s = onset_s + fault.duration_s - now_s
+                end = "" if math.isinf(left_s) else f" for {left_s:.6f} s"
+                lines.append(f"at {now_s:.6f} s: {fault.phrase}{end}")
+    return "\n".join(lines)
