@@ -30,7 +30,8 @@ SAGGING = (1, 2)  # joints, counted from 0
 class ErrorSizes:
     """What is left of the errors of set S in an arm, as shares; the tool frame's in mm per axis.
 
-    `links` goes with the joint offsets, `joints` with harmonics and sag.
+    `links` goes with the joint offsets, `joints` with harmonics and sag. `backlash` is what is left of it
+    where the side is known on which a joint rests; where it is not, all of it is.
     """
 
     tool_mm: float = TOOL_MM
@@ -64,19 +65,23 @@ class ArmPoses:
 
 
 def arm_sources(
-    chain: Chain, spheres: ArmPoses, target: ArmPoses, sizes: ErrorSizes = UNCALIBRATED
+    chain: Chain,
+    spheres: ArmPoses,
+    target: ArmPoses,
+    sizes: ErrorSizes = UNCALIBRATED,
+    servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Geometry, joints, backlash and what does not repeat, for one target and its `n` spheres.
 
-    What does not repeat is the same in all arms.
+    What does not repeat is the same in all arms. `servo_mm` is 0 where what the servo leaves is measured.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     moved = displacements(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]), sizes)
     return (
         _shared("links and joint offsets", moved.links_mm),
         _shared("harmonics and sag", moved.joints_mm),
-        _backlash(sizes.backlash * moved.swings_mm, spheres.sides, target.sides),
-        _at_rest(len(spheres.joints_rad)),
+        _backlash(moved.swings_mm, spheres.sides, target.sides, sizes.backlash),
+        _at_rest(len(spheres.joints_rad), servo_mm),
     )
 
 
@@ -118,15 +123,20 @@ def _shared(source: str, columns_mm: Array) -> SharedErrors:
     return SharedErrors(source, columns_mm[:-1], columns_mm[-1])
 
 
-def _backlash(swings: Array, at_spheres: Array | None, at_target: Array | None) -> SharedErrors | OwnErrors:
+def _backlash(
+    swings: Array, at_spheres: Array | None, at_target: Array | None, left: float
+) -> SharedErrors | OwnErrors:
     half = FLANK_SHARE * BACKLASH_RAD * swings
     if at_spheres is not None and at_target is not None:
-        return _shared("backlash", half * np.concatenate([at_spheres, at_target])[:, None, :])
+        return _shared("backlash", left * half * np.concatenate([at_spheres, at_target])[:, None, :])
     own = half @ half.transpose(0, 2, 1)
+    own[:-1] *= 1.0 if at_spheres is None else left**2
+    own[-1] *= 1.0 if at_target is None else left**2
     return OwnErrors("backlash", own[:-1], own[-1])
 
 
-def _at_rest(spheres: int) -> OwnErrors:
+def _at_rest(spheres: int, servo_mm: float) -> OwnErrors:
     at_target = np.eye(3) * REPEATABILITY_MM**2
-    at_sphere = at_target + np.eye(3) * SERVO_MM**2 / 3.0
-    return OwnErrors("servo and repeatability", np.tile(at_sphere, (spheres, 1, 1)), at_target)
+    at_sphere = at_target + np.eye(3) * servo_mm**2 / 3.0
+    name = "servo and repeatability" if servo_mm else "repeatability"
+    return OwnErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)

@@ -61,6 +61,7 @@ def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Tr
             ArmPoses(np.array([one.at_rad for one in looks]), spheres, np.repeat(signs, len(looks), axis=0)),
             ArmPoses(np.array([target.at_rad]), tip[None], signs),
             setting.sizes,
+            servo_mm=0.0,
         ),
     ]
     return predict_target_error(spheres, tip, sources).rms_mm

@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 
 import numpy as np
 
+from procedures.strategies.best import CANDIDATES
 from procedures.studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, phantom
 from procedures.studies.accuracy.random_arms import RandomArms, Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
-from procedures.studies.accuracy.scene import DIGITS, Scene
+from procedures.studies.accuracy.scene import BEST, DIGITS, Scene
 from procedures.studies.accuracy.trials import Sizes
 from procedures.studies.unit import Sums, Unit, blocks
 
@@ -29,6 +31,7 @@ MOST_ARMS_OF_SOURCES = 40  # enough for a mean
 MOST_ARMS_OF_OTHERS = 100  # and for a 99 % quantile
 ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
 FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
+PREDICTED = (SCENARIOS[0], SCENARIOS[-1])  # set S, and all that a calibration and a fine CT reach
 TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
 BIN_MM = 0.005  # of the histograms
 OF_ARM = "arm "  # before its number, where a sum is of one arm
@@ -99,20 +102,29 @@ def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
-    """Predicted and actual: strategy|spheres|targets, inside, actual2, predicted2."""
+    """Predicted and actual: scenario|strategy|spheres|targets, inside, actual2, predicted2."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
-    for strategy in ALONE:
-        planned = scene.planned(strategy)
-        errors = scene.errors_mm(drawn, planned, chance, Sizes())
-        predicted = scene.predicted(planned)
-        for place_of_count, count in enumerate(scene.counts):
-            for target, one in enumerate(predicted[place_of_count]):
-                actual = errors[:, target, place_of_count]
-                sums[f"{strategy}|{count}|targets"] += len(arms)
-                sums[f"{strategy}|{count}|inside"] += int(one.holds(actual).sum())
-                sums[f"{strategy}|{count}|actual2"] += float(np.square(actual).sum())
-                sums[f"{strategy}|{count}|predicted2"] += len(arms) * one.rms_mm**2
+    for scenario in PREDICTED:
+        planned = {one: scene.planned(one, scenario.left) for one in ALONE}
+        errors = {
+            one: scene.errors_mm(scenario.of(drawn), poses, chance, scenario.sizes)
+            for one, poses in planned.items()
+        }
+        predicted = {
+            one: scene.predicted(poses, scenario.left, scenario.ct_mm) for one, poses in planned.items()
+        }
+        for (nth, count), target in product(enumerate(scene.counts), range(TARGETS)):
+            at_target = {one: of_each[nth][target] for one, of_each in predicted.items()}
+            best = min((one.name for one in CANDIDATES), key=lambda name: at_target[name].rms_mm)
+            for strategy in STRATEGIES:
+                used = best if strategy == BEST else strategy
+                prediction, actual = at_target[used], errors[used][:, target, nth]
+                key = f"{scenario.name}|{strategy}|{count}"
+                sums[f"{key}|targets"] += len(arms)
+                sums[f"{key}|inside"] += int(prediction.holds(actual).sum())
+                sums[f"{key}|actual2"] += float(np.square(actual).sum())
+                sums[f"{key}|predicted2"] += len(arms) * prediction.rms_mm**2
     return dict(sums)
 
 

@@ -16,6 +16,7 @@ from procedures.studies.plots import boxes
 from procedures.studies.strategies import (
     BIN_MM,
     OF_ARM,
+    PREDICTED,
     PREDICTION,
     READ_AGAIN,
     READINGS,
@@ -277,19 +278,31 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
 
 
 def _prediction(sums: Mapping[str, Sums]) -> Table:
-    total: dict[Series, dict[str, float]] = {}
+    total: dict[tuple[str, Series], dict[str, float]] = {}
     for _, (markers, _), content in _cells(sums, PREDICTION):
         for key, value in content.items():
-            strategy, count, what = key.split("|")
-            total.setdefault((markers, strategy, int(count)), defaultdict(float))[what] += value
+            scenario, strategy, count, what = key.split("|")
+            series = markers, strategy, int(count)
+            total.setdefault((scenario, series), defaultdict(float))[what] += value
+    named = [one.name for one in PREDICTED]
     rows: list[list[Cell]] = []
-    for series in sorted(total, key=_order):
-        one = total[series]
+    for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
+        one = total[scenario, series]
         actual, predicted = (float(np.sqrt(one[key] / one["targets"])) for key in ("actual2", "predicted2"))
-        rows.append([*series, int(one["targets"]), 100.0 * one["inside"] / one["targets"], predicted, actual])
+        rows.append(
+            [
+                scenario,
+                *series,
+                int(one["targets"]),
+                100.0 * one["inside"] / one["targets"],
+                predicted,
+                actual,
+            ]
+        )
     return Table(
         "Predicted and actual error",
         (
+            "scenario",
             "markers",
             "strategy",
             "spheres",
@@ -299,6 +312,6 @@ def _prediction(sums: Mapping[str, Sums]) -> Table:
             "actual rms mm",
         ),
         rows,
-        "Other arms than in table 4: 1,000, each at one place. The prediction knows the sizes of set S and"
-        " the poses, and nothing of the arm.",
+        "Other arms than in table 4: 1,000, each at one place. The prediction knows the sizes of the"
+        " errors and the poses, and nothing of the arm.",
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from arm_looks import ENDPOINTS
 from recording_cell import GUIDE, STEREO_HEAD, RecordingCell
 
 from procedures.engine.errors import StepRefused
@@ -15,7 +16,10 @@ from procedures.relocalization.errors import WrongCamera
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import WrongTool
 from ronna_hw.calibration import CalibrationExpired
+from ronna_hw.config import parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
+from sim.theatre.process import load_scene
+from sim.theatre.theatre_file import theatre_content
 
 SET_UP = order_of([set_up.STEP], ())
 
@@ -58,6 +62,17 @@ def test_an_expired_calibration_is_refused_at_set_up(cell: RecordingCell, record
     with pytest.raises(CalibrationExpired) as refused:
         run_set_up(cell, **{record: expired})
     assert refused.value.exit_code == EXIT_REFUSED
+
+
+@pytest.mark.hazard(26)
+def test_an_expired_calibration_of_the_arm_is_refused_at_set_up(cell: RecordingCell) -> None:
+    content = theatre_content(load_scene("mini", seed=3, calibrated=True), ENDPOINTS, "host:", {}, 1.0)
+    calibrations = parse_theatre(content).calibration
+    assert calibrations is not None
+    assert calibrations.arm is not None
+    ended = datetime.now(UTC) - timedelta(seconds=1)
+    with pytest.raises(CalibrationExpired, match="ronna-arm calibrate"):
+        run_set_up(cell, arm=calibrations.arm.model_copy(update={"expires": ended}))
 
 
 @pytest.mark.hazard(29)

@@ -91,3 +91,28 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     checked = in_this_process(app, "check", "--looks", "12", *sim)
     assert checked.returncode == 0, checked.stderr
     assert json.loads(checked.stdout)["passed"]
+
+
+def test_a_calibration_that_the_answers_do_not_agree_to_moves_nothing(tmp_path: Path) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('[answers]\ncalibration = "no"\n')
+    out = tmp_path / "out"
+    sim = ("--sim", "--scene", "mini", "--seed", "3", "--out", out, "--answers", answers)
+    done = in_this_process(app, "calibrate", *sim)
+    assert "PRO-002" in " ".join(one_error(done.stderr))
+    assert done.returncode == 7
+    assert not list(out.rglob("calibration.toml"))
+
+
+@pytest.mark.parametrize(
+    "content", ['[answers]\ncalibrate = "yes"\n', '[answers]\ncalibration = "perhaps"\n']
+)
+def test_answers_to_what_is_not_asked_are_refused_before_anything_starts(
+    tmp_path: Path, content: str
+) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text(content)
+    done = in_this_process(
+        app, "calibrate", "--sim", "--scene", "mini", "--answers", answers, "--out", tmp_path / "out"
+    )
+    assert "PRO-026" in " ".join(one_error(done.stderr))

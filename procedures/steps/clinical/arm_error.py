@@ -1,5 +1,8 @@
 """The arm's own errors between spheres and target, joint by joint, so that what they share cancels.
 
+Where a strategy does not control the approach, the servo's last step, not the way to the sphere, leaves each
+joint on one side of its backlash, and nobody knows on which. What the servo leaves is measured.
+
 `arm_error_mm` of the theatre file says how large they are: up to that of an uncalibrated arm, in proportion.
 """
 
@@ -14,9 +17,7 @@ from procedures.calibration.arm_sources import ArmPoses, ErrorSizes, arm_sources
 from procedures.engine.context import StepContext
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.strategies.approach import arrival_signs
-from procedures.strategies.catalogue import strategy_named
-from procedures.workcell import MountedTool
+from procedures.steps.clinical.relocalization import arriving
 
 Array = NDArray[np.float64]
 
@@ -26,18 +27,14 @@ def arm_errors(
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Of localizations of spheres (n, 3) mm and the tip (3,) mm at a target, robot frame, as planned."""
     paths, settings = context.result(CheckedPaths), context.setting.settings
-    kinematics = context.workcell.arm.kinematics
     planned = {one.fiducial: one for one in paths.localizations_for(context.key.trajectory)}
     looks = [planned[index] for index in fiducials]
     at_target = paths.targets[target]
-    signs = [at_target.approach_signs] * len(looks)
-    strategy = strategy_named(paths.strategy_of(target))
-    if not strategy.controls_approach:  # then the line to the sphere decides
-        head = context.workcell.flange_from(MountedTool.STEREO_HEAD)
-        signs = [arrival_signs(kinematics, one.tool_pose.transform, one.joints_rad, head) for one in looks]
+    signs = arriving(context, paths)
+    sides = None if signs is None else np.array([signs] * len(looks), dtype=float)
     return arm_sources(
-        kinematics.chain,
-        ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, np.array(signs, dtype=float)),
+        context.workcell.arm.kinematics.chain,
+        ArmPoses(np.array([one.joints_rad for one in looks]), spheres_mm, sides),
         ArmPoses(
             np.array([at_target.joints_rad]),
             tip_mm[None],
@@ -48,4 +45,5 @@ def arm_errors(
             settings.tool_error_mm,
             calibrated=context.workcell.calibrations.arm is not None,
         ),
+        servo_mm=0.0,
     )

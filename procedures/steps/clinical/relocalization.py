@@ -79,7 +79,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     workcell.start(cameras=True)
     centring = Centring(
         workcell,
-        arriving=_arriving(context, paths),
+        arriving=arriving(context, paths),
         area_px=settings.servo_area_px,
         standoff_mm=settings.standoff_mm,
     )
@@ -126,11 +126,12 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     )
 
 
-def _arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Direction in which each joint will arrive at the target; None when the strategy does not ask for it.
+def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
+    """Direction in which each joint arrives at the spheres; None when the strategy does not control it.
 
-    Where one registration serves all targets, a calibrated arm arrives from one side: its backlash is known
-    and counts only where it is known on which side a joint rests.
+    It is that in which the joint will arrive at the target. Where one registration serves all targets, a
+    calibrated arm arrives from one side: its backlash is known and counts only where it is known on which
+    side a joint rests.
     """
     if context.key.trajectory is None and context.workcell.calibrations.arm is not None:
         return ONE_SIDE

@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from procedures.calibration.arm.parameters import ArmModel
-from procedures.calibration.arm_sources import REPEATABILITY_MM, SERVO_MM, ErrorSizes
+from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
 from procedures.planning.best_choice import predicted_arm_error_mm, with_best_chosen
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.sight import StereoSight
@@ -71,7 +71,6 @@ def _error_of_a_drawn_arm_mm(
         true = flange_poses(chain, drawn, [one.at_rad])[0]
         off[row] = true[:3, :3] @ nominal.inverse().apply(point) + true[:3, 3] - point
     off += generator.normal(0.0, REPEATABILITY_MM, off.shape)
-    off[:-1] += generator.normal(0.0, SERVO_MM / np.sqrt(3.0), off[:-1].shape)
     fit = fit_rigid(points[:-1], points[:-1] - off[:-1])
     reached: NDArray[np.float64] = fit.rotation @ points[-1] + fit.translation_mm + off[-1]
     return reached - points[-1]

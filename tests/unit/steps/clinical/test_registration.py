@@ -72,7 +72,7 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     assert list(shares_mm) == [
         *("CT", "seating of the spheres", "stereo measurement"),
         *("links and joint offsets", "harmonics and sag", "backlash"),
-        *("servo and repeatability", "tool frame", "instrument", "guide direction"),
+        *("repeatability", "tool frame", "instrument", "guide direction"),
         *("stereo head calibration", "guide tip calibration"),
     ]
     assert shares_mm["tool frame"] == pytest.approx(0.0, abs=1e-9)  # held alike at spheres and target
