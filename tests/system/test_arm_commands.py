@@ -93,6 +93,7 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     assert json.loads(checked.stdout)["passed"]
 
 
+@pytest.mark.slow
 def test_a_calibration_that_the_answers_do_not_agree_to_moves_nothing(tmp_path: Path) -> None:
     answers = tmp_path / "answers.toml"
     answers.write_text('[answers]\ncalibration = "no"\n')

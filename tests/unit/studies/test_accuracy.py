@@ -102,7 +102,7 @@ def test_the_study_stands_beside_table_4() -> None:
     }
     assert beside["nos", 3] == 1.571
     assert len(beside) == 8
-    assert len(found["Means per trajectory"].rows) == 8 + 12
+    assert len(found["Means per trajectory"].rows) == 8 + 6 * 3
     assert len(found["Other readings of the protocol"].rows) == 2 * (1 + 1 + 4)
     assert len(found["Predicted and actual error"].rows) == 2 * 6 * (3 + 2)
     assert plots(sums)["strategies.png"].startswith(b"\x89PNG")

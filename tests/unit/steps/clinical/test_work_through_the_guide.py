@@ -23,7 +23,7 @@ from procedures.guards import GuideStill
 from procedures.guards.guide_still import PUSHED_MM
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.depth_stop import SET_BY_HAND_MM, STOP_LIMIT_MM
+from procedures.steps.clinical.depth_stop import STOP_LIMIT_MM
 from procedures.steps.clinical.errors import DepthStopWrong
 from procedures.workcell import MountedTool
 
@@ -97,7 +97,7 @@ def test_what_the_depth_stop_reads_beside_its_sum_is_part_of_the_error(
 @pytest.mark.branch("WRONG_STOP")
 def test_a_depth_stop_that_stays_wrong_lets_no_instrument_in(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
-    cell.room.stop_off_mm = 2.2 * SET_BY_HAND_MM  # more than the prediction counts
+    cell.room.stop_off_mm = 1.1 * STOP_LIMIT_MM
     with pytest.raises(DepthStopWrong, match=r"TOOL-004: .*T1 is set wrong"):
         work(engine)
     assert [task.name for task in cell.room.worked] == ["depth_stop"] * 3
