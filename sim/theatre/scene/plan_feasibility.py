@@ -2,8 +2,8 @@
 
 A trajectory is served when some turn about its axis brings the tool to every sphere in the orientation of
 the trajectory, then to where the guide is held before the entry, and the stereo head to the target as well,
-for a phantom with a ball there; each time from a point above, with all poses in one posture of the arm. Robot
-frame, mm.
+for a phantom with a ball there; each time from a point above, with all poses in one posture of the arm. In
+that turn no sphere may stand before or behind another one in either camera. Robot frame, mm.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim.kuka.arm.posture import axes_of_status
 from sim.kuka.arm.robot_description import Variant, description
 from sim.theatre.rigid import inverse, matrix_from
 from sim.theatre.scene.model import Guide
-from sim.theatre.scene.stereo_head import TOOL_IN_FLANGE_MM
+from sim.theatre.scene.stereo_head import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
 
 Vector = NDArray[np.float64]
 
@@ -28,6 +28,8 @@ TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
 # Postures of the arm, the usual one first. The wrist's own two are alike: its ranges are symmetric.
 STATUSES = (2, 0, 3, 1)
 MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some millimetres wrong
+SPHERE_MM = 5.75  # radius
+BESIDE_MM = 4.0  # around each sphere: a millimetre more than the planner asks for
 # A4 and A6 turn more than once around, so they reach every angle.
 LIMITED = (0, 1, 2, 4)
 
@@ -56,9 +58,25 @@ class PlanFeasibility:
             places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
             tips = np.array([tip for place, back in places for tip in (place, place - back * axis)])
             self._known[key] = any(
-                self._serves(tips, orientation, status) for orientation in _orientations(axis, target_mm)
+                self._sees(orientation) and self._serves(tips, orientation, status)
+                for orientation in _orientations(axis, target_mm)
             )
         return self._known[key]
+
+    def _sees(self, orientation: Vector) -> bool:
+        """Whether each sphere, with the tool on it, stands free of the others in both cameras."""
+        others = ~np.eye(len(self._spheres_mm), dtype=bool)
+        for camera_mm in CAMERAS_IN_TOOL_MM:
+            eyes = self._spheres_mm + orientation @ np.array(camera_mm)
+            rays = self._spheres_mm[None] - eyes[:, None]
+            distances = np.linalg.norm(rays, axis=2)
+            radii = np.arcsin(np.minimum(1.0, (SPHERE_MM + BESIDE_MM) / distances))
+            directions = rays / distances[:, :, None]
+            looked_at = np.einsum("ijk,ik->ij", directions, np.einsum("iik->ik", directions))
+            gaps = np.arccos(np.clip(looked_at, -1.0, 1.0)) - radii - np.diag(radii)[:, None]
+            if (gaps[others] < 0.0).any():
+                return False
+        return True
 
     def _serves(self, tips_mm: Vector, orientation: Vector, status: int) -> bool:
         return all(

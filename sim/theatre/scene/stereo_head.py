@@ -21,6 +21,11 @@ HALF_ANGLE_RAD = radians(27.5)
 WORKING_DISTANCE_MM = 250.0
 FOCAL_PX = 62.5 / 0.0055  # image distance over pixel pitch
 SENSOR_CENTRE_PX = (1023.5, 543.5)
+# Where the two cameras stand in the tool frame by the design.
+CAMERAS_IN_TOOL_MM = tuple(
+    (0.0, side * WORKING_DISTANCE_MM * sin(HALF_ANGLE_RAD), -WORKING_DISTANCE_MM * cos(HALF_ANGLE_RAD))
+    for side in (-1.0, 1.0)
+)
 BUILD_TRANSLATION_MM = 0.3
 BUILD_ROTATION_RAD = radians(0.1)
 BUILD_FOCAL = 0.003
@@ -52,7 +57,7 @@ def draw_cameras(generator: np.random.Generator) -> tuple[CameraTruth, CameraTru
 
 
 def _camera(generator: np.random.Generator, serial: str, side: float) -> CameraTruth:
-    position = WORKING_DISTANCE_MM * np.array([0.0, side * sin(HALF_ANGLE_RAD), -cos(HALF_ANGLE_RAD)])
+    position = np.array(CAMERAS_IN_TOOL_MM[0 if side < 0.0 else 1])
     rotation = rotation_towards(-position, (0.0, 1.0, 0.0))
     rotation = rotation @ rotation_from_vector(generator.normal(0.0, BUILD_ROTATION_RAD, 3))
     position = position + generator.normal(0.0, BUILD_TRANSLATION_MM, 3)
