@@ -133,7 +133,7 @@ def _formulas() -> list[Figure]:
         unit for unit in study.units() if unit.cell.startswith(ISOTROPIC) or unit.block < WEIGHTED_BLOCKS
     ]
     formulas, gains = tables(add_up((unit, study.run(unit)) for unit in units))
-    ((_, _, fle, one_space, _, _, tre, alarms),) = formulas.rows
+    ((_, _, fle, one_space, _, _, _, tre, alarms, _),) = formulas.rows
     figures = [
         Figure("FLE by eq. 36 over the true one", "register", _number(fle), "").within(0.98, 1.02),
         Figure("FLE of one space by eq. 37, 38", "register", _number(one_space), "").within(0.98, 1.02),
@@ -141,7 +141,7 @@ def _formulas() -> list[Figure]:
         Figure("false alarms of the FRE gate", "register", _number(alarms), "%").within(4.0, 6.0),
     ]
     for row, least in zip(gains.rows, (20.0, 40.0), strict=True):
-        gain = Figure(f"target error that weighting saves, {row[0]}", "register", _number(row[4]), "%")
+        gain = Figure(f"target error that weighting saves, {row[0]}", "register", _number(row[6]), "%")
         figures.append(gain.at_least(least))
     return figures
 

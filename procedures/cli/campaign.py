@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,6 +13,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
+    from procedures.studies.own.method import OwnMethod
     from procedures.studies.table import Table
     from procedures.studies.unit import Study, Sums
 
@@ -40,15 +40,14 @@ SchedulerOption = Annotated[
 ]
 
 
-class MethodChoice(StrEnum):
-    """Methods of pairing as an option names them."""
-
-    CLIQUE = "clique"
-    PRIOR = "orientation"
-    COUNT = "count"
-    THESIS = "thesis"
-    VALIDATED = "thesis-validated"
-
+OwnOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--method",
+        metavar="NAME|MODULE:FUNCTION",
+        help="A method of your own, run beside ours; may be given more than once.",
+    ),
+]
 
 THESIS_RUNS = 10_000  # per patient and cell
 Tables = Callable[[Mapping[str, "Sums"]], "list[Table]"]
@@ -70,8 +69,13 @@ def correspondence(
         typer.Option("--template", help="3 and 4 markers implanted by a template of `ronna-plan template`."),
     ] = False,
     methods: Annotated[
-        list[MethodChoice] | None,
-        typer.Option("--method", help="Only this method; may be given more than once [all]."),
+        list[str] | None,
+        typer.Option(
+            "--method",
+            metavar="NAME|MODULE:FUNCTION",
+            help="Only this method: clique, orientation, count, thesis, thesis-validated, or an own pairing;"
+            " may be given more than once [all of ours and the thesis'].",
+        ),
     ] = None,
     tolerances_mm: Annotated[
         list[float] | None,
@@ -105,8 +109,8 @@ def correspondence(
         OF_THE_THESIS,
         USUAL_TOLERANCES_MM,
         CorrespondenceStudy,
-        Method,
     )
+    from procedures.studies.pairing_choice import chosen_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are studies of their own: give one of them")
@@ -124,9 +128,9 @@ def correspondence(
         implanted = by_template.TemplateStudy(runs, seed)
         _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json, verbose)
         return
-    chosen = tuple(Method[one.name] for one in dict.fromkeys(methods)) if methods else tuple(Method)
+    chosen, own = chosen_methods(methods or ())
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
-    study = CorrespondenceStudy(runs, seed, chosen, values_mm)
+    study = CorrespondenceStudy(runs, seed, chosen, values_mm, own=own)
     if sweep:
         study = CorrespondenceStudy(
             runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
@@ -159,6 +163,7 @@ def _clinical(
 @app.command()
 def registration(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Runs per cell.")] = 6_000,
+    methods: OwnOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -170,7 +175,8 @@ def registration(
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from procedures.studies.registration import RegistrationStudy, plots, tables
 
-    _run(RegistrationStudy(runs, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+    own = _own("REGISTRATION", methods)
+    _run(RegistrationStudy(runs, seed, own=own), tables, plots, workers, scheduler, out, as_json, verbose)
 
 
 @app.command()
@@ -193,6 +199,15 @@ def localization(
             "--thesis", help="Only the thesis protocol: 20 scans, 116 spheres, scanners with scale errors."
         ),
     ] = False,
+    families: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--family",
+            metavar="NAME",
+            help="Only this family of scans, without the x-shaped frame; may be given more than once.",
+        ),
+    ] = None,
+    methods: OwnOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -202,12 +217,22 @@ def localization(
     log_level: console.LogLevelOption = None,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
-    from procedures.studies.localization import TUNING, LocalizationStudy
+    from procedures.studies.localization import JUDGING, TUNING, LocalizationStudy
     from procedures.studies.localization_goals import tables_and_goals
     from procedures.studies.localization_tables import plots
 
-    if thesis + tuning + frames > 1:
-        raise UsageMistake("--thesis, --tuning and --frames are studies of their own: give one of them")
+    if thesis + tuning + frames + bool(families) > 1:
+        raise UsageMistake(
+            "--thesis, --tuning, --frames and --family are studies of their own: give one of them"
+        )
+    if thesis and methods:
+        raise UsageMistake("--method does not go with --thesis: give --family, --frames or neither")
+    for family in families or ():
+        if family not in JUDGING:
+            raise UsageMistake(
+                f"--family: there is no judging family {family!r}", expected=", ".join(JUDGING)
+            )
+    own = _own("LOCALIZER", methods)
     if thesis:
         from procedures.studies import thesis_localization_tables
         from procedures.studies.thesis_localization import ThesisLocalizationStudy
@@ -216,11 +241,14 @@ def localization(
         told = thesis_localization_tables
         _run(protocol, told.tables, told.plots, workers, scheduler, out, as_json, verbose)
         return
-    study = LocalizationStudy(volumes, sets, seed)
+    study = LocalizationStudy(volumes, sets, seed, own=own)
     if tuning:
-        study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning")
+        study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning", own=own)
     if frames:
-        study = LocalizationStudy(0, sets, seed, (), name="localization-frames")
+        study = LocalizationStudy(0, sets, seed, (), name="localization-frames", own=own)
+    if families:
+        only = tuple(dict.fromkeys(families))
+        study = LocalizationStudy(volumes, 0, seed, only, name="localization-families", own=own)
     _run(study, tables_and_goals, plots, workers, scheduler, out, as_json, verbose)
 
 
@@ -233,6 +261,7 @@ def strategies(
         bool,
         typer.Option("--identified", help="Only arms as `ronna-arm calibrate` identifies them, a fine CT."),
     ] = False,
+    methods: OwnOption = None,
     seed: SeedOption = 0,
     workers: WorkersOption = None,
     scheduler: SchedulerOption = None,
@@ -242,6 +271,8 @@ def strategies(
     log_level: console.LogLevelOption = None,
 ) -> None:
     """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
+    if identified and methods:
+        raise UsageMistake("--method does not go with --identified: it has its own strategies")
     if identified:
         from procedures.studies import strategies_identified as by_looks
 
@@ -251,7 +282,9 @@ def strategies(
     from procedures.studies.strategies import StrategiesStudy
     from procedures.studies.strategies_tables import plots, tables
 
-    _run(StrategiesStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+    own = _own("STRATEGY", methods)
+    trials = StrategiesStudy(arms, seed, "strategies-own" if own else "strategies", own)
+    _run(trials, tables, plots, workers, scheduler, out, as_json, verbose)
 
 
 @app.command(name="application-error")
@@ -271,6 +304,16 @@ def application_error(
     from procedures.studies.application_error import ApplicationErrorStudy, plots, tables
 
     _run(ApplicationErrorStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+
+
+def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
+    """Own methods of a kind, each tried before the campaign."""
+    if not names:
+        return ()
+    from procedures.studies.own.contracts import MethodKind
+    from procedures.studies.own.trial import tried
+
+    return tuple(tried(MethodKind[kind], name) for name in dict.fromkeys(names))
 
 
 def _run(

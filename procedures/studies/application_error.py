@@ -12,6 +12,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.studies import bounds
 from procedures.studies.accuracy.phantom import Markers, phantom
 from procedures.studies.accuracy.scene import Scene
 from procedures.studies.plots import boxes
@@ -74,6 +75,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 count,
                 None if published is None else published[0],
                 mean,
+                bounds.mean(errors.mean(axis=1)).text,
                 None if published is None else 100.0 * (mean / published[0] - 1.0),
                 None if published is None else f"{published[1]:.2f}-{published[2]:.2f}",
                 "-".join(f"{value:.2f}" for value in np.percentile(errors, QUARTILES)),
@@ -89,13 +91,15 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "spheres",
                 "published mean mm",
                 "mean mm",
+                bounds.column("mean"),
                 "differs by %",
                 "published quartiles",
                 "quartiles",
             ),
             rows,
             "Depth of the target below the skin, along the trajectory. Published: RONNA G3 on a phantom, one"
-            " arm. It is compared with what is nearest to it: the x-shaped frame, the thesis' OCS.",
+            " arm. It is compared with what is nearest to it: the x-shaped frame, the thesis' OCS."
+            f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
         )
     ]
 
@@ -103,20 +107,22 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """A box for each depth, markers and strategy."""
     groups = {
-        f"{strategy} {markers} {count}, {depth}": errors
+        f"{strategy} {markers} {count}, {depth}": errors.ravel()
         for (depth, markers, strategy, count), errors in _errors(sums).items()
     }
     return {"application-error.png": boxes("Error at the target by depth", "mm", groups)}
 
 
 def _errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
-    found: dict[Series, list[float]] = {}
+    """Errors (arms, n) in mm, arm by arm."""
+    found: dict[Series, dict[int, list[float]]] = {}
     for cell, content in sums.items():
         depth, markers, _ = cell.split("|")
         for key, error_mm in content.items():
-            strategy, count, _, _ = key.split("|")
-            found.setdefault((depth, markers, strategy, int(count)), []).append(error_mm)
-    return {series: np.array(found[series]) for series in sorted(found, key=_order)}
+            strategy, count, arm, _ = key.split("|")
+            of_series = found.setdefault((depth, markers, strategy, int(count)), {})
+            of_series.setdefault(int(arm), []).append(error_mm)
+    return {series: np.array(list(found[series].values())) for series in sorted(found, key=_order)}
 
 
 def _order(series: Series) -> tuple[int, int, int, int]:

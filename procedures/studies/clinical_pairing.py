@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from procedures.registration.matching import match
 from procedures.registration.pairing_validation import validate_many
 from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM, match_many_by_similarity
+from procedures.studies import bounds
 from procedures.studies.correspondence import LOST, SUCCESS, Method, Pairs, outcome_key, verdict
 from procedures.studies.heads import (
     IMAGE_SIGMA_MM,
@@ -147,6 +148,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 kind,
                 runs,
                 100.0 * ours,
+                bounds.percent(ours * runs, runs).text,
                 100.0 * max(share for _, share in against),
                 min(perfect, default=None),
                 max(perfect, default=None),
@@ -164,6 +166,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "scans of",
                 "readings",
                 "ours, success %",
+                bounds.column("ours"),
                 "thesis, validated: best %",
                 "100 % from e mm",
                 "100 % to e mm",
@@ -172,7 +175,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             ),
             rows,
             f"{len(SCANS)} scans; the thesis reports 24,055 of 24,055. The distances of this frame differ by"
-            f" at least {apart_mm.min():.2f} mm, those of the thesis' by more than 4.5.",
+            f" at least {apart_mm.min():.2f} mm, those of the thesis' by more than 4.5. {bounds.NOTE}",
         )
     ]
 

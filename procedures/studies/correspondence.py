@@ -38,8 +38,10 @@ from procedures.studies.heads import (
     sites_mm,
     stated_variance_mm2,
 )
+from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.pairing import OwnPairing
 from procedures.studies.readings import Readings, draw_readings
-from procedures.studies.unit import Sums, Unit, blocks, generator
+from procedures.studies.unit import Sums, Unit, blocks, generator, without_empty_own
 
 Array = NDArray[np.float64]
 Pairs = frozenset[tuple[int, int]]
@@ -69,7 +71,7 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` for each patient and cell; the thesis' methods with each e in `tolerances_mm`."""
+    """`runs` for each patient and cell; the thesis' methods with each e in `tolerances_mm`; own ones."""
 
     runs: int
     seed: int = 0
@@ -78,10 +80,11 @@ class CorrespondenceStudy:
     readings: tuple[NoiseReading, ...] = tuple(NoiseReading)
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "correspondence"
+    own: tuple[OwnMethod, ...] = ()
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return asdict(self)
+        return without_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order noise model, patient, fiducials, outliers."""
@@ -118,6 +121,8 @@ class CorrespondenceStudy:
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if any(method in OF_THE_THESIS for method in self.methods):
             sums += self._by_thesis(seen, rights, reading)
+        for own in self.own:
+            sums += _by_own(OwnPairing.of(own), seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
 
     def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
@@ -138,6 +143,23 @@ class CorrespondenceStudy:
         return sums
 
 
+def _by_own(
+    pairing: OwnPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
+) -> Counter[str]:
+    """Outcomes of a reader's own pairing."""
+    sums: Counter[str] = Counter()
+    for image_mm, physical_mm, right in zip(seen.image_mm, seen.physical_mm, rights, strict=True):
+        found = pairing(
+            image_mm,
+            physical_mm,
+            sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
+            sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
+        )
+        told = LOST if found is None else verdict(MatchStatus.UNIQUE, found, right)
+        sums[outcome_key(pairing.name, None, told)] += 1
+    return sums
+
+
 def cell_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
     """A cell as text."""
     return f"{reading.value}|{patient}|{fiducials}|{outliers}"
@@ -149,9 +171,9 @@ def cell_of(key: str) -> tuple[NoiseReading, int, int, int]:
     return NoiseReading(reading), int(patient), int(fiducials), int(outliers)
 
 
-def outcome_key(method: Method, tolerance_mm: float | None, outcome: str) -> str:
+def outcome_key(method: str, tolerance_mm: float | None, outcome: str) -> str:
     """Key of a count."""
-    return f"{method.value}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
+    return f"{method}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
+from procedures.studies.bounds import Bounded, percent
 from procedures.studies.correspondence import FALSE, LOST, PART, cell_of
 from procedures.studies.heads import NoiseReading
 from procedures.studies.unit import Sums
@@ -46,6 +47,10 @@ class Shares:
         """No answer at all."""
         return self.unsuccessful - self.part
 
+    def bounded(self, share: float) -> Bounded:
+        """A share of the runs, per cent, with its bounds."""
+        return percent(share / 100.0 * self.runs, self.runs)
+
 
 def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
     """What became of the runs of each series, over patients."""
@@ -62,18 +67,18 @@ def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
 
 
 def _shares(cells: list[dict[str, float]]) -> Shares:
-    def percent(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
+    def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
         of, outcomes = list(of), set(outcomes)
         runs = sum(sum(cell.values()) for cell in of)
         return 100.0 * sum(n for cell in of for outcome, n in cell.items() if outcome in outcomes) / runs
 
-    unsuccessful = [percent((LOST, PART), [cell]) for cell in cells]
-    false = [percent((FALSE,), [cell]) for cell in cells]
+    unsuccessful = [share((LOST, PART), [cell]) for cell in cells]
+    false = [share((FALSE,), [cell]) for cell in cells]
     return Shares(
         int(sum(sum(cell.values()) for cell in cells)),
-        percent((LOST, PART), cells),
+        share((LOST, PART), cells),
         (min(unsuccessful), max(unsuccessful)),
-        percent((FALSE,), cells),
+        share((FALSE,), cells),
         (min(false), max(false)),
-        percent((PART,), cells),
+        share((PART,), cells),
     )

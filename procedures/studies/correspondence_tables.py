@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from procedures.studies import bounds
 from procedures.studies.correspondence import Method
 from procedures.studies.correspondence_shares import Range, Series, Shares, shares
-from procedures.studies.plots import bars, curves
+from procedures.studies.plots import Point, bars, curves
 from procedures.studies.table import Cell, Table
 from procedures.studies.unit import Sums
 
@@ -32,16 +33,19 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "fiducials",
                 "runs",
                 "unsuccessful %",
+                bounds.column("unsuccessful"),
                 "over 0 to 4 outliers",
                 "thesis %",
                 "false %",
+                bounds.column("false"),
                 "over 0 to 4 outliers",
                 "thesis %",
                 "a part %",
             ),
             [_row(series, one) for series, one in found.items() if series.noise is noise],
             "Pooled over 3 heads. A part of the true pairs is unsuccessful, as in the thesis; our goals count"
-            " it as false. The thesis' heads are not published, and it does not state its noise model.",
+            " it as false. The thesis' heads are not published, and it does not state its noise model. "
+            + bounds.NOTE,
         )
         for noise in dict.fromkeys(series.noise for series in found)
     ]
@@ -56,9 +60,11 @@ def _row(series: Series, one: Shares) -> list[Cell]:
         series.fiducials,
         one.runs,
         one.unsuccessful,
+        one.bounded(one.unsuccessful).text,
         _text(one.unsuccessful_range),
         _text(THESIS_UNSUCCESSFUL[series.fiducials]),
         one.false,
+        one.bounded(one.false).text,
         _text(one.false_range),
         _text(THESIS_FALSE[series.fiducials]),
         one.part,
@@ -82,8 +88,9 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
             for what in ("lost", "part", "false")
         )
         e_mm = float(tolerance) if tolerance else None
-        percent = [100.0 * number / runs for number in (lost + part, false, false + part)]
-        rows.append([noise.value, method, e_mm, runs, lost, part, false, *percent])
+        shares_of = [bounds.percent(number, runs) for number in (lost + part, false, false + part)]
+        told = [cell for one in shares_of for cell in (one.value, one.text)]
+        rows.append([noise.value, method, e_mm, runs, lost, part, false, *told])
     return Table(
         "Five to eight fiducials together",
         (
@@ -95,13 +102,16 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
             "a part",
             "false",
             "unsuccessful %",
+            bounds.column("unsuccessful"),
             "false %",
+            bounds.column("false"),
             "false or a part %",
+            bounds.column("false or a part"),
         ),
         rows,
         f"Goal for ours: at most {GOAL_UNSUCCESSFUL} % lost and {GOAL_FALSE} % false or a part, none false"
         f" with the planned count. The thesis gives at most {THESIS_UNSUCCESSFUL[5][1]} % unsuccessful and"
-        f" {THESIS_FALSE[5][1]} % false for its single cells.",
+        f" {THESIS_FALSE[5][1]} % false for its single cells. {bounds.NOTE}",
     )
 
 
@@ -167,11 +177,11 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     found = shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
-        lines: dict[str, list[tuple[float, float]]] = {}
+        lines: dict[str, list[Point]] = {}
         for series, one in found.items():
             e_mm = series.tolerance_mm
             if series.noise is noise and series.method == Method.VALIDATED.value and e_mm is not None:
-                success = 100.0 - one.unsuccessful - one.false
+                success = one.bounded(100.0 - one.unsuccessful - one.false)
                 lines.setdefault(f"{series.fiducials} fiducials", []).append((e_mm, success))
         name = f"success-against-e-{noise.value.replace(' ', '-')}.png"
         pictures[name] = curves(
@@ -185,11 +195,11 @@ def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     found = shares(sums)
     pictures = {}
     for noise in dict.fromkeys(series.noise for series in found):
-        groups: dict[str, dict[str, float]] = {}
+        groups: dict[str, dict[str, float | bounds.Bounded]] = {}
         for series, one in found.items():
             if series.noise is noise:
                 who = f"{series.method}, e {series.tolerance} mm" if series.tolerance else series.method
-                groups.setdefault(str(series.fiducials), {})[who] = one.unsuccessful + one.false
+                groups.setdefault(str(series.fiducials), {})[who] = one.bounded(one.unsuccessful + one.false)
         for number, group in groups.items():
             group["the thesis reports, at most"] = THESIS_UNSUCCESSFUL[int(number)][1]
         ordered = dict(sorted(groups.items()))

@@ -80,3 +80,24 @@ class PhantomOutOfReach(DataError):
 
     code = "STU-010"
     action = "The places are fixed: report the strategy and the trajectory."
+
+
+class MethodRefused(ConfigurationError):
+    """An own method that cannot be used: not found, of another kind, or called otherwise."""
+
+    code = "STU-012"
+    action = "docs/how-to/own-methods.md shows one of each kind."
+
+
+class MethodFailed(DataError):
+    """An own method raised an error."""
+
+    code = "STU-013"
+    action = "Correct the method and start again in another --out: a changed file is another study."
+
+
+class MethodAnswerWrong(DataError):
+    """The answer of an own method is none of its kind."""
+
+    code = "STU-014"
+    action = "Correct what it returns; docs/how-to/own-methods.md shows one of each kind."

@@ -25,12 +25,14 @@ from procedures.imaging import (
     localize_picks,
 )
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
-from procedures.imaging.markers import ESTIMATORS_DISAGREE
+from procedures.imaging.markers import ESTIMATORS_DISAGREE, Marker
 from procedures.registration.point_registration import register
 from procedures.studies.errors import NotForJudging
+from procedures.studies.own.localizer import OwnLocalizer
+from procedures.studies.own.method import OwnMethod
 from procedures.studies.phantom_scans import PhantomScan, phantom_scan
 from procedures.studies.thesis_tables import OPERATORS, TABLE_3
-from procedures.studies.unit import Sums, Unit, blocks, generator
+from procedures.studies.unit import Sums, Unit, blocks, generator, without_empty_own
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
@@ -59,6 +61,7 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
+SUMS = "squares and fourth powers"  # an older campaign lacks what the bounds need
 AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 
@@ -72,10 +75,11 @@ class LocalizationStudy:
     families: tuple[str, ...] = JUDGING
     protocols: tuple[str, ...] = PROTOCOLS
     name: str = "localization"
+    own: tuple[OwnMethod, ...] = ()
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return asdict(self)
+        return {**without_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
         """A unit per volume, then one per set."""
@@ -88,8 +92,9 @@ class LocalizationStudy:
         family, protocol = unit.cell.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
+        own = tuple(OwnLocalizer.of(one) for one in self.own)
         if family == FRAMES:
-            sums.update(_frame_set(random))
+            sums.update(_frame_set(random, own))
         else:
             with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
                 if family in JUDGING and scan.purpose != "judging":
@@ -97,6 +102,8 @@ class LocalizationStudy:
                 sums.update({"volumes": 1.0, "bound2": scan.bound_mm**2})
                 for method in AUTOMATIC:
                     sums.update(_judged(method, scan))
+                for localizer in own:
+                    sums.update(_counted(localizer.name, localizer(scan.volume), (), scan))
         return {key: float(value) for key, value in sums.items()}
 
 
@@ -110,35 +117,50 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """One method on one volume. Spheres cut by the field of view count as neither missed nor false."""
+    """One of the known methods on one volume."""
     result = _localized(method, scan.volume)
+    return _counted(
+        method, None if result is None else result.centres_mm, result.markers if result else (), scan
+    )
+
+
+def _counted(
+    who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
+) -> dict[str, float]:
+    """What was found in one volume, with covariances where there are markers.
+
+    Spheres cut by the field of view count as neither missed nor false.
+    """
     sums: dict[str, float] = defaultdict(float, spheres=scan.whole.sum(), cut=(~scan.whole).sum())
-    found = np.empty((0, 3)) if result is None else result.centres_mm
+    found = np.empty((0, 3)) if found_mm is None else found_mm
     distance = np.linalg.norm(found[:, None] - scan.centres_mm[None], axis=2)
     near = distance < SAME_SPHERE_MM
     sums["false"] = int((~near.any(axis=1)).sum())
     for sphere, centre in enumerate(scan.centres_mm):
         hits = np.flatnonzero(near[:, sphere])
-        if result is None or len(hits) == 0:
+        if len(hits) == 0:
             sums["missed" if scan.whole[sphere] else "cut missed"] += 1
             continue
         if not scan.whole[sphere]:
             sums["cut found"] += 1
             continue
-        marker = result.markers[int(hits[0])]
-        error = marker.centre_mm - centre
+        error = found[hits[0]] - centre
         length_mm = float(np.linalg.norm(error))
         sums["found"] += 1
         sums["error2"] += length_mm**2
-        sums["chi2"] += float(error @ np.linalg.solve(marker.covariance_mm2, error))
+        sums["error4"] += length_mm**4
         sums[f"bin {int(length_mm / BIN_MM)}"] += 1
+        if not markers:
+            continue
+        marker = markers[int(hits[0])]
+        sums["chi2"] += float(error @ np.linalg.solve(marker.covariance_mm2, error))
         if length_mm > LARGE_ERROR_MM:
             sums["large"] += 1
             sums["large flagged"] += ESTIMATORS_DISAGREE in marker.flags
-    return {f"{method}|{key}": float(value) for key, value in sums.items()}
+    return {f"{who}|{key}": float(value) for key, value in sums.items()}
 
 
-def _frame_set(random: np.random.Generator) -> dict[str, float]:
+def _frame_set(random: np.random.Generator, own: Sequence[OwnLocalizer] = ()) -> dict[str, float]:
     """Five scans of the frame: FREs to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
@@ -149,6 +171,10 @@ def _frame_set(random: np.random.Generator) -> dict[str, float]:
                 ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
                 if ordered is not None:
                     points.setdefault(method.value, []).append(ordered)
+            for localizer in own:
+                ordered = _in_order(localizer(scan.volume), scan.centres_mm)
+                if ordered is not None:
+                    points.setdefault(localizer.name, []).append(ordered)
             picks: list[Array] = []
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from math import sqrt
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
+from procedures.studies import bounds
 from procedures.studies.localization import (
     AUTOMATIC,
     BIN_MM,
@@ -27,15 +28,18 @@ from procedures.studies.unit import Sums
 
 STREAKED = ("streaks", "posts")  # families whose posts cause streaks
 SPHERES = 4  # of the frame
-IN_THE_THESIS = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
+IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 COLUMNS = (
     "family",
     "protocol",
     "method",
     "spheres",
     "found %",
+    bounds.column("found"),
     "false",
+    bounds.column("false"),
     "rms µm",
+    bounds.column("rms"),
     "95 % µm",
     "rms / CRB",
     "chi² / 3n",
@@ -69,7 +73,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             COLUMNS,
             together,
             "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods have"
-            " none, theirs is its reported FLE. CRB: a homogeneous ball in white noise. " + _cut(sums, cells),
+            " none, theirs is its reported FLE; own ones have none. CRB: a homogeneous ball in white noise. "
+            + _cut(sums, cells)
+            + f" {bounds.NOTE} Spheres of one scan count as independent. Of false ones: Poisson, in as many"
+            " scans.",
         ),
         Table(
             "Localization by family", COLUMNS, single, "Goals: 10 µm good, 25 poor; 35 and 50 with streaks."
@@ -85,9 +92,9 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
         groups = {
             cell.split("|")[0]: {
-                method.value: 1e3 * sqrt(of_method(sums[cell], method, "error2") / found)
-                for method in AUTOMATIC
-                if (found := of_method(sums[cell], method, "found"))
+                method: _rms_um(sums[cell], method)
+                for method in methods_of(sums[cell])
+                if of_method(sums[cell], method, "found")
             }
             for cell in cells
             if cell.endswith(f"|{protocol}")
@@ -114,30 +121,46 @@ def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
 
 def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
     rows: list[Sequence[Cell]] = []
-    for method in AUTOMATIC:
+    for method in methods_of(total):
         spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
         if not spheres:
             continue
-        rms_mm = sqrt(of_method(total, method, "error2") / found) if found else None
+        share, false = bounds.percent(found, spheres), bounds.number(of_method(total, method, "false"))
+        rms = _rms_um(total, method) if found else None
         bound_mm = sqrt(total["bound2"] / total["volumes"])
         rows.append(
             (
                 family,
                 protocol,
-                method.value,
+                method,
                 int(spheres),
-                100.0 * found / spheres,
-                int(of_method(total, method, "false")),
-                None if rms_mm is None else 1e3 * rms_mm,
+                share.value,
+                share.text,
+                int(false.value),
+                false.text,
+                None if rms is None else rms.value,
+                None if rms is None else rms.text,
                 percentile_um(total, method, found),
-                None if rms_mm is None else rms_mm / bound_mm,
-                of_method(total, method, "chi2") / (3.0 * found) if found else None,
+                None if rms is None else 1e-3 * rms.value / bound_mm,
+                of_method(total, method, "chi2") / (3.0 * found) if found and method in AUTOMATIC else None,
             )
         )
     return rows
 
 
-def percentile_um(total: Sums, method: Method, found: float, share: float = 0.95) -> float | None:
+def _rms_um(total: Sums, method: str) -> bounds.Bounded:
+    sums = (1e6 * of_method(total, method, "error2"), 1e12 * of_method(total, method, "error4"))
+    return bounds.root_mean_square(*sums, of_method(total, method, "found"))
+
+
+def methods_of(total: Sums) -> list[str]:
+    """The known methods in their order, then own ones."""
+    there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
+    known = [method.value for method in AUTOMATIC if method in there]
+    return [*known, *(one for one in there if one not in known)]
+
+
+def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
     """Upper end of the bin in which the share is reached."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
@@ -165,14 +188,18 @@ def _fle_table(total: Sums) -> Table:
     """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
     rows: list[Sequence[Cell]] = []
     people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
-    for who in [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]:
+    known = [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]
+    own = [
+        who for key in total if key.endswith("|truth runs") and (who := key.partition("|")[0]) not in known
+    ]
+    for who in [*known, *own]:
         runs, pairs = total.get(f"{who}|truth runs", 0.0), total.get(f"{who}|pair runs", 0.0)
         if not (runs and pairs):
             continue
         truth_mm = fle_from_fre_mm(sqrt(total[f"{who}|truth fre2"] / runs), SPHERES)
         pair_mm = fle_of_one_space_mm([sqrt(total[f"{who}|pair fre2"] / pairs)], SPHERES)
         person = who in people
-        named = OPERATORS[people.index(who)] if person else IN_THE_THESIS.get(Method(who), "")
+        named = OPERATORS[people.index(who)] if person else IN_THE_THESIS.get(who, "")
         table_2 = TABLE_2.get(HUMAN_OPERATORS if person else named)
         table_3 = TABLE_3.get(named)
         rows.append(
@@ -195,6 +222,6 @@ def _fle_table(total: Sums) -> Table:
     )
 
 
-def of_method(total: Sums, method: Method, key: str) -> float:
+def of_method(total: Sums, method: str, key: str) -> float:
     """One sum of one method; 0 where nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)

@@ -9,10 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.studies.bounds import Bounded
+
 DOTS_PER_INCH = 110
 SIZE_IN = (6.4, 4.0)
+BAND_ALPHA = 0.15  # of the bounds about a curve
+CAP_POINTS = 2  # width of the ends of a bar's bounds
 
-Curve = Sequence[tuple[float, float]]
+Point = tuple[float, float | Bounded]
+Curve = Sequence[Point]
 
 
 def curves(
@@ -24,10 +29,14 @@ def curves(
     logarithmic: bool = False,
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
-    """Named curves over a common axis, with named ranges of it."""
+    """Named curves over a common axis, with named ranges of it; bounds of the values as a band."""
     figure, axes = _figure()
     for name, points in lines.items():
-        axes.plot([x for x, _ in points], [y for _, y in points], marker=".", label=name)
+        places, values = [x for x, _ in points], [_bounded(y) for _, y in points]
+        (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
+        axes.fill_between(
+            places, *zip(*map(_ends, values), strict=True), color=line.get_color(), alpha=BAND_ALPHA, lw=0
+        )
     for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
         axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
     axes.set_title(title)
@@ -41,20 +50,37 @@ def curves(
 
 
 def bars(
-    title: str, y_label: str, groups: Mapping[str, Mapping[str, float]], *, logarithmic: bool = False
+    title: str,
+    y_label: str,
+    groups: Mapping[str, Mapping[str, float | Bounded]],
+    *,
+    logarithmic: bool = False,
 ) -> bytes:
-    """Groups of bars: group -> series -> value."""
+    """Groups of bars: group -> series -> value, with whiskers for its bounds.
+
+    A zero count has no bar: a triangle that points down marks what it is at most.
+    """
     figure, axes = _figure()
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     width = 0.8 / max(1, len(names))
     for place, name in enumerate(names):
-        heights = [group.get(name, 0.0) for group in groups.values()]
-        axes.bar(
-            [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))],
-            heights,
-            width,
-            label=name,
-        )
+        middles = [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))]
+        values = [_bounded(group.get(name, 0.0)) for group in groups.values()]
+        drawn = axes.bar(middles, [one.value for one in values], width, label=name)
+        colour = drawn.patches[0].get_facecolor()
+        for middle, one in zip(middles, values, strict=True):
+            low, high = _ends(one)
+            if one.low is None and one.high is not None:
+                axes.plot([middle], [high], marker="v", markersize=4, color=colour)
+            elif high > low:
+                axes.errorbar(
+                    [middle],
+                    [one.value],
+                    [[one.value - low], [high - one.value]],
+                    color="black",
+                    capsize=CAP_POINTS,
+                    lw=0.7,
+                )
     axes.set_xticks(range(len(groups)), list(groups))
     axes.set_title(title)
     axes.set_ylabel(y_label)
@@ -81,6 +107,15 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     axes.set_ylabel(y_label)
     axes.grid(alpha=0.3)
     return _png(figure)
+
+
+def _bounded(value: float | Bounded) -> Bounded:
+    return value if isinstance(value, Bounded) else Bounded(value, None, None)
+
+
+def _ends(one: Bounded) -> tuple[float, float]:
+    """Bounds, where the value itself stands for one that is not known."""
+    return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 
 def _figure() -> tuple[Any, Any]:

@@ -12,14 +12,17 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, tre_principal_axes_mm
 from procedures.registration.point_registration import register
+from procedures.studies import bounds
 from procedures.studies.heads import PATIENTS, any_pose, sites_mm
-from procedures.studies.plots import curves
+from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.registration import OwnRegistration
+from procedures.studies.plots import Point, curves
 from procedures.studies.table import Cell, Table
-from procedures.studies.unit import Sums, Unit, blocks, generator
+from procedures.studies.unit import Sums, Unit, blocks, generator, without_empty_own
 
 Array = NDArray[np.float64]
 
@@ -31,6 +34,12 @@ GATE_CONFIDENCE = 0.95
 DEPTH_RATIO = 3.0  # depth noise to lateral noise of a camera
 NOISY_RATIO = 5.0  # one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
+SUMS = "squares and fourth powers"  # an older campaign lacks what the bounds need
+PLAIN, WEIGHTED, OWN = (
+    "tre",
+    "weighted",
+    "own ",
+)  # errors at the target: ours without and with covariances, own ones
 
 
 @dataclass(frozen=True)
@@ -41,10 +50,11 @@ class RegistrationStudy:
     seed: int = 0
     fiducials: tuple[int, ...] = FIDUCIALS
     name: str = "registration"
+    own: tuple[OwnMethod, ...] = ()
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return asdict(self)
+        return {**without_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
         """Cells in the order kind of error, fiducials."""
@@ -56,18 +66,21 @@ class RegistrationStudy:
         kind, count = unit.cell.split("|")
         random = generator(self.seed, unit)
         sums: Counter[str] = Counter()
+        own = tuple(OwnRegistration.of(one) for one in self.own)
         residuals_mm: list[float] = []
         for run in range(unit.runs):
             sites = sites_mm(PATIENTS[run % len(PATIENTS)])
             points = sites[random.choice(len(sites), int(count), replace=False)]
-            one = _one(points, kind, random)
+            one = _one(points, kind, random, own)
             residuals_mm.append(one.pop("fre"))
             sums.update(one)
         one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
         return {key: float(value) for key, value in sums.items()} | {"one_space2": one_space2}
 
 
-def _one(points: Array, kind: str, random: np.random.Generator) -> dict[str, float]:
+def _one(
+    points: Array, kind: str, random: np.random.Generator, own: Sequence[OwnRegistration]
+) -> dict[str, float]:
     """One registration and its error at the target."""
     truth = any_pose(random)
     covariance = _covariances(len(points), kind, random)
@@ -81,18 +94,24 @@ def _one(points: Array, kind: str, random: np.random.Generator) -> dict[str, flo
         "runs": 1.0,
         "fre": plain.fre_mm,
         "fle2": plain.fle_mm**2,
-        "tre2": float(np.sum((plain.transform.apply(target) - right) ** 2)),
-    }
+    } | _missed(PLAIN, plain.transform, target, right)
+    for method in own:
+        fitted = method(image, measured, covariance_mm2=covariance)
+        sums |= _missed(f"{OWN}{method.name}", fitted, target, right)
     if kind == ISOTROPIC:
         predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
         gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
         return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
     weighted = register(image, measured, covariance_mm2=covariance)
     predicted = weighted.predict_tre_mm(target)[0]
-    return sums | {
-        "weighted2": float(np.sum((weighted.transform.apply(target) - right) ** 2)),
-        "predicted2": float(predicted**2),
-    }
+    sums |= _missed(WEIGHTED, weighted.transform, target, right)
+    return sums | {"predicted2": float(predicted**2)}
+
+
+def _missed(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
+    """Square (mm2) and fourth power (mm4) of the error at the target."""
+    square = float(np.sum((fitted.apply(target) - right) ** 2))
+    return {f"{who}2": square, f"{who}4": square**2}
 
 
 def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
@@ -125,18 +144,21 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     for cell, total in sums.items():
         kind, count = cell.split("|")
         runs = total["runs"]
-        tre_mm = float(np.sqrt(total["tre2"] / runs))
+        tre = _rms_mm(total, PLAIN)
+        tre_mm = tre.value
         predicted_mm = float(np.sqrt(total["predicted2"] / runs))
         if kind == ISOTROPIC:
             fle_ratio = float(np.sqrt(total["fle2"] / runs)) / FLE_MM
             one_space = float(np.sqrt(2.0 * total["one_space2"] / runs)) / FLE_MM
-            alarms = 100.0 * total["alarms"] / runs
-            ratios = (fle_ratio, one_space, tre_mm, predicted_mm, tre_mm / predicted_mm)
-            formulas.append((int(count), int(runs), *ratios, alarms))
+            alarms = bounds.percent(total["alarms"], runs)
+            ratios = (fle_ratio, one_space, tre_mm, tre.text, predicted_mm, tre_mm / predicted_mm)
+            formulas.append((int(count), int(runs), *ratios, alarms.value, alarms.text))
         else:
-            weighted_mm = float(np.sqrt(total["weighted2"] / runs))
-            gain = 100.0 * (1.0 - weighted_mm / tre_mm)
-            gains.append((kind, int(runs), tre_mm, weighted_mm, gain, weighted_mm / predicted_mm))
+            weighted = _rms_mm(total, WEIGHTED)
+            gain = 100.0 * (1.0 - weighted.value / tre_mm)
+            errors = (tre_mm, tre.text, weighted.value, weighted.text)
+            gains.append((kind, int(runs), *errors, gain, weighted.value / predicted_mm))
+    own = [_own_table(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
     return [
         Table(
             "Formulas of the rigid fit",
@@ -146,35 +168,71 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "FLE by eq. 36 / true",
                 "one space by eq. 37, 38 / true",
                 "TRE mm",
+                bounds.column("TRE"),
                 "eq. 39 mm",
                 "TRE / eq. 39",
                 "gate alarms %",
+                bounds.column("gate alarms"),
             ),
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in either space, target {TARGET_BELOW_MM:g} mm below the"
             f" markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. FRE is a"
-            " residual, never an accuracy.",
+            f" residual, never an accuracy. {bounds.NOTE} Those of the TRE: Student, from the spread of its"
+            " squares.",
         ),
         Table(
             "What weighting by covariances gains",
-            ("errors", "runs", "TRE mm, equal weights", "TRE mm, weighted", "gain %", "TRE / predicted"),
+            (
+                "errors",
+                "runs",
+                "TRE mm, equal weights",
+                bounds.column("equal weights"),
+                "TRE mm, weighted",
+                bounds.column("weighted"),
+                "gain %",
+                "TRE / predicted",
+            ),
             gains,
             "Five fiducials.",
         ),
+        *own,
     ]
+
+
+def _own_table(sums: Mapping[str, Sums]) -> Table:
+    """Own registrations beside ours, on the same points."""
+    rows: list[Sequence[Cell]] = []
+    for cell, total in sums.items():
+        kind, count = cell.split("|")
+        told = {PLAIN: "ours, equal weights", WEIGHTED: "ours, weighted"}
+        told |= {key[:-1]: key[len(OWN) : -1] for key in total if key.startswith(OWN) and key.endswith("2")}
+        for who, name in told.items():
+            if f"{who}2" in total:
+                error = _rms_mm(total, who)
+                rows.append((kind, int(count), name, int(total["runs"]), error.value, error.text))
+    return Table(
+        "Own registrations beside ours",
+        ("errors", "fiducials", "method", "runs", "TRE mm", bounds.column("TRE")),
+        rows,
+        "The same points and covariances for all.",
+    )
+
+
+def _rms_mm(total: Sums, who: str) -> bounds.Bounded:
+    return bounds.root_mean_square(total[f"{who}2"], total[f"{who}4"], total["runs"])
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Simulated target error next to the prediction of eq. 39, by number of fiducials."""
-    formulas, _ = tables(sums)
-    lines: dict[str, list[tuple[float, float]]] = {"simulated": [], "eq. 39": []}
-    for fiducials, _, _, _, simulated_mm, predicted_mm, *_ in formulas.rows:
-        lines["simulated"].append((_number(fiducials), _number(simulated_mm)))
-        lines["eq. 39"].append((_number(fiducials), _number(predicted_mm)))
+    lines: dict[str, list[Point]] = {"simulated": [], "eq. 39": []}
+    for cell, total in sums.items():
+        kind, count = cell.split("|")
+        if kind != ISOTROPIC:
+            continue
+        lines["simulated"].append((int(count), _rms_mm(total, PLAIN)))
+        lines["eq. 39"].append((int(count), float(np.sqrt(total["predicted2"] / total["runs"]))))
+        for key in total:
+            if key.startswith(OWN) and key.endswith("2"):
+                lines.setdefault(key[len(OWN) : -1], []).append((int(count), _rms_mm(total, key[:-1])))
     title = f"Target error, FLE {FLE_MM} mm"
     return {"target-error.png": curves(title, "fiducials", "rms error at the target, mm", lines)}
-
-
-def _number(cell: Cell) -> float:
-    assert isinstance(cell, int | float)
-    return float(cell)

@@ -20,9 +20,12 @@ from procedures.studies.accuracy.random_arms import RandomArms, Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
 from procedures.studies.accuracy.scene import BEST, DIGITS, Scene
 from procedures.studies.accuracy.trials import Sizes
-from procedures.studies.unit import Sums, Unit, blocks
+from procedures.studies.own.method import OwnMethod
+from procedures.studies.own.strategy import OwnStrategy
+from procedures.studies.unit import Sums, Unit, blocks, without_empty_own
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
+BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # those of the thesis
 ALONE = STRATEGIES[:-1]  # have poses of their own
 PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
@@ -43,26 +46,36 @@ READ_AGAIN = ("nos", "thesis-ocs")  # the strategies that are run under them
 
 @dataclass(frozen=True)
 class StrategiesStudy:
-    """`arms` random arms, each at all places with all strategies."""
+    """`arms` random arms, each at all places with all strategies; own ones beside the thesis' alone."""
 
     arms: int = 200
     seed: int = 0
     name: str = "strategies"
+    own: tuple[OwnMethod, ...] = ()
 
     def parameters(self) -> dict[str, object]:
         """Everything the results depend on."""
-        return {**asdict(self), "places": PLACES, "targets": TARGETS, "depths_mm": list(DEPTHS_MM)}
+        return {
+            **without_empty_own(asdict(self)),
+            "places": PLACES,
+            "targets": TARGETS,
+            "depths_mm": list(DEPTHS_MM),
+        }
 
     def units(self) -> Sequence[Unit]:
         """A cell per part of the study, markers and place."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
-        parts = ((TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION))
+        parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
+        if self.own:
+            parts = parts[:1]
         cells = [
             (f"{part}|{markers}|{number}", arms)
             for part, arms in parts
             for markers in Markers
             for number in range(1, PLACES + 1)
         ]
+        if self.own:
+            return [unit for cell, arms in cells for unit in blocks(cell, arms, BLOCK_ARMS)]
         many = min(self.arms, MOST_ARMS_OF_OTHERS)
         cells += [(f"{SCENARIO}|{Markers.FREE}|{k}", many) for k in range(1, PLACES + 1)]
         cells += [(f"{one}|{Markers.FREE}|{k}", many) for one in READINGS for k in range(1, PLACES + 1)]
@@ -73,11 +86,13 @@ class StrategiesStudy:
         part, kind, number = unit.cell.split("|")
         markers, tilts = Markers(kind), ALIKE if part == TILTED_ALIKE else USUAL_TILTS
         drawn = phantom(markers, DEPTHS_MM, TARGETS, tilts=tilts)
-        scene = Scene.of(self.seed, drawn, markers, int(number))
+        own = tuple(OwnStrategy.of(one) for one in self.own)
+        scene = Scene.of(self.seed, drawn, markers, int(number), own)
         first = unit.block * BLOCK_ARMS + (FIRST_OF_PREDICTION * int(number) if part == PREDICTION else 0)
         arms = range(first, first + unit.runs)
         if part == TRIALS:
-            return scene.trials(arms, STRATEGIES)
+            known = BESIDE_OWN if own else STRATEGIES
+            return scene.trials(arms, (*known, *(one.name for one in own)))
         if part == SOURCES:
             return _sources(scene, arms)
         if part == SCENARIO:

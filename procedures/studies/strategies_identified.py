@@ -11,8 +11,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ErrorSizes
+from procedures.studies import bounds
 from procedures.studies.accuracy.identified import LOOKS, BelievedArm, identified, identified_errors
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.random_arms import RandomArms, drawn_arm
@@ -95,6 +97,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "spheres",
                 "trials",
                 "mean mm",
+                bounds.column("mean"),
                 f"{HIGHEST:.0f} % below",
                 "largest mm",
                 "goal mm",
@@ -103,15 +106,17 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 [
                     strategy,
                     count,
-                    len(each),
+                    each.size,
                     float(np.mean(each)),
+                    bounds.mean(each.mean(axis=1)).text,
                     float(np.percentile(each, HIGHEST)),
                     float(np.max(each)),
                     GOAL_MM,
                 ]
                 for (strategy, count), each in errors.items()
             ],
-            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm from {LOOKS} looks at the phantom's spheres.",
+            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm from {LOOKS} looks at the phantom's spheres."
+            f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
         ),
         Table(
             "What the identification leaves",
@@ -130,15 +135,17 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """A box for each strategy and number of spheres."""
-    groups = {f"{strategy} {count}": np.array(each) for (strategy, count), each in _errors(sums).items()}
+    groups = {f"{strategy} {count}": each.ravel() for (strategy, count), each in _errors(sums).items()}
     return {"strategies-identified.png": boxes("Error at the target, identified arms", "mm", groups)}
 
 
-def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], list[float]]:
-    found: dict[tuple[str, int], list[float]] = defaultdict(list)
+def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
+    """Errors (arms, trials) in mm."""
+    found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for content in sums.values():
         for key, error_mm in content.items():
-            strategy, count, *_ = key.split("|")
+            strategy, count, arm, *_ = key.split("|")
             if strategy in STRATEGIES:
-                found[strategy, int(count)].append(error_mm)
-    return dict(sorted(found.items(), key=lambda one: (STRATEGIES.index(one[0][0]), one[0][1])))
+                found[strategy, int(count)][arm].append(error_mm)
+    ordered = sorted(found.items(), key=lambda one: (STRATEGIES.index(one[0][0]), one[0][1]))
+    return {series: np.array(list(arms.values())) for series, arms in ordered}

@@ -7,15 +7,15 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t, wilcoxon
+from scipy.stats import wilcoxon
 
+from procedures.studies import bounds
 from procedures.studies.strategies import OF_ARM, PLACES, SCENARIO, TARGETS
 from procedures.studies.table import Cell, Table
 from procedures.studies.unit import Sums
 
 PAIRS = (("improved", "ocs"), ("improved", "jdms"), ("best", "ocs"), ("best", "improved"))
 SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
-CONFIDENCE = 0.95
 
 
 def pairs(sums: Mapping[str, Sums]) -> Table:
@@ -48,6 +48,6 @@ def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
     count, mean = len(apart_mm), float(apart_mm.mean())
     if count < 2 or not apart_mm.any():
         return [mean, mean, mean, 0.0, None]
-    half = float(t.ppf(0.5 + CONFIDENCE / 2.0, count - 1) * apart_mm.std(ddof=1) / np.sqrt(count))
+    told = bounds.mean(apart_mm)
     p = f"{float(wilcoxon(apart_mm).pvalue):.1e}"
-    return [mean, mean - half, mean + half, 100.0 * float(np.mean(apart_mm < 0.0)), p]
+    return [mean, told.low, told.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]

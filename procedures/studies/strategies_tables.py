@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.studies import bounds
 from procedures.studies.accuracy.phantom import Markers, counts_of
 from procedures.studies.accuracy.random_arms import Source
 from procedures.studies.accuracy.scenarios import SCENARIOS
@@ -44,6 +45,8 @@ SETTLED = "as in table 4"
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Table 4 beside ours, its rows, the sources, the fall over the number of spheres, the prediction."""
     errors = trial_errors(sums)
+    if not any(_cells(sums, PREDICTION)):  # trials alone, with own strategies
+        return [_table_4(errors), _trajectories(errors)]
     return [
         _table_4(errors),
         _trajectories(errors),
@@ -91,7 +94,8 @@ def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[st
 
 def _order(series: Series) -> tuple[int, int, int]:
     markers, strategy, count = series
-    return list(Markers).index(Markers(markers)), STRATEGIES.index(strategy), count
+    place = STRATEGIES.index(strategy) if strategy in STRATEGIES else len(STRATEGIES)  # own ones last
+    return list(Markers).index(Markers(markers)), place, count
 
 
 def _thesis(markers: str, strategy: str, count: int) -> StrategyRow | None:
@@ -111,6 +115,7 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
                 *series,
                 None if thesis is None else thesis.mean_mm,
                 mean,
+                bounds.mean(means).text,
                 None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
                 f"{low:.2f}-{high:.2f}",
                 None if thesis is None else thesis.sd_mm,
@@ -131,6 +136,7 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
             "spheres",
             "thesis mean mm",
             "mean mm",
+            bounds.column("mean"),
             "differs by %",
             "5-95 % of the arms",
             "thesis sd",
@@ -146,7 +152,8 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
         "Mean, sd, max and min of each arm over 8 places and 10 targets, then the mean over the arms. Between"
         " trajectories: variance of the ten means over the whole variance. The thesis measured one arm;"
         " its OCS leaves the approach free, as thesis-ocs does; ocs is ours, which controls it. Table 4 does"
-        " not tell its two kinds of markers apart; the x-shaped frame has four spheres only.",
+        " not tell its two kinds of markers apart; the x-shaped frame has four spheres only."
+        f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
     )
 
 
@@ -207,7 +214,18 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
         fall_mm = few.mean_mm - many.mean_mm
         alike = float(np.corrcoef(few.trajectories_mm, many.trajectories_mm)[0, 1])
         rows.append(
-            ["thesis", strategy, many.mean_mm, many.sd_mm, 100.0 * _share(many), fall_mm, None, None, alike]
+            [
+                "thesis",
+                strategy,
+                many.mean_mm,
+                many.sd_mm,
+                100.0 * _share(many),
+                fall_mm,
+                None,
+                None,
+                None,
+                alike,
+            ]
         )
         for part, name in parts.items():
             each_few, each_many = (errors[part][Markers.FREE, strategy, count] for count in (fewest, most))
@@ -223,6 +241,7 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
                     float(falls_mm.mean()),
                     float(falls_mm.std(ddof=1)),
                     100.0 * float(np.mean(falls_mm >= fall_mm)),
+                    bounds.percent(int(np.sum(falls_mm >= fall_mm)), len(falls_mm)).text,
                     _row_correlation(each_few, each_many),
                 ]
             )
@@ -237,6 +256,7 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
             f"mean falls from {fewest} by mm",
             "its sd over the arms",
             "arms with the thesis' fall or more %",
+            bounds.column("arms with its fall"),
             f"rows of {fewest} and {most} correlate",
         ),
         rows,
@@ -289,16 +309,9 @@ def _prediction(sums: Mapping[str, Sums]) -> Table:
     for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
         one = total[scenario, series]
         actual, predicted = (float(np.sqrt(one[key] / one["targets"])) for key in ("actual2", "predicted2"))
-        rows.append(
-            [
-                scenario,
-                *series,
-                int(one["targets"]),
-                100.0 * one["inside"] / one["targets"],
-                predicted,
-                actual,
-            ]
-        )
+        inside = bounds.percent(one["inside"] / TARGETS, one["targets"] / TARGETS)  # an arm counts once
+        share = 100.0 * one["inside"] / one["targets"]
+        rows.append([scenario, *series, int(one["targets"]), share, inside.text, predicted, actual])
     return Table(
         "Predicted and actual error",
         (
@@ -308,10 +321,12 @@ def _prediction(sums: Mapping[str, Sums]) -> Table:
             "spheres",
             "targets",
             "inside 95 % region %",
+            bounds.column("inside"),
             "predicted rms mm",
             "actual rms mm",
         ),
         rows,
         "Other arms than in table 4: 1,000, each at one place. The prediction knows the sizes of the"
-        " errors and the poses, and nothing of the arm.",
+        f" errors and the poses, and nothing of the arm. {bounds.NOTE} The {TARGETS} targets of an arm count"
+        " as one.",
     )

@@ -20,6 +20,7 @@ from procedures.planning.template import propose_template
 from procedures.registration.correspondence import Match, Prior
 from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
+from procedures.studies import bounds
 from procedures.studies.correspondence import (
     BLOCK_RUNS,
     FALSE,
@@ -163,8 +164,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 method,
                 pooled.total(),
                 _percent(pooled, LOST, PART),
+                bounds.percent(pooled[LOST] + pooled[PART], pooled.total()).text,
                 f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
                 false,
+                bounds.percent(pooled[FALSE], pooled.total()).text,
                 _word(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
                 _word(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
             )
@@ -178,15 +181,17 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "method",
                 "runs",
                 "unsuccessful %",
+                bounds.column("unsuccessful"),
                 "over 0 to 4 outliers",
                 "false %",
+                bounds.column("false"),
                 "as 5 to 8 in the thesis",
                 "as 5 to 8 here",
             ),
             rows,
             f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of their"
             f" places. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and {THESIS_FALSE[5][1]} %"
-            f" false; here: at most {GOAL_UNSUCCESSFUL} % pooled and {GOAL_FALSE} % false.",
+            f" false; here: at most {GOAL_UNSUCCESSFUL} % pooled and {GOAL_FALSE} % false. {bounds.NOTE}",
         )
     ]
 

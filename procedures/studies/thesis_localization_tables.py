@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.rigid_fit import fit_rigid, residuals
+from procedures.studies import bounds
 from procedures.studies.localization import AUTOMATIC, Method
 from procedures.studies.table import Cell, Table
 from procedures.studies.thesis_localization import SCALE_DRAWS, points_of
@@ -56,12 +57,25 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
                 )
                 spheres = sum(one["spheres"] for one in of_kind)
                 share = 100.0 * validated / (SCALE_DRAWS * len(of_kind))
-                rows.append((method.value, kind, len(of_kind), int(spheres), int(found), int(false), share))
+                told = bounds.percent(found, spheres).text
+                counted = (int(spheres), int(found), told, int(false), bounds.number(false).text)
+                rows.append((method.value, kind, len(of_kind), *counted, share))
     return Table(
         "Spheres, and the configuration of the frame",
-        ("method", "scans of", "scans", "spheres", "found", "false", "frame validated %"),
+        (
+            "method",
+            "scans of",
+            "scans",
+            "spheres",
+            "found",
+            bounds.column("found %"),
+            "false",
+            bounds.column("false"),
+            "frame validated %",
+        ),
         rows,
-        f"The thesis: 116 of 116 in 20 scans, 100 %. Validated over {SCALE_DRAWS} scale errors of each scan.",
+        f"The thesis: 116 of 116 in 20 scans, 100 %. Validated over {SCALE_DRAWS} scale errors of each scan."
+        f" {bounds.NOTE} Of false ones: Poisson, in as many scans.",
     )
 
 

@@ -48,6 +48,11 @@ class Study(Protocol):
         ...
 
 
+def without_empty_own(parameters: dict[str, object]) -> dict[str, object]:
+    """Own methods are a parameter only of the studies that have some."""
+    return {key: value for key, value in parameters.items() if key != "own" or value}
+
+
 def generator(seed: int, unit: Unit) -> np.random.Generator:
     """The random numbers of a unit; they depend only on the study's seed, the cell and the block."""
     cell = zlib.crc32(unit.cell.encode())

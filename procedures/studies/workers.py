@@ -12,7 +12,14 @@ from multiprocessing import get_context, parent_process
 from typing import Any
 from urllib.parse import urlsplit
 
-from procedures.studies.errors import ExtraMissing, SchedulerUnreachable, UnitFailed
+from procedures.studies.errors import (
+    ExtraMissing,
+    MethodAnswerWrong,
+    MethodFailed,
+    MethodRefused,
+    SchedulerUnreachable,
+    UnitFailed,
+)
 from procedures.studies.ledger import Ledger
 from procedures.studies.unit import Study, Sums, Unit
 
@@ -33,7 +40,8 @@ def run_study(
 ) -> None:
     """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
-    Raises STU-003, STU-004, STU-005. Units finished before an error or an interruption are kept.
+    Raises STU-003 to STU-005, of own methods STU-012 to STU-014. Units finished before an error or an
+    interruption are kept.
     """
     missing = ledger.missing()
     everything = len(study.units())
@@ -52,6 +60,9 @@ def _runner(
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:
+            for file in dict.fromkeys(one.source for one in getattr(study, "own", ())):
+                if file is not None:
+                    client.upload_file(str(file))
             yield _on_dask(client, study, units)
     elif workers == 1:
         yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
@@ -143,5 +154,8 @@ def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
 def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
     try:
         return result()
+    except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the reader's own, and told as such
+        where = f"{error.what}, in unit {unit.key}"
+        raise type(error)(where, expected=error.expected, got=error.got, action=error.advice) from error
     except Exception as error:
         raise UnitFailed(f"{unit.key}: {error}") from error

@@ -11,6 +11,7 @@ from pathlib import Path
 from user_commands import Commands
 
 ROOT = Path(__file__).resolve().parents[2]
+FILE = re.compile(r"^```\w+ file=(\S+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHOWN = re.compile(r"```console\n(.*?)```", re.DOTALL)
 
 
@@ -21,8 +22,18 @@ def commands_of(page: str) -> list[str]:
     return [line.removeprefix("$ ").replace(".venv/bin/", "") for line in lines if line.startswith("$ ")]
 
 
-def run_all(lines: list[str], commands: Commands, folder: Path) -> list[subprocess.CompletedProcess[str]]:
-    """One after the other in that folder; each must end well."""
+def write_files(page: str, folder: Path) -> None:
+    """The files that a page shows, into a folder."""
+    for name, content in FILE.findall((ROOT / page).read_text(encoding="utf-8")):
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(content, encoding="utf-8")
+
+
+def run_all(
+    lines: list[str], commands: Commands, folder: Path, limit_s: float = 100.0
+) -> list[subprocess.CompletedProcess[str]]:
+    """One after the other in that folder; each must end well, within the limit."""
     ended = []
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     for line in lines:
@@ -34,7 +45,7 @@ def run_all(lines: list[str], commands: Commands, folder: Path) -> list[subproce
             stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
-            timeout=100,
+            timeout=limit_s,
             check=False,
         )
         assert done.returncode == 0, f"{line}: {done.stderr}"

@@ -13,6 +13,7 @@ from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.registration.target_prediction import TargetPrediction
 from procedures.strategies.best import CANDIDATES
 from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.strategy import Strategy
 from procedures.studies.accuracy.phantom import Markers, Phantom, counts_of, place
 from procedures.studies.accuracy.postures import Postures, postures
 from procedures.studies.accuracy.predicting import predictions
@@ -37,15 +38,20 @@ class Scene:
     phantom: Phantom
     robot_from_ct: Transform
     counts: tuple[int, ...]
+    own: tuple[Strategy, ...] = ()
 
     @classmethod
-    def of(cls, seed: int, phantom: Phantom, markers: Markers, number: int) -> Self:
-        """With all numbers of spheres that these markers allow."""
-        return cls(seed, markers, number, phantom, place(number), counts_of(markers))
+    def of(
+        cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
+    ) -> Self:
+        """With all numbers of spheres that these markers allow, and own strategies beside ours."""
+        return cls(seed, markers, number, phantom, place(number), counts_of(markers), own)
 
     def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
         """The poses of a strategy here, for arms with such errors left. Raises STU-010."""
-        return postures(strategy_named(strategy), self.phantom, self.robot_from_ct, left)
+        own = {one.name: one for one in self.own}
+        chosen = own.get(strategy) or strategy_named(strategy)
+        return postures(chosen, self.phantom, self.robot_from_ct, left)
 
     def predicted(
         self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM

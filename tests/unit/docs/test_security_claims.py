@@ -51,7 +51,7 @@ def _listens(tree: ast.AST) -> bool:
         name = called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
         if name in SERVERS:
             return True
-        method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.args
-        if name == "bind" and method:  # with one argument in its place: a logger binds names
-            return True
+        method = isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)
+        if name == "bind" and method and node.args and not isinstance(node.args[0], ast.Starred):
+            return True  # with one argument in its place: a logger binds names, a signature many arguments
     return False

@@ -255,8 +255,8 @@ def test_weighting_gains_what_the_goals_ask_for(tmp_path: Path) -> None:
     from procedures.studies.registration import tables as of_registration
 
     formulas, gains = of_registration(results(RegistrationStudy(400, fiducials=(5,)), tmp_path, workers=1))
-    ((_, _, fle_ratio, one_space_ratio, _, _, tre_ratio, _),) = formulas.rows
+    ((_, _, fle_ratio, one_space_ratio, _, _, _, tre_ratio, _, _),) = formulas.rows
     assert fle_ratio == pytest.approx(1.0, abs=0.05)
     assert one_space_ratio == pytest.approx(1.0, abs=0.05)
     assert tre_ratio == pytest.approx(1.0, abs=0.08)
-    assert [row[4] > least for row, least in zip(gains.rows, (20.0, 40.0), strict=True)] == [True, True]
+    assert [row[6] > least for row, least in zip(gains.rows, (20.0, 40.0), strict=True)] == [True, True]

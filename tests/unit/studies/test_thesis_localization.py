@@ -73,8 +73,8 @@ def test_the_copy_is_held_against_both_tables_and_its_gain_and_time_are_told() -
         sums[scan.cell] = one
     detection, errors, gains, times = tables(sums)
     assert [row[1:] for row in detection.rows[:2]] == [
-        (PHANTOM, 8, 64, 64, 0, 100.0),
-        ("patient", 12, 52, 52, 0, 100.0),
+        (PHANTOM, 8, 64, 64, "at least 95.43", 0, "at most 3", 100.0),
+        ("patient", 12, 52, 52, "at least 94.4", 0, "at most 3", 100.0),
     ]
     scaled = {row[0]: row for row in errors.rows if row[1] == 100.0 * LARGEST_SCALE_ERROR}
     assert (scaled[Method.THESIS_LINE][4], scaled[Method.THESIS_LINE][6]) == (0.1685, 0.2604)

@@ -1,0 +1,83 @@
+"""Bounds of what a campaign counts and averages: 95 % confidence, so that a table says how sure it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import binomtest, chi2, t
+
+CONFIDENCE = 0.95
+ON_BOTH_SIDES = 0.5 * (1.0 + CONFIDENCE)
+CAPTION = f"{100 * CONFIDENCE:.0f} %"  # of the columns that hold bounds
+NOTE = (
+    f"{CAPTION}: bounds at this confidence, exact binomial (Clopper and Pearson) as for independent runs;"
+    " where none or all were counted, from one side."
+)
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """A value and its bounds in its unit; `low` is None under a zero count, `high` over a full one."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+    @property
+    def text(self) -> str:
+        """`0.9 to 1.6`; of a zero count `at most 0.3`, of a full one `at least 99.7`; empty where unknown."""
+        if self.low is None:
+            return "" if self.high is None else f"at most {self.high:.2g}"
+        if self.high is None:
+            return f"at least {self.low:.4g}"
+        return f"{self.low:.3g} to {self.high:.3g}"
+
+
+def column(of: str) -> str:
+    """Heading of the bounds of another column."""
+    return f"{of}, {CAPTION}"
+
+
+def percent(count: float, of: float) -> Bounded:
+    """Share of independent runs, per cent. Of nothing: no bounds, 0."""
+    number, runs = round(count), round(of)
+    if not runs:
+        return Bounded(0.0, None, None)
+    side = "less" if number == 0 else "greater" if number == runs else "two-sided"
+    interval = binomtest(number, runs, alternative=side).proportion_ci(CONFIDENCE, "exact")
+    return Bounded(
+        100.0 * number / runs,
+        None if number == 0 else 100.0 * float(interval.low),
+        None if number == runs else 100.0 * float(interval.high),
+    )
+
+
+def number(count: float) -> Bounded:
+    """Mean of a Poisson distribution of which one number was counted (exact: Garwood)."""
+    if not round(count):
+        return Bounded(0.0, None, float(chi2.ppf(CONFIDENCE, 2)) / 2.0)
+    low = float(chi2.ppf(1.0 - ON_BOTH_SIDES, 2 * round(count))) / 2.0
+    return Bounded(float(count), low, float(chi2.ppf(ON_BOTH_SIDES, 2 * round(count) + 2)) / 2.0)
+
+
+def mean(values: ArrayLike) -> Bounded:
+    """Mean of independent values, by Student's distribution; without bounds for a single one."""
+    given = np.asarray(values, dtype=float)
+    value = float(given.mean())
+    if len(given) < 2:
+        return Bounded(value, None, None)
+    half = float(t.ppf(ON_BOTH_SIDES, len(given) - 1) * given.std(ddof=1) / np.sqrt(len(given)))
+    return Bounded(value, value - half, value + half)
+
+
+def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
+    """Rms of independent values, from the sums of their squares and fourth powers; for many runs."""
+    square = squares / runs
+    value = float(np.sqrt(square))
+    if runs < 2:
+        return Bounded(value, None, None)
+    spread = float(np.sqrt(max(0.0, fourths / runs - square**2) / (runs - 1)))
+    half = float(t.ppf(ON_BOTH_SIDES, runs - 1)) * spread
+    return Bounded(value, float(np.sqrt(max(0.0, square - half))), float(np.sqrt(square + half)))

@@ -1,0 +1,61 @@
+"""One call of an own method: what it is given cannot be changed, what it raises is told with its line."""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import sys
+import traceback
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.studies.errors import MethodFailed
+
+Array = NDArray[np.float64]
+
+GLOBAL_SEED = 0
+
+
+def called(
+    name: str,
+    function: Callable[..., Any],
+    *arguments: object,
+    passed: tuple[type[Exception], ...] = (),
+    **named: object,
+) -> Any:
+    """The answer to these arguments; raises STU-013 for whatever the method raises, but for what is `passed`.
+
+    The global generators are seeded before each call, so that a unit's result does not depend on its worker.
+    What the method prints goes to standard error: standard output is for results.
+    """
+    random.seed(GLOBAL_SEED)
+    np.random.seed(GLOBAL_SEED)  # for methods that draw from it
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            return function(*map(_guarded, arguments), **{key: _guarded(one) for key, one in named.items()})
+    except passed:
+        raise
+    except (Exception, SystemExit) as error:
+        raise MethodFailed(
+            f"{name} raised {type(error).__name__}: {error}", got=_place(function, error)
+        ) from error
+
+
+def _guarded(value: object) -> object:
+    """A copy of an array that cannot be written to; anything else as it is."""
+    if not isinstance(value, np.ndarray):
+        return value
+    copy = value.copy()
+    copy.setflags(write=False)
+    return copy
+
+
+def _place(function: Callable[..., Any], error: BaseException) -> str:
+    """The last line of the method's own file, or else the very last one."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
+    last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])
+    return f"{last.filename}, line {last.lineno}"

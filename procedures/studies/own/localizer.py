@@ -1,0 +1,64 @@
+"""An own localizer, its answer checked: points in mm within the scanned volume."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.imaging.errors import MarkerCountWrong
+from procedures.imaging.volume import Volume
+from procedures.studies.errors import MethodAnswerWrong
+from procedures.studies.own.calling import called
+from procedures.studies.own.method import OwnMethod
+
+Array = NDArray[np.float64]
+
+BESIDE_MM = 10.0  # outside the volume: the centre of a sphere that the field of view cuts
+
+
+@dataclass(frozen=True)
+class OwnLocalizer:
+    """Called as `Localizer` says; raises STU-013 and STU-014."""
+
+    name: str
+    function: Callable[..., Any]
+
+    @classmethod
+    def of(cls, method: OwnMethod) -> Self:
+        """In this process. Raises STU-012."""
+        return cls(method.name, method.function())
+
+    def __call__(self, volume: Volume) -> Array:
+        """Centres (n, 3), LPS mm."""
+        try:
+            answer = called(self.name, self.function, volume, passed=(MarkerCountWrong,))
+        except MarkerCountWrong:  # as ours says that there are none
+            return np.empty((0, 3))
+        try:
+            centres_mm = np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise self._wrong(type(answer).__name__) from None
+        if answer is not None and centres_mm.size == 0:
+            return np.empty((0, 3))
+        if centres_mm.ndim != 2 or centres_mm.shape[1] != 3:
+            raise self._wrong(f"shape {centres_mm.shape}")
+        if not np.isfinite(centres_mm).all():
+            raise self._wrong("numbers that are not finite")
+        geometry = volume.geometry
+        beyond = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
+        outside = (beyond > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
+        if outside.any():
+            shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
+            raise self._wrong(f"({shown}), which lies outside the volume: voxel indices?")
+        return centres_mm
+
+    def _wrong(self, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(
+            f"{self.name} answers with what are no centres",
+            expected="numbers (n, 3): patient coordinates LPS in mm, as volume.geometry.to_patient_mm gives",
+            got=got,
+        )

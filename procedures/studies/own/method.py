@@ -1,0 +1,142 @@
+"""An own method by its place: small enough for a worker's mail, and the same method there or none."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import inspect
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from procedures.studies.errors import MethodRefused
+from procedures.studies.own.contracts import CONTRACTS, MethodKind
+
+SHOWN_DIGITS = 12  # of a hash
+
+_loaded: dict[str, str] = {}  # module -> hash of the file that this process has loaded
+
+
+@dataclass(frozen=True)
+class OwnMethod:
+    """`module:function` of one kind, the name it has in tables, and the hash of the module's file."""
+
+    kind: MethodKind
+    name: str
+    reference: str
+    sha256: str
+
+    def function(self) -> Callable[..., Any]:
+        """The function, in this process; raises STU-012 where the file is missing or another one."""
+        found, module = _imported(self.reference, self.kind)
+        if _hash(module) != self.sha256:
+            raise MethodRefused(
+                f"{self.reference} is another version here than where the campaign was started",
+                expected=f"a file with hash {self.sha256[:SHOWN_DIGITS]}",
+                got=f"{_hash(module)[:SHOWN_DIGITS]} at {module.__file__}",
+                action="Give every worker the same file.",
+            )
+        return found
+
+    @property
+    def source(self) -> Path | None:
+        """The file to be sent to workers elsewhere; None for what is installed, or part of a package."""
+        module = sys.modules[self.reference.partition(":")[0]]
+        file = Path(module.__file__ or "")
+        installed = {"site-packages", "dist-packages"} & set(file.parts)
+        return None if installed or "." in module.__name__ or module.__spec__ is None else file
+
+
+def own_method(kind: MethodKind, text: str) -> OwnMethod:
+    """The method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
+
+    Modules are looked for as Python does, and last in the current folder.
+    """
+    here = os.getcwd()
+    if here not in sys.path:
+        sys.path.append(here)
+    reference = text if ":" in text else _by_entry_point(kind, text)
+    function, module = _imported(reference, kind)
+    _require_signature(kind, reference, function)
+    return OwnMethod(kind, text, reference, _hash(module))
+
+
+def installed() -> tuple[str, ...]:
+    """Names of all installed own methods, of every kind."""
+    return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
+
+
+def signature_of(kind: MethodKind) -> str:
+    """How a method of that kind is called, as a message shows it."""
+    return str(inspect.Signature([one.replace(annotation=one.empty) for one in _parameters(kind)]))
+
+
+def _by_entry_point(kind: MethodKind, name: str) -> str:
+    names = sorted(point.name for point in entry_points(group=kind.group))
+    for point in entry_points(group=kind.group, name=name):
+        return point.value.partition(" ")[0]
+    for other in MethodKind:
+        if other is not kind and name in {point.name for point in entry_points(group=other.group)}:
+            raise MethodRefused(f"{name!r} is the name of a {other}", expected=f"a {kind}")
+    near = get_close_matches(name, names) or names
+    known = f" or an installed one ({', '.join(near)})" if near else ""
+    raise MethodRefused(f"there is no {kind} {name!r}", expected=f"module:function{known}")
+
+
+def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], ModuleType]:
+    where, _, name = reference.partition(":")
+    if not (name.isidentifier() and all(part.isidentifier() for part in where.split("."))):
+        raise MethodRefused(f"{reference!r} names no {kind}", expected="module:function")
+    try:
+        module = importlib.import_module(where)
+        if _loaded.setdefault(where, _hash(module)) != _hash(module):  # edited, or sent anew to this worker
+            module = importlib.reload(module)
+            _loaded[where] = _hash(module)
+    except (Exception, SystemExit) as error:
+        raise MethodRefused(
+            f"the module {where} of the {kind} cannot be imported",
+            expected=f"a module that is installed or lies in {os.getcwd()}",
+            got=f"{type(error).__name__}: {error}",
+        ) from error
+    found = getattr(module, name, None)
+    if found is None:
+        near = get_close_matches(name, dir(module))
+        raise MethodRefused(f"{module.__file__} has no {name!r}", expected=" or ".join(near) or f"a {kind}")
+    if not callable(found):
+        raise MethodRefused(
+            f"{reference} is no {kind}", expected=f"a function {signature_of(kind)}", got=type(found).__name__
+        )
+    return found, module
+
+
+def _require_signature(kind: MethodKind, reference: str, function: Callable[..., Any]) -> None:
+    """That it takes what it will be given."""
+    given = _parameters(kind)
+    places = [one.name for one in given if one.kind is not one.KEYWORD_ONLY]
+    names = {one.name: None for one in given if one.kind is one.KEYWORD_ONLY}
+    try:
+        signature = inspect.signature(function)
+        signature.bind(*places, **names)
+    except (TypeError, ValueError) as error:
+        raise MethodRefused(
+            f"{reference} cannot be called as a {kind}: {error}",
+            expected=f"{'a class' if kind is MethodKind.STRATEGY else 'a function'} {signature_of(kind)}",
+            got=str(signature) if isinstance(error, TypeError) else "no signature",
+        ) from error
+
+
+def _parameters(kind: MethodKind) -> list[inspect.Parameter]:
+    _, *given = inspect.signature(CONTRACTS[kind].__call__).parameters.values()
+    return given
+
+
+def _hash(module: ModuleType) -> str:
+    """Of the module's file; empty for a module without one."""
+    file = module.__file__
+    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""

@@ -1,0 +1,60 @@
+"""An own registration, its answer checked: a rotation and a shift, nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from procedures.studies.errors import MethodAnswerWrong
+from procedures.studies.own.calling import called
+from procedures.studies.own.method import OwnMethod
+
+Array = NDArray[np.float64]
+
+ROTATION_TOLERANCE = 1e-6  # of the products of a rotation's columns: 0.1 µm over a head
+
+
+@dataclass(frozen=True)
+class OwnRegistration:
+    """Called as `PairedRegistration` says; raises STU-013 and STU-014."""
+
+    name: str
+    function: Callable[..., Any]
+
+    @classmethod
+    def of(cls, method: OwnMethod) -> Self:
+        """In this process. Raises STU-012."""
+        return cls(method.name, method.function())
+
+    def __call__(self, image_mm: Array, physical_mm: Array, *, covariance_mm2: Array) -> RigidTransform:
+        """The transform physical <- image."""
+        answer = called(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
+        if isinstance(answer, RigidTransform):
+            answer = answer.as_matrix()
+        try:
+            matrix = np.asarray(answer, dtype=float)
+        except (TypeError, ValueError):
+            raise self._wrong(type(answer).__name__) from None
+        if matrix.shape != (4, 4):
+            raise self._wrong(f"shape {matrix.shape}")
+        if not np.isfinite(matrix).all():
+            raise self._wrong("numbers that are not finite")
+        if (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any():
+            raise self._wrong(f"a last row {matrix[3].tolist()}")
+        rotation = matrix[:3, :3]
+        bent = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
+        if bent > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
+            raise self._wrong("a mirror image" if bent <= ROTATION_TOLERANCE else f"axes off by {bent:.1g}")
+        return RigidTransform.from_matrix(matrix)
+
+    def _wrong(self, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(
+            f"{self.name} answers with what is no rigid transform",
+            expected="a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1",
+            got=got,
+        )

@@ -1,0 +1,120 @@
+"""An own localization strategy, all its answers checked: axes, poses at the spheres, turns."""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.strategies.arm_in_branch import ArmInBranch
+from procedures.strategies.errors import NoNearbyJoints
+from procedures.strategies.strategy import Strategy
+from procedures.strategies.trajectory import Trajectory
+from procedures.studies.errors import MethodAnswerWrong, MethodRefused
+from procedures.studies.own.calling import called
+from procedures.studies.own.method import OwnMethod
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+
+AT_SPHERE_MM = 1e-3  # between a sphere and the tool's origin: rounding, far below any error of the study
+OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may say of a turn: the next is tried
+FLAGS = ("localizes_per_trajectory", "controls_approach")
+CALLS = ("localized_along", "localization_poses", "turns_rad")
+
+
+@dataclass(frozen=True)
+class OwnStrategy:
+    """A `Strategy` that asks the own one; raises STU-012 to STU-014."""
+
+    name: str
+    asked: Strategy
+
+    @classmethod
+    def of(cls, method: OwnMethod) -> Self:
+        """In this process. Raises STU-012 and STU-013."""
+        made = called(method.name, method.function())
+        for flag in FLAGS:
+            if not isinstance(value := getattr(made, flag, None), bool):
+                raise _lacks(method.name, f"{flag}, True or False", f"{value!r}")
+        for call in CALLS:
+            given = getattr(made, call, None)
+            wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
+            try:
+                inspect.signature(given).bind(*wanted)  # type: ignore[arg-type]
+            except (TypeError, ValueError) as error:
+                raise _lacks(method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}") from error
+        return cls(method.name, made)
+
+    @property
+    def localizes_per_trajectory(self) -> bool:
+        """As it says."""
+        return self.asked.localizes_per_trajectory
+
+    @property
+    def controls_approach(self) -> bool:
+        """As it says."""
+        return self.asked.controls_approach
+
+    def localized_along(
+        self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
+    ) -> tuple[Trajectory, ...]:
+        """One axis for each set of localizations."""
+        axes = self._asked("localized_along", trajectories, fiducials_mm, robot_from_ct)
+        wanted = len(trajectories) if self.localizes_per_trajectory else 1
+        if len(axes) != wanted or not all(isinstance(one, Trajectory) for one in axes):
+            raise self._wrong("localized_along", f"{wanted} Trajectory", _shown(axes))
+        return axes
+
+    def localization_poses(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> tuple[Transform, ...]:
+        """One pose ROBOT <- TOOL for each fiducial, tool origin at the fiducial."""
+        poses = self._asked("localization_poses", along, fiducials_mm, robot_from_ct, arm)
+        places = robot_from_ct.apply(np.reshape(fiducials_mm, (-1, 3)))
+        framed = all(
+            isinstance(one, Transform) and (one.target, one.source) == (Frame.ROBOT, Frame.TOOL)
+            for one in poses
+        )
+        if len(poses) != len(places) or not framed:
+            raise self._wrong("localization_poses", f"{len(places)} Transform ROBOT <- TOOL", _shown(poses))
+        off_mm = max(
+            float(np.linalg.norm(one.translation_mm - at)) for one, at in zip(poses, places, strict=True)
+        )
+        if off_mm > AT_SPHERE_MM:
+            raise self._wrong(
+                "localization_poses", "the tool's origin at each fiducial", f"{off_mm:.3g} mm off"
+            )
+        return poses
+
+    def turns_rad(
+        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
+    ) -> Sequence[float]:
+        """Turns about the axis, the best first."""
+        turns = self._asked("turns_rad", along, fiducials_mm, robot_from_ct, arm)
+        if not turns or not all(isinstance(one, int | float) and math.isfinite(one) for one in turns):
+            raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
+        return turns
+
+    def _asked(self, call: str, *arguments: object) -> tuple[Any, ...]:
+        answer = called(f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH)
+        try:
+            return tuple(answer)
+        except TypeError:
+            raise self._wrong(call, "a sequence", type(answer).__name__) from None
+
+    def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(f"{self.name}.{call} answers wrongly", expected=expected, got=got)
+
+
+def _lacks(name: str, expected: str, got: str) -> MethodRefused:
+    return MethodRefused(f"{name} makes no strategy", expected=expected, got=got)
+
+
+def _shown(answer: Sequence[object]) -> str:
+    kinds = ", ".join(sorted({type(one).__name__ for one in answer})) or "nothing"
+    return f"{len(answer)} of {kinds}" if answer else "none"

@@ -1,0 +1,88 @@
+"""An own method on a small problem before its campaign: what it cannot do is told before a folder is made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.studies.accuracy.phantom import Markers, phantom, place
+from procedures.studies.accuracy.postures import postures
+from procedures.studies.errors import MethodRefused
+from procedures.studies.heads import NoiseReading, any_pose, sites_mm
+from procedures.studies.own.contracts import MethodKind
+from procedures.studies.own.localizer import OwnLocalizer
+from procedures.studies.own.method import OwnMethod, own_method
+from procedures.studies.own.pairing import OwnPairing
+from procedures.studies.own.registration import OwnRegistration
+from procedures.studies.own.strategy import OwnStrategy
+from procedures.studies.readings import draw_readings
+from procedures.studies.strategies import DEPTHS_MM, TARGETS
+
+TRIAL_SEED = 17
+PATIENT = 1
+FIDUCIALS, OUTLIERS = 4, 1
+SIGMA_MM = 0.5
+TRIAL_VOXELS = 60  # along each axis, 1 mm
+TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0.75, 0.7))  # of the edge
+BALL_RADIUS_MM = 5.75
+BALL_HU, AIR_HU = 100, -1000
+
+
+def tried(kind: MethodKind, text: str) -> OwnMethod:
+    """The method that `text` names, after two equal answers to one problem. Raises STU-012 to STU-014."""
+    method = own_method(kind, text)
+    once, again = (ANSWERS[kind](method) for _ in range(2))
+    if once != again:
+        raise MethodRefused(
+            f"{text} answers differently to the same input",
+            expected="the same answer every time",
+            got="another one the second time",
+            action="Seed its random numbers, and keep nothing from one call to the next.",
+        )
+    return method
+
+
+def _pairs(method: OwnMethod) -> object:
+    random = np.random.default_rng(TRIAL_SEED)
+    seen = draw_readings(sites_mm(PATIENT), FIDUCIALS, OUTLIERS, NoiseReading.NORM, 1, random)
+    found = OwnPairing.of(method)(
+        seen.image_mm[0], seen.physical_mm[0], sigma_image_mm=SIGMA_MM, sigma_physical_mm=SIGMA_MM
+    )
+    return None if found is None else found.tolist()
+
+
+def _transform(method: OwnMethod) -> object:
+    image_mm = sites_mm(PATIENT)[:FIDUCIALS]
+    physical_mm = any_pose(np.random.default_rng(TRIAL_SEED)).apply(image_mm)
+    covariance_mm2 = np.tile(SIGMA_MM**2 * np.eye(3), (FIDUCIALS, 1, 1))
+    fitted = OwnRegistration.of(method)(image_mm, physical_mm, covariance_mm2=covariance_mm2)
+    return fitted.as_matrix().tolist()
+
+
+def _centres(method: OwnMethod) -> object:
+    """In a block of air with four balls."""
+    shape, centres = (TRIAL_VOXELS,) * 3, TRIAL_VOXELS * np.array(TRIAL_BALLS)
+    places = np.moveaxis(np.indices(shape), 0, -1)
+    away = np.min([np.linalg.norm(places - centre, axis=-1) for centre in centres], axis=0)
+    filled = np.clip(BALL_RADIUS_MM - away + 0.5, 0.0, 1.0)  # of a voxel of 1 mm
+    voxels = np.rint(AIR_HU + filled * (BALL_HU - AIR_HU)).astype(np.int16)
+    voxels.setflags(write=False)
+    geometry = VoxelGeometry(shape, np.full(3, -0.5 * TRIAL_VOXELS), np.eye(3)[:, ::-1], np.ones(3))
+    return OwnLocalizer.of(method)(Volume(voxels, geometry, "1.2.3", "1.2.4")).tolist()
+
+
+def _poses(method: OwnMethod) -> object:
+    """Of the free markers of the accuracy studies in their first place."""
+    strategy = OwnStrategy.of(method)
+    planned = postures(strategy, phantom(Markers.FREE, DEPTHS_MM, TARGETS), place(1))
+    return planned.localizations.joints_rad.tolist()
+
+
+ANSWERS: dict[MethodKind, Callable[[OwnMethod], object]] = {
+    MethodKind.LOCALIZER: _centres,
+    MethodKind.PAIRING: _pairs,
+    MethodKind.REGISTRATION: _transform,
+    MethodKind.STRATEGY: _poses,
+}

@@ -1,0 +1,45 @@
+"""The methods of the how-to page work, and what cannot be used leaves nothing behind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from documented import write_files
+from user_commands import in_this_process
+
+from procedures.cli.campaign import app
+
+PAGE = "docs/how-to/own-methods.md"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder of one's own with the files of the page."""
+    write_files(PAGE, tmp_path)
+    return tmp_path
+
+
+def test_the_pairing_of_the_page_stands_beside_ours_with_its_bounds(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(folder)
+    arguments = ("--runs", "1", "--method", "my_pairing:by_distances", "--method", "count", "--json")
+    done = in_this_process(app, "correspondence", *arguments, "--workers", "1", "--out", folder / "out")
+    assert done.returncode == 0, done.stderr
+    table = json.loads(done.stdout)["tables"][0]
+    rows = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+    mine = [row for row in rows if row["method"] == "my_pairing:by_distances"]
+    assert len(mine) == len(rows) / 2 == 6
+    assert {row["false, 95 %"] for row in mine if row["false %"] == 0.0} == {"at most 18"}
+
+
+def test_a_method_that_cannot_be_used_leaves_no_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder)
+    before = sorted(folder.iterdir())
+    for command in ("correspondence", "registration", "localization"):
+        done = in_this_process(app, command, "--method", "my_strategy:Halfway", "--out", folder / "out")
+        assert done.returncode == 2
+        assert done.stderr.startswith("STU-012: my_strategy:Halfway cannot be called as a ")
+    assert [one for one in sorted(folder.iterdir()) if one.name != "__pycache__"] == before

@@ -1,0 +1,59 @@
+"""Bounds of counts, means and rms: published values, and nothing counted is never shown as nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.studies import bounds
+from procedures.studies.plots import bars, curves
+
+
+@pytest.mark.parametrize(
+    ("count", "of", "text"),
+    [
+        (0, 1_000, "at most 0.3"),  # the rule of three
+        (0, 100, "at most 3"),
+        (1_000, 1_000, "at least 99.7"),
+        (0, 0, ""),
+        (5, 100, "1.64 to 11.3"),  # Clopper and Pearson, as tabulated: 1.6432 to 11.2835
+    ],
+)
+def test_a_share_has_the_bounds_of_the_tables(count: int, of: int, text: str) -> None:
+    assert bounds.percent(count, of).text == text
+
+
+@pytest.mark.parametrize(
+    ("count", "text"),
+    [(0, "at most 3"), (1, "0.0253 to 5.57"), (10, "4.8 to 18.4")],  # Garwood 1936
+)
+def test_a_number_has_the_bounds_of_poissons_tables(count: int, text: str) -> None:
+    assert bounds.number(count).text == text
+
+
+def test_nineteen_of_twenty_means_and_rms_lie_within_their_bounds() -> None:
+    random = np.random.default_rng(3)
+    means, roots = 0, 0
+    for _ in range(2_000):
+        values = random.normal(2.0, 1.0, size=200)
+        mean = bounds.mean(values)
+        root = bounds.root_mean_square((values**2).sum(), (values**4).sum(), len(values))
+        assert None not in (mean.low, mean.high, root.low, root.high)
+        means += mean.low < 2.0 < mean.high
+        roots += root.low < np.sqrt(5.0) < root.high
+    assert 0.935 < means / 2_000 < 0.965
+    assert 0.93 < roots / 2_000 < 0.965
+
+
+def test_one_value_has_no_bounds() -> None:
+    assert bounds.mean([1.0]).text == bounds.root_mean_square(1.0, 1.0, 1.0).text == ""
+
+
+def test_bounds_change_what_a_plot_shows_of_a_zero_count() -> None:
+    drawn = {
+        count: bars("t", "y", {"5": {"ours": bounds.percent(0, count)}}, logarithmic=True)
+        for count in (100, 10_000)
+    }
+    assert drawn[100] != drawn[10_000]
+    banded = curves("t", "x", "y", {"ours": [(1.0, bounds.percent(1, 10)), (2.0, bounds.percent(2, 10))]})
+    assert banded != curves("t", "x", "y", {"ours": [(1.0, 10.0), (2.0, 20.0)]})

@@ -1,0 +1,293 @@
+"""Own methods in a campaign: each kind checked at the border, and the same numbers on any workers."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from procedures.studies.correspondence import CorrespondenceStudy
+from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused, OtherStudy
+from procedures.studies.heads import NoiseReading
+from procedures.studies.ledger import Ledger
+from procedures.studies.own.contracts import MethodKind
+from procedures.studies.own.method import OwnMethod, own_method
+from procedures.studies.own.trial import tried
+from procedures.studies.registration import RegistrationStudy
+from procedures.studies.unit import Sums, add_up
+from procedures.studies.workers import run_study
+
+METHODS = '''
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from procedures.strategies.ocs import OrientationCorrection
+
+drawn = []
+
+def in_order(image_mm, physical_mm, *, sigma_image_mm, sigma_physical_mm):
+    """By a random order of NumPy's global numbers."""
+    return [(i, i) for i in np.random.permutation(min(len(image_mm), len(physical_mm)))[:3]]
+
+def two_points(image_mm, physical_mm):
+    return []
+
+def not_whole(image_mm, physical_mm, **given):
+    return np.zeros((3, 2))
+
+def twice(image_mm, physical_mm, **given):
+    return [(0, 1), (0, 2), (1, 3)]
+
+def beyond(image_mm, physical_mm, **given):
+    return [(0, 0), (1, 1), (2, 99)]
+
+def uneven(image_mm, physical_mm, **given):
+    return [(0, 0), (1,)]
+
+def looks_up(image_mm, physical_mm, **given):
+    return {}["nothing"]
+
+def writes(image_mm, physical_mm, **given):
+    image_mm -= image_mm.mean(axis=0)
+
+def remembers(image_mm, physical_mm, **given):
+    drawn.append(1)
+    return [(0, len(drawn) % 2)]
+
+def leaves(image_mm, physical_mm, **given):
+    raise SystemExit(3)
+
+def stays(image_mm, physical_mm, *, covariance_mm2):
+    return np.eye(4)
+
+def mirror(image_mm, physical_mm, *, covariance_mm2):
+    return np.diag([1.0, 1.0, -1.0, 1.0])
+
+def larger(image_mm, physical_mm, *, covariance_mm2):
+    return np.diag([1.1, 1.1, 1.1, 1.0])
+
+def only_turn(image_mm, physical_mm, *, covariance_mm2):
+    return np.eye(3)
+
+def lost(image_mm, physical_mm, *, covariance_mm2):
+    return np.full((4, 4), np.nan)
+
+def indices(volume):
+    return [[500.0, 20.0, 30.0]]
+
+def flat(volume):
+    return [1.0, 2.0]
+
+def nothing(volume):
+    return None
+
+class Beside(OrientationCorrection):
+    def localization_poses(self, along, fiducials_mm, robot_from_ct, arm):
+        return super().localization_poses(along, np.asarray(fiducials_mm) + 5.0, robot_from_ct, arm)
+
+class Once(OrientationCorrection):
+    def localized_along(self, trajectories, fiducials_mm, robot_from_ct):
+        return trajectories[:1]
+
+class Still(OrientationCorrection):
+    def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
+        return []
+
+class Undecided:
+    localizes_per_trajectory = "always"
+
+class Shorter(OrientationCorrection):
+    def turns_rad(self, along):
+        return [0.0]
+
+number = 3
+'''
+PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
+LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The current folder, with the methods in a module."""
+    (tmp_path / "mine.py").write_text(METHODS)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    sys.modules.pop("mine", None)
+    yield tmp_path
+    sys.modules.pop("mine", None)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "said"),
+    [
+        (
+            PAIRING,
+            "mine:two_points",
+            r"called as a pairing: .*sigma_image_mm.* got \(image_mm, phys",
+        ),
+        (PAIRING, "mine:stays", r"cannot be called as a pairing: .*\(image_mm, physical_mm, \*, sigma_image"),
+        (REGISTRATION, "mine:in_order", "cannot be called as a registration: "),
+        (LOCALIZER, "mine:stays", r"cannot be called as a localizer: .* expected a function \(volume\)"),
+        (STRATEGY, "mine:nothing", r"cannot be called as a strategy: .* expected a class \(\)"),
+        (PAIRING, "mine:in_ordr", r"mine\.py has no 'in_ordr'; expected in_order"),
+        (PAIRING, "mine:number", "mine:number is no pairing; expected a function .* got int"),
+        (
+            PAIRING,
+            "theirs:pair",
+            r"theirs of the pairing cannot be imported; .* ModuleNotFoundError",
+        ),
+        (PAIRING, "mine:", "'mine:' names no pairing; expected module:function"),
+        (PAIRING, "mine", "there is no pairing 'mine'; expected module:function"),
+        (PAIRING, "mine:remembers", "answers differently to the same input"),
+        (STRATEGY, "mine:Undecided", "makes no strategy; expected localizes_per_trajectory, True or False"),
+        (
+            STRATEGY,
+            "mine:Shorter",
+            r"no strategy; expected turns_rad\(along, fiducials_mm, robot_from_ct",
+        ),
+    ],
+)
+def test_what_is_no_method_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
+    with pytest.raises(MethodRefused, match=f"STU-012: .*{said}"):
+        tried(kind, text)
+
+
+def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> None:
+    (folder / "half.py").write_text("import nowhere_at_all\n")
+    with pytest.raises(MethodRefused, match=r"half of the pairing cannot be imported; .*nowhere_at_all"):
+        own_method(PAIRING, "half:pair")
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "said"),
+    [
+        (PAIRING, "mine:not_whole", r"no pairing; expected None, or whole numbers \(k, 2\).* of float64"),
+        (PAIRING, "mine:twice", "got a point in two pairs"),
+        (PAIRING, "mine:beyond", "got index 99 of 5 points"),
+        (PAIRING, "mine:uneven", "no pairing"),
+        (REGISTRATION, "mine:mirror", "no rigid transform; .* got a mirror image"),
+        (REGISTRATION, "mine:larger", "got axes off by 0.2"),
+        (REGISTRATION, "mine:only_turn", r"got shape \(3, 3\)"),
+        (REGISTRATION, "mine:lost", "got numbers that are not finite"),
+        (
+            LOCALIZER,
+            "mine:indices",
+            r"got \(500.0, 20.0, 30.0\), which lies outside the volume",
+        ),
+        (LOCALIZER, "mine:flat", r"no centres; .* got shape \(2,\)"),
+        (LOCALIZER, "mine:nothing", r"no centres; .* got shape \(\)"),
+        (STRATEGY, "mine:Beside", r"localization_poses answers wrongly; expected the tool's origin at each"),
+        (
+            STRATEGY,
+            "mine:Once",
+            "localized_along answers wrongly; expected 10 Trajectory, got 1 of",
+        ),
+        (
+            STRATEGY,
+            "mine:Still",
+            "turns_rad answers wrongly; expected at least one finite angle",
+        ),
+    ],
+)
+def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
+    with pytest.raises(MethodAnswerWrong, match=f"STU-014: .*{said}"):
+        tried(kind, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("mine:looks_up", r"mine:looks_up raised KeyError: 'nothing': .*mine\.py, line 28"),
+        ("mine:writes", r"raised ValueError: .*read-only.*mine\.py, line 31"),
+        ("mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 38"),
+    ],
+)
+def test_what_a_method_raises_is_told_with_its_line(text: str, said: str) -> None:
+    with pytest.raises(MethodFailed, match=f"STU-013: .*{said}"):
+        tried(PAIRING, text)
+
+
+def study_of(method: OwnMethod) -> CorrespondenceStudy:
+    return CorrespondenceStudy(3, 5, (), readings=(NoiseReading.NORM,), fiducials=(4,), own=(method,))
+
+
+def results(study: CorrespondenceStudy, folder: Path, **where: object) -> dict[str, Sums]:
+    ledger = Ledger(folder, study)
+    run_study(study, ledger, **where)
+    return add_up(ledger.results())
+
+
+def test_random_numbers_of_a_method_do_not_depend_on_its_worker(folder: Path) -> None:
+    study = study_of(tried(PAIRING, "mine:in_order"))
+    assert results(study, folder / "1", workers=1) == results(study, folder / "2", workers=2)
+
+
+@pytest.mark.slow
+def test_a_file_of_ones_own_runs_on_dask_workers_elsewhere(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from distributed import LocalCluster
+
+    study = study_of(tried(PAIRING, "mine:in_order"))
+    here = results(study, folder / "here", workers=1)
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)  # the workers cannot find the file by themselves
+    monkeypatch.setattr(sys, "path", [one for one in sys.path if one != str(folder)])
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0", host="127.0.0.1"
+    ) as cluster:
+        assert results(study, folder / "dask", scheduler=cluster.scheduler_address) == here
+
+
+def test_an_edited_method_is_another_study_and_no_worker_runs_another_version(folder: Path) -> None:
+    before = tried(PAIRING, "mine:in_order")
+    Ledger(folder / "out", study_of(before))
+    (folder / "mine.py").write_text(METHODS.replace("[:3]", "[:4]"))
+    with pytest.raises(MethodRefused, match="STU-012: mine:in_order is another version here"):
+        before.function()
+    after = tried(PAIRING, "mine:in_order")
+    with pytest.raises(OtherStudy, match=r"STU-001: .*own"):
+        Ledger(folder / "out", study_of(after))
+
+
+def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: Path) -> None:
+    late = "def late(image_mm, physical_mm, **given):\n    return [] if len(image_mm) == 5 else 1 / 0\n"
+    (folder / "late.py").write_text(late)
+    study = study_of(tried(PAIRING, "late:late"))
+    with pytest.raises(MethodFailed, match=r"late raised ZeroDivisionError: .*, in unit norm\|1\|4\|0 #0: "):
+        results(study, folder / "out", workers=1)
+
+
+def test_an_installed_method_is_known_by_its_name_and_by_no_other_kind(folder: Path) -> None:
+    information = folder / "my_methods-0.1.dist-info"
+    information.mkdir()
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-methods\nVersion: 0.1\n")
+    (information / "entry_points.txt").write_text("[ronna_hw.registrations]\nstaying = mine:stays\n")
+    sys.path.append(str(folder))
+    assert tried(REGISTRATION, "staying").reference == "mine:stays"
+    with pytest.raises(MethodRefused, match="'staying' is the name of a registration; expected a pairing"):
+        tried(PAIRING, "staying")
+
+
+def test_an_own_registration_is_measured_on_the_points_of_ours(folder: Path) -> None:
+    (folder / "same.py").write_text(
+        "from procedures.registration.point_registration import register\n"
+        "def same(image_mm, physical_mm, *, covariance_mm2):\n"
+        "    return register(image_mm, physical_mm).transform\n"
+    )
+    study = RegistrationStudy(2, fiducials=(4,), own=(tried(REGISTRATION, "same:same"),))
+    sums = study.run(study.units()[0])
+    assert sums["own same:same2"] == sums["tre2"]
+
+
+def test_an_own_localizer_and_strategy_that_are_ours_pass_the_trial(folder: Path) -> None:
+    (folder / "ours.py").write_text(
+        "from procedures.imaging import localize\n"
+        "from procedures.strategies.nos import NeutralOrientation\n"
+        "def centres(volume):\n"
+        "    return localize(volume).centres_mm\n"
+    )
+    assert tried(LOCALIZER, "ours:centres").name == "ours:centres"
+    assert tried(STRATEGY, "ours:NeutralOrientation").name == "ours:NeutralOrientation"
