@@ -110,6 +110,12 @@ def run_command(
     answers: AnswersOption = None,
     console: ConsoleOption = False,
     console_port: ConsolePortOption = 0,
+    keep_raw: Annotated[
+        bool,
+        typer.Option(
+            "--keep-raw", help="Pictures, tracker frames and arm states as files in RUN/raw, at most 2 GB."
+        ),
+    ] = False,
     out: OutOption = Path("runs"),
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
@@ -138,6 +144,7 @@ def run_command(
         speed=speed,
         faults=faults,
         answers=answers,
+        keep_raw=keep_raw,
         out=out,
     )
     follow_case(request, as_json=as_json, console=console_request(wanted=console, port=console_port))
@@ -269,6 +276,7 @@ def _request(
     faults: Path | None,
     answers: Path | None,
     out: Path,
+    keep_raw: bool = False,
 ) -> CaseRequest:
     from procedures.cli.case.request import CaseRequest
 
@@ -300,6 +308,7 @@ def _request(
         choice=scene,
         strategy=strategy,
         measure_targets=measure_targets,
+        keep_raw=keep_raw,
         speed=speed.value,
         faults=faults,
         config=config,

@@ -25,9 +25,14 @@ LATER_FILES = (
     *("log.jsonl", "events.jsonl", "report.html", ROOM_FILE),
     *("theatre/world.json", "theatre/.world.json"),
 )
-LATER_FOLDERS = ("report",)
+RAW_FOLDER = "raw"  # pictures and frames as files, where they are wanted
+LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
-APART = ("export/", f"{BESIDE}/")  # made from the run at any time, and no part of it
+APART = (
+    "export/",
+    f"{BESIDE}/",
+    f".{RAW_FOLDER}{PARTIAL}/",
+)  # made from the run at any time, and no part of it
 CHUNK_BYTES = 1 << 20
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import shlex
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.request import forget_if_refused
+from procedures.cli.case.request_file import read_request
 from procedures.cli.case.truth import truth_if_any
 from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import as_ronna_error
@@ -17,7 +19,7 @@ from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed
 from ronna_hw.evidence.journal_reading import Entry, read_chain
-from ronna_hw.evidence.seal import seal
+from ronna_hw.evidence.seal import RAW_FOLDER, seal
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
@@ -58,12 +60,31 @@ def seal_run(folder: Path) -> None:
     """Seal what a run left, its report included; what prevents it is said and hides nothing."""
     if not (folder / JOURNAL_FILE).exists():
         return
+    _keep_raw_if_wanted(folder)
     try:
         chain = read_chain(folder / JOURNAL_FILE)
         if is_closed(chain.lines):
             seal(folder, closed_files(chain.lines))
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
+
+
+def _keep_raw_if_wanted(folder: Path) -> None:
+    """Pictures and frames as files, where the run was begun so; again after each session of a run."""
+    wanted = False
+    with contextlib.suppress(RonnaError, OSError):  # of another version, or of no case
+        wanted = read_request(folder).keep_raw
+    if not wanted:
+        return
+    try:
+        from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
+
+        shutil.rmtree(folder / RAW_FOLDER, ignore_errors=True)
+        _, whole = write_raw(folder, folder / RAW_FOLDER)
+        if not whole:
+            tell(f"{folder / RAW_FOLDER} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
+    except (RonnaError, OSError) as problem:
+        tell(f"raw readings could not be written: {problem}")
 
 
 def tell_way_on(folder: Path, problem: BaseException) -> None:

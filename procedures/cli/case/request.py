@@ -47,6 +47,7 @@ class CaseRequest(TheatreRequest):
     strategy: str = "ocs"
     case: Path | None = None  # folder with ct/ and plan.toml, with `config`
     answers: Answers | None = None  # of a scripted operator
+    keep_raw: bool = False  # pictures and frames as files
 
 
 def check_request(request: CaseRequest) -> None:

@@ -39,6 +39,7 @@ class RequestFile(BaseModel):
     records: tuple[Path, ...] = ()
     strategy: str
     measure_targets: bool = False
+    keep_raw: bool = Field(default=False, description="Pictures and frames of the tracker as files.")
     speed: str
     faults: Path | None = None
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
@@ -60,6 +61,7 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         records=tuple(folder.resolve() for folder in choice.records),
         strategy=request.strategy,
         measure_targets=request.measure_targets,
+        keep_raw=request.keep_raw,
         speed=request.speed,
         faults=request.faults and request.faults.resolve(),
         config=request.config and request.config.resolve(),
@@ -103,6 +105,7 @@ def read_request(folder: Path) -> CaseRequest:
         ),
         strategy=content.strategy,
         measure_targets=content.measure_targets,
+        keep_raw=content.keep_raw,
         speed=content.speed,
         faults=content.faults,
         config=content.config,

@@ -212,6 +212,25 @@ def bytes_command(
     print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
 
 
+def raw_command(
+    run_folder: RunArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder to write to.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Write what devices answered in a run as files: pictures as PNG, tracker frames and arm states as CSV.
+
+    Pictures show what the cameras saw. They are in no export: only this command takes them out of a run.
+    """
+    from procedures.exchange.raw_readings import write_raw
+    from ronna_hw.command_line.console import print_json, tell
+
+    folder, whole = write_raw(run_folder, out)
+    if as_json:
+        print_json({"folder": str(folder), "whole": whole})
+        return
+    tell(str(folder) if whole else f"{folder}: the first 2 GB")
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
     "resume": resume_command,
     "home": home_command,
@@ -225,6 +244,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "watch": watch_command,
     "replay": replay_command,
     "bytes": bytes_command,
+    "raw": raw_command,
 }
 
 

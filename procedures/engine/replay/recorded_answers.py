@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import defaultdict, deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,8 +66,8 @@ class RecordedAnswers:
         state = Lifecycle(str(line["state"]))
         if "error" in line:
             return RecordedAnswer(state, error=_error(line["error"]))
+        value = self.value_of(device, call, line.get("answer"))
         try:
-            value = _value(ANSWERS[call], line["answer"], self._get_pixels)
             told = line.get("properties", {})
             properties = {
                 name: _value(PROPERTIES[name], part, self._get_pixels)
@@ -75,6 +76,13 @@ class RecordedAnswers:
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
         return RecordedAnswer(state, value, properties)
+
+    def value_of(self, device: str, call: str, plain: object) -> object:
+        """A recorded answer as the call gave it, with its pixels. Raises PRO-024 for what is damaged."""
+        try:
+            return _value(ANSWERS[call], plain, self._get_pixels)
+        except (ValueError, KeyError, TypeError) as error:
+            raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
 
     def _get_pixels(self, where: dict[str, int | str | list[int]]) -> NDArray[np.uint8] | NDArray[np.uint16]:
         at, count, shape = where["at"], where["bytes"], where["shape"]
@@ -91,9 +99,39 @@ class RecordedAnswers:
 
 def read_answers(run: Path) -> RecordedAnswers:
     """Read a run's tape; a torn last line is left out. Raises PRO-024 when there is none."""
-    folder = run / READINGS_FOLDER
     sections: dict[int, dict[tuple[str, str], deque[Line]]] = defaultdict(lambda: defaultdict(deque))
     opening: Line | None = None
+    for line in _lines(run / READINGS_FOLDER):
+        if "opening" in line:
+            opening = cast("Line", line["opening"])
+        else:
+            sections[cast("int", line["section"])][str(line["device"]), str(line["call"])].append(line)
+    if opening is None:
+        raise NotRecorded(f"{READINGS_FILE} has no first line")
+    return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
+
+
+class ToldAt(NamedTuple):
+    """An answer that was no error, and when it was given."""
+
+    theatre_time_s: float
+    value: object
+
+
+def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ToldAt]]:
+    """Section, device, call and answer of all calls that raised nothing, as they came. Raises PRO-024."""
+    answers = read_answers(run)
+    for line in _lines(run / READINGS_FOLDER):
+        call = str(line.get("call"))
+        if call not in ANSWERS or ANSWERS[call] is None or "error" in line:
+            continue
+        section, device = cast("int", line["section"]), str(line["device"])
+        told = ToldAt(_number(line["theatre_time_s"]), answers.value_of(device, call, line["answer"]))
+        yield section, device, call, told
+
+
+def _lines(folder: Path) -> Iterator[Line]:
+    """Openings and answers, in order; what a process was writing when it was killed is left out."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
@@ -107,18 +145,19 @@ def read_answers(run: Path) -> RecordedAnswers:
         except ValueError:
             torn = torn or number
             continue
-        try:
-            if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
-                opening, torn = line["opening"], 0
-            elif torn:
-                raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
-            elif "section" in line:
-                sections[line["section"]][line["device"], line["call"]].append(line)
-        except (KeyError, TypeError) as error:
-            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {error}") from error
-    if opening is None:
-        raise NotRecorded(f"{READINGS_FILE} has no first line")
-    return RecordedAnswers(opening, folder / PIXELS_FILE, sections)
+        if not isinstance(line, dict):
+            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: no object")
+        if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
+            torn = 0
+        elif torn:
+            raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
+        elif "section" not in line:
+            continue
+        elif missing := {"device", "call"} - line.keys():
+            raise NotRecorded(
+                f"line {number} of {READINGS_FILE} is damaged: no {' or '.join(sorted(missing))}"
+            )
+        yield line
 
 
 def _value(kind: object, plain: object, get: GetPixels) -> object:

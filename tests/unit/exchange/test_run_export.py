@@ -21,7 +21,7 @@ from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.seal import hashes_at_closing, seal
+from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import OtherVersion
 
@@ -145,3 +145,16 @@ def test_a_place_that_is_a_file_is_refused(finished: Path) -> None:
 def test_an_unknown_form_is_refused_before_the_work() -> None:
     with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the format of spheres.xls"):
         check_names([Path("a.csv"), Path("spheres.xls")])
+
+
+def test_pictures_that_a_run_keeps_are_in_no_export(finished: Path, tmp_path: Path) -> None:
+    pictures = finished / RAW_FOLDER / "pictures"
+    pictures.mkdir(parents=True)
+    (pictures / "00001-left.png").write_bytes(b"a picture")
+    (finished / "readings").mkdir(exist_ok=True)
+    closed = json.loads((finished / "journal.jsonl").read_text().splitlines()[-1])["files"]
+    seal(finished, closed)
+    written = export_run(finished, tmp_path / "export")
+    assert {path.suffix for path in written} == {".csv", ".json", ".dcm"}
+    assert sorted(written) == sorted(path for path in (tmp_path / "export").rglob("*") if path.is_file())
+    assert not any(b"a picture" in path.read_bytes() for path in written)

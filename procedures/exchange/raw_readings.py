@@ -1,0 +1,168 @@
+"""Raw readings of a run for other programs: pictures, frames of the tracker, states of the arm.
+
+They are what a run's tape has kept for a replay: every answer that a result stands on, without loss.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import shutil
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TextIO
+
+import cv2
+
+from procedures.engine.journal import JOURNAL_FILE
+from procedures.engine.replay.recorded_answers import read_in_order
+from procedures.engine.replay.sections import BEGINS
+from procedures.exchange.errors import NothingToExport, NotWritable
+from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
+from ronna_hw.evidence.journal_reading import chain_until_broken
+from ronna_hw.records import PARTIAL
+
+MOST_RAW_BYTES = 2_000_000_000  # of one run, as on its tape
+PICTURES_FOLDER = "pictures"
+TABLES = {
+    "pictures.csv": (
+        *("file", "step", "theatre_time_s", "side", "serial", "validity", "offset_x_px", "offset_y_px"),
+        "missing_packets",
+    ),
+    "tracker.csv": (
+        *("frame", "step", "theatre_time_s", "device_frame", "what", "name", "validity"),
+        *("x_mm", "y_mm", "z_mm", "qw", "qx", "qy", "qz", "fit_error_mm"),
+    ),
+    "arm.csv": (
+        *("step", "theatre_time_s", "device", "call", "validity", "moving"),
+        *(f"A{axis}_rad" for axis in range(1, 7)),
+    ),
+}
+Value = str | int | float | bool | None
+
+
+@dataclass(frozen=True)
+class RawReading:
+    """What a device answered in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+
+    step: str
+    device: str
+    call: str
+    theatre_time_s: float
+    value: StereoReading | TrackerFrame | ArmReading
+
+
+def raw_readings(run: Path) -> Iterator[RawReading]:
+    """The readings of a run in their order; one that was damaged ends them. Raises PRO-024."""
+    chain, _ = chain_until_broken(run / JOURNAL_FILE)
+    steps = {
+        line["sequence"]: str(line.get("step", "home")) for line in chain.lines if line["entry"] in BEGINS
+    }
+    for section, device, call, told in read_in_order(run):
+        if isinstance(told.value, StereoReading | TrackerFrame | ArmReading):
+            yield RawReading(steps.get(section, ""), device, call, told.theatre_time_s, told.value)
+
+
+def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
+    """Write them as PNG and CSV into the folder `out`, which must not be there yet.
+
+    Returns it, and whether all is in it: no more than about `most_bytes` are written. Raises EXC-002,
+    EXC-003, PRO-024, and leaves nothing then.
+    """
+    if out.exists():
+        raise NotWritable(f"{out} is there already", action="Give a folder that is not there yet.")
+    made = out.with_name(f".{out.name}{PARTIAL}")
+    try:
+        shutil.rmtree(made, ignore_errors=True)
+        (made / PICTURES_FOLDER).mkdir(parents=True)
+        whole = _write_all(run, made, most_bytes)
+        os.replace(made, out)
+    except OSError as error:
+        raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
+    finally:
+        shutil.rmtree(made, ignore_errors=True)
+    return out, whole
+
+
+def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
+    """Whether everything found place."""
+    files: dict[str, TextIO] = {}
+    pictures, frames, size, readings = 0, 0, 0, 0
+    try:
+        for name, columns in TABLES.items():
+            files[name] = (folder / name).open("w", encoding="utf-8", newline="")
+            csv.writer(files[name], lineterminator="\n").writerow(columns)
+        for one in raw_readings(run):
+            readings += 1
+            if size + sum(file.tell() for file in files.values()) > most_bytes:
+                return False
+            rows: list[Sequence[Value]] = []
+            if isinstance(one.value, StereoReading):
+                pictures += 1
+                for side, image in (("left", one.value.left), ("right", one.value.right)):
+                    if image is not None:
+                        path = folder / PICTURES_FOLDER / f"{pictures:05d}-{side}.png"
+                        size += _write_picture(path, image)
+                        rows.append(_picture_row(path, side, image, one))
+                name = "pictures.csv"
+            elif isinstance(one.value, TrackerFrame):
+                frames += 1
+                rows += _frame_rows(frames, one.value, one)
+                name = "tracker.csv"
+            else:
+                rows.append(_arm_row(one.value, one))
+                name = "arm.csv"
+            csv.writer(files[name], lineterminator="\n").writerows(rows)
+    finally:
+        for file in files.values():
+            file.close()
+    if not readings:
+        raise NothingToExport(f"{run.name} has no readings", action="Give a run that reached a measurement.")
+    return True
+
+
+def _write_picture(path: Path, image: CameraImage) -> int:
+    """Bytes that it took: the pixels as they came, 8 or 16 bits."""
+    _, content = cv2.imencode(".png", image.pixels)
+    path.write_bytes(content.tobytes())
+    return len(content)
+
+
+def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> Sequence[Value]:
+    return (
+        f"{PICTURES_FOLDER}/{path.name}",
+        of.step,
+        of.theatre_time_s,
+        side,
+        image.serial,
+        image.validity.value,
+        image.area.offset_x,
+        image.area.offset_y,
+        image.missing_packets,
+    )
+
+
+def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequence[Value]]:
+    """Of every tool and every marker that belongs to none; of a frame that saw nothing one row."""
+    head = (number, of.step, of.theatre_time_s, frame.stamp.device_clock)
+    nothing = (None,) * 3
+    rows: list[Sequence[Value]] = [
+        (
+            *(*head, "tool", one.tool, one.validity.value),
+            *(one.position_mm or nothing),
+            *(one.rotation or (None,) * 4),
+            one.fit_error_mm,
+        )
+        for one in frame.tools
+    ]
+    rows += [
+        (*head, "stray", number, one.validity.value, *one.position_mm, *(None,) * 5)
+        for number, one in enumerate(frame.strays, 1)
+    ]
+    return rows or [(*head, "nothing", None, frame.validity.value, *(None,) * 8)]
+
+
+def _arm_row(reading: ArmReading, of: RawReading) -> Sequence[Value]:
+    head = (of.step, of.theatre_time_s, of.device, of.call, reading.validity.value, reading.moving)
+    return (*head, *reading.joints_rad)

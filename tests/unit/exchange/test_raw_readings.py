@@ -1,0 +1,187 @@
+"""Raw readings of a run as files: without loss, bounded, sealed with the run, and in no export."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from procedures.cli.case.leaving_report import seal_run
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import write_request
+from procedures.engine.errors import NotRecorded
+from procedures.engine.journal import Entry, Journal
+from procedures.engine.replay.sections import section_follower
+from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import (
+    AreaOfInterest,
+    ArmReading,
+    CameraImage,
+    Stamp,
+    StereoReading,
+    StrayReading,
+    ToolReading,
+    TrackerFrame,
+    Validity,
+)
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
+
+STAMP = Stamp(7, 4242, 1.25)
+FRAME = TrackerFrame(
+    STAMP,
+    Validity.OK,
+    (
+        ToolReading("robot_frame", Validity.OK, (1.0, 0.0, 0.0, 0.0), (1.5, -2.5, -1000.0), 0.12),
+        ToolReading("other", Validity.MISSING, None, None, None),
+    ),
+    (StrayReading((10.0, 20.0, -1100.0), Validity.OK),),
+)
+ARM = ArmReading(STAMP, Validity.OK, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), None, False)
+
+
+def image(serial: str, bits: int) -> CameraImage:
+    kind = np.uint8 if bits == 8 else np.uint16
+    pixels = np.random.default_rng(bits).integers(0, 2**bits, size=(30, 40)).astype(kind)
+    return CameraImage(STAMP, Validity.OK, serial, pixels, AreaOfInterest(16, 32, 40, 30), 0)
+
+
+PAIR = StereoReading(STAMP, Validity.OK, image("L1", 8), image("R1", 12))
+
+
+def run_of(folder: Path, *answers: tuple[str, str, object], keep_raw: bool = False) -> Path:
+    """A finished run of one step with these answers."""
+    folder.mkdir()
+    write_request(CaseRequest(out=folder.parent, keep_raw=keep_raw), folder)
+    tape = ReadingTape(folder / READINGS_FOLDER, lambda: 3.5, {"paced": True})
+    journal = Journal(folder, section_follower(tape))
+    journal.write(Entry.OPENED, 0.0, run=folder.name)
+    journal.write(Entry.INTENT, 0.0, step="registration:T1")
+    for device, call, value in answers:
+        tape.keep(device, call, Lifecycle.ACTIVE, value)
+    tape.close()
+    files = hashes_at_closing(folder)
+    journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
+    journal.close()
+    seal(folder, files)
+    return folder
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Path:
+    return run_of(
+        tmp_path / "20261121T000000-0000",
+        ("tracker", "read_frame", FRAME),
+        ("stereo", "grab_pair", PAIR),
+        ("robot.master", "read_state", ARM),
+        ("stereo", "activate", None),
+    )
+
+
+def rows(folder: Path, name: str) -> list[dict[str, str]]:
+    with (folder / name).open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_pictures_come_back_bit_for_bit_with_their_place_on_the_sensor(run: Path, tmp_path: Path) -> None:
+    folder, whole = write_raw(run, tmp_path / "raw")
+    assert whole
+    told = rows(folder, "pictures.csv")
+    assert [(row["file"], row["side"], row["serial"], row["step"]) for row in told] == [
+        ("pictures/00001-left.png", "left", "L1", "registration:T1"),
+        ("pictures/00001-right.png", "right", "R1", "registration:T1"),
+    ]
+    assert {(row["offset_x_px"], row["offset_y_px"], row["theatre_time_s"]) for row in told} == {
+        ("16", "32", "3.5")
+    }
+    for row, side in zip(told, (PAIR.left, PAIR.right), strict=True):
+        picture = cv2.imread(str(folder / row["file"]), cv2.IMREAD_UNCHANGED)
+        assert side is not None
+        assert picture.dtype == side.pixels.dtype
+        np.testing.assert_array_equal(picture, side.pixels)
+
+
+def test_frames_have_a_row_for_each_tool_and_each_single_marker(run: Path, tmp_path: Path) -> None:
+    folder, _ = write_raw(run, tmp_path / "raw")
+    seen, missing, stray = rows(folder, "tracker.csv")
+    assert (seen["what"], seen["name"], seen["x_mm"], seen["z_mm"], seen["qw"], seen["device_frame"]) == (
+        *("tool", "robot_frame", "1.5", "-1000.0", "1.0"),
+        "4242",
+    )
+    assert (missing["name"], missing["validity"], missing["x_mm"]) == ("other", Validity.MISSING.value, "")
+    assert (stray["what"], stray["y_mm"]) == ("stray", "20.0")
+    (arm,) = rows(folder, "arm.csv")
+    assert [arm[f"A{axis}_rad"] for axis in (1, 6)] == ["0.1", "0.6"]
+
+
+def test_in_python_they_are_the_readings_of_the_drivers(run: Path) -> None:
+    frame, pair, arm = (one.value for one in raw_readings(run))
+    assert (frame, arm) == (FRAME, ARM)
+    assert isinstance(pair, StereoReading)
+    assert PAIR.left is not None
+    assert pair.left is not None
+    np.testing.assert_array_equal(pair.left.pixels, PAIR.left.pixels)
+
+
+def test_the_disk_is_bounded_and_the_end_is_told(tmp_path: Path) -> None:
+    many = run_of(tmp_path / "many", *(("stereo", "grab_pair", PAIR) for _ in range(20)))
+    folder, whole = write_raw(many, tmp_path / "raw", most_bytes=10_000)
+    assert not whole
+    assert sum(path.stat().st_size for path in folder.rglob("*.png")) < 15_000
+    assert len(rows(folder, "pictures.csv")) == len(list(folder.rglob("*.png")))
+
+
+def test_they_are_sealed_with_the_run_that_keeps_them(run: Path) -> None:
+    write_raw(run, run / RAW_FOLDER)
+    closed = json.loads((run / "journal.jsonl").read_text().splitlines()[-1])["files"]
+    seal(run, closed)
+    assert inspected(run).problems == ()
+    picture = run / RAW_FOLDER / "pictures" / "00001-left.png"
+    picture.write_bytes(picture.read_bytes()[:-1])
+    assert [str(one) for one in inspected(run).problems] == [f"{RAW_FOLDER}/pictures/00001-left.png: changed"]
+
+
+@pytest.mark.parametrize("keep_raw", [True, False])
+def test_a_run_that_was_asked_for_them_has_them_in_its_folder_and_is_whole(
+    keep_raw: bool, tmp_path: Path
+) -> None:
+    run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=keep_raw)
+    for _ in range(2):  # a run that is taken up again ends twice
+        seal_run(run)
+        assert (run / RAW_FOLDER / "tracker.csv").exists() == keep_raw
+        assert inspected(run).problems == ()
+
+
+def test_a_folder_that_is_there_is_left_alone(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(NotWritable, match=r"EXC-002: .* is there already"):
+        write_raw(run, tmp_path)
+
+
+@pytest.mark.parametrize("spoilt", ["none", "empty", "pixels"])
+def test_readings_that_cannot_be_read_leave_nothing(spoilt: str, run: Path, tmp_path: Path) -> None:
+    tape = run / READINGS_FOLDER
+    if spoilt == "none":
+        (tape / READINGS_FILE).unlink()
+    elif spoilt == "empty":
+        (tape / READINGS_FILE).write_text('{"opening": {}}\n')
+    else:
+        (tape / "pixels.bin").write_bytes(b"tea")
+    out = tmp_path / "out" / "raw"
+    out.parent.mkdir()
+    with pytest.raises((NotRecorded, NothingToExport)):
+        write_raw(run, out)
+    assert list(out.parent.iterdir()) == []
+
+
+def test_every_row_is_as_wide_as_its_head(run: Path, tmp_path: Path) -> None:
+    folder, _ = write_raw(run, tmp_path / "raw")
+    for name, columns in TABLES.items():
+        for line in (folder / name).read_text().splitlines():
+            assert len(line.split(",")) == len(columns)
