@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Sequence
+from textwrap import fill
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,11 @@ HALF_WIDTH_MM = 14.0
 STEP_MM = 0.25  # of the interpolated picture
 WINDOW_HU = (-1000.0, 600.0)
 DOTS_PER_INCH = 100
-MARGINS = {"left": 0.06, "right": 0.99, "bottom": 0.13, "top": 0.80, "wspace": 0.25}  # shares of the picture
+SIZE_IN = (9.6, 4.8)
+MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.13, "top": 0.74, "wspace": 0.32}  # shares of the picture
+# A page shows the picture at a third to a half of its size: these letters can be read there.
+HEADING_POINTS, PLANE_POINTS, TICK_POINTS = 17, 15, 12
+HEADING_LETTERS = 64  # on a line
 
 UNSCANNED_COLOUR = "#1f2f5f"  # not the black of air
 STRAIGHT_DEG = 10.0  # a plane turned further is called oblique
@@ -43,12 +48,13 @@ def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, 
 
 def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
     """One PNG with three planes through a marker, HU window -1000 to 600."""
-    flags = f"\n{', '.join(marker.flags)}" if marker.flags else ""
     sigma_mm = float(np.sqrt(marker.covariance_mm2.trace()))
     heading = (
-        f"{title}   LPS {_place(marker.centre_mm)} mm   sigma {sigma_mm:.3f} mm   "
-        f"radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}{flags}"
+        f"{title}   LPS {_place(marker.centre_mm)} mm\n"
+        f"sigma {sigma_mm:.3f} mm   radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}"
     )
+    if marker.flags:
+        heading += f"\n{fill(', '.join(marker.flags).replace('_', ' '), HEADING_LETTERS)}"
     return _picture(volume, marker.centre_mm, marker.radius_mm, heading)
 
 
@@ -59,7 +65,7 @@ def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple
             volume,
             np.array(one.centre_mm),
             one.radius_mm,
-            f"candidate {number}   LPS {_place(one.centre_mm)} mm\n{one.reason}",
+            f"candidate {number}   LPS {_place(one.centre_mm)} mm\n{fill(one.reason, HEADING_LETTERS)}",
         )
         for number, one in enumerate(candidates, start=1)
     )
@@ -79,7 +85,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
     centre_mm = geometry.to_index(middle_mm) * geometry.spacing_mm
     planes = _planes_through(volume, centre_mm)
     sides = geometry.orientation[::-1]  # along slices, rows, columns
-    figure = Figure(figsize=(9.6, 3.6), dpi=DOTS_PER_INCH)
+    figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
     figure.subplots_adjust(**MARGINS)  # computing them anew for each picture would double its time
     canvas = FigureCanvasAgg(figure)
     colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
@@ -101,10 +107,11 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
         axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9)
         right = sides[across]
         top = sides[down] if upwards else _OPPOSITE[sides[down]]
-        axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}")
-        axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}")
-        axes.set_title(_plane_name(geometry, through), fontsize="small")
-    figure.suptitle(heading, fontsize="medium")
+        axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}", fontsize=PLANE_POINTS)
+        axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}", fontsize=PLANE_POINTS)
+        axes.set_title(_plane_name(geometry, through), fontsize=PLANE_POINTS)
+        axes.tick_params(labelsize=TICK_POINTS)
+    figure.suptitle(heading, fontsize=HEADING_POINTS)
     stream = io.BytesIO()
     canvas.print_png(stream, metadata={"Software": None})
     return stream.getvalue()

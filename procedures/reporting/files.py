@@ -9,6 +9,7 @@ from dataclasses import astuple, fields
 from pathlib import Path
 
 from procedures.reporting.outcome import Truth
+from procedures.reporting.plan_table import MotionRow
 from procedures.reporting.target_table import TargetRow
 from procedures.reporting.timeline import Span
 from ronna_hw.bounded_input import read_json_bytes
@@ -81,6 +82,23 @@ class ReportFiles:
     def timeline(self, spans: Sequence[Span]) -> None:
         """Every step, motion and rest with its theatre time."""
         self.text("timeline.csv", _csv([one.name for one in fields(Span)], map(astuple, spans)))
+
+    def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
+        """How near each checked motion comes to the head, and to anything else."""
+        head = ("start", "end", "kind", "head_mm", "first", "second", "distance_mm", "at")
+        nothing = (None,) * 4
+        rows = [
+            (
+                *(one.start, one.end, one.kind, one.head_mm),
+                *(
+                    nothing
+                    if (near := one.closest) is None
+                    else (near.first, near.second, near.distance_mm, near.at)
+                ),
+            )
+            for one in motions
+        ]
+        self.text(f"clearance-{trajectory}.csv", _csv(head, rows))
 
     def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
         """Both histograms of the robot's link."""

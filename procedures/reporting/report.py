@@ -15,6 +15,7 @@ from typing import Any
 from procedures.engine.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.calibration import HeadFigures, read_figures
+from procedures.reporting.clearance_figure import clearance_figure
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
 from procedures.reporting.happenings import happenings, questions
@@ -22,6 +23,7 @@ from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.minutes import times_taken
 from procedures.reporting.outcome import RunError, Truth
+from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.postoperative import AfterTheOperation, keep_check, kept_check
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.second_reading import as_text, second_reading
@@ -86,6 +88,7 @@ def write_report(
         "ending": ending_of(reading.run.journal, error),
         "computer": next((line for line in reading.log if line.get("event") == "opened"), {}),
         "rows": rows,
+        **_plan(reading, files),
         "truth": truth,
         "series": reading.find(ImportedCt),
         "plan": reading.find(CheckedPlan),
@@ -106,6 +109,7 @@ def write_report(
         "lines": len(reading.run.journal),
         "records": reading.run.records,
         "superseded": reading.run.superseded,
+        "plan_pictures": _pictures(reading, "plan-"),
         "ct_pictures": _pictures(reading, "ct-"),
         "stereo_pictures": _pictures(reading, "stereo-"),
         **_figures(reading, files, rows, [health for _, health in links]),
@@ -134,6 +138,18 @@ def _findings(reading: RunReading) -> list[str]:
         *(f"Plan: {one}" for one in (plan.warnings if plan else ())),
         *(set_up.notices if set_up else ()),
     ]
+
+
+def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
+    """What was planned, with a picture of the clearance of each trajectory, also as a file."""
+    rows = plan_rows(reading)
+    pictures = []
+    for row in rows:
+        if row.motions:
+            pictures.append((row.name, clearance_figure(row.name, row.motions)))
+            files.text(f"clearance-{row.name}.svg", pictures[-1][1])
+            files.clearance(row.name, row.motions)
+    return {"plan_rows": rows, "clearance_pictures": pictures}
 
 
 def _left_out(reading: RunReading) -> list[str]:

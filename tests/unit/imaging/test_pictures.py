@@ -29,7 +29,7 @@ def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -
     for picture in pictures:
         pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR)
         assert pixels is not None
-        assert pixels.shape == (360, 960, 3)
+        assert pixels.shape == (480, 960, 3)
         assert pixels.std() > 30  # black air, bright balls
 
 

@@ -4,25 +4,36 @@ from __future__ import annotations
 
 import csv
 import json
+import math
 import re
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, registered_robot
+from clinical_case import (
+    FIRST,
+    TRAJECTORIES,
+    ClinicalCell,
+    checked_paths,
+    registered_robot,
+    up_to_correspondence,
+)
 
 from procedures.engine.engine import Engine
 from procedures.engine.step import StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.reporting import target_table
 from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.left_out_sphere import LeftOutSphere
+from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.workcell import MountedTool
 
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
 
@@ -176,3 +187,48 @@ def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
     cell.begin(done).run_to()
     text = write_report(cell.folder).read_text()
     assert "<li>T2 was left out: too deep</li><li>Sphere 3 was left out: no rim</li>" in text
+
+
+def test_the_plan_stands_first_with_its_clearance_and_the_turn_of_the_free_angle(cell: ClinicalCell) -> None:
+    near = ClosestApproach(first="tube of the guide", second="fiducial", distance_mm=16.24, at=1.0)
+    motions = tuple(
+        MotionPreview(
+            start=start,
+            end=end,
+            kind=kind,
+            duration_s=1.0,
+            clear=True,
+            closest=closest,
+            largest_joint_speed_share=0.5,
+            largest_speed_mm_s=100.0,
+            nearest_to_head_mm=head_mm,
+        )
+        for start, end, kind, closest, head_mm in (
+            ("home", f"{FIRST}/fiducial 1", "move", None, 77.9),
+            (f"{FIRST}/target", f"{FIRST}/target", "line", near, 18.29),
+            ("home", "other/target", "move", near, 1.0),
+        )
+    )
+    cell.carrying(MountedTool.STEREO_HEAD)
+    paths = checked_paths(cell, turn_rad=math.radians(12.0)).model_copy(update={"motions": motions})
+    cell.begin(*up_to_correspondence(cell), paths).run_to()
+    (row, *_) = plan_rows(read_for_report(cell.folder))
+    assert (row.name, row.turn_deg, row.nearest_head_mm) == (FIRST, pytest.approx(12.0), 18.29)
+    assert row.nearest is not None
+    assert row.nearest.closest == near
+    text = write_report(cell.folder).read_text()
+    assert re.search(r"<h2>(.*?)</h2>", text, re.DOTALL)[1] == "The plan"  # type: ignore[index]
+    assert "<td>12.0</td><td>18.3</td><td>16.2</td></tr>" in text
+    picture = (cell.folder / "report" / f"clearance-{FIRST}.svg").read_text()
+    assert "home → sphere 2" in picture
+    assert "target, along the axis  (tube of the guide – fiducial)" in picture
+    lines = (cell.folder / "report" / f"clearance-{FIRST}.csv").read_text().splitlines()
+    assert len(lines) == 1 + 2
+
+
+def test_a_budget_of_ten_targets_has_a_row_for_each_share_so_that_it_fits_paper(registered: Path) -> None:
+    text = write_report(registered, truth=TRUTH).read_text()
+    (predicted,) = read_for_report(registered).standing(RegisteredRobot)[0].result.predictions
+    table = text.partition("What the prediction is made of")[2].partition("</table>")[0]
+    assert table.count("<tr>") == 1 + len(predicted.budget) + 2
+    assert [f"<th>{name}</th>" in table for name in TRAJECTORIES] == [True] * len(TRAJECTORIES)

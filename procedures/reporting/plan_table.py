@@ -1,0 +1,87 @@
+"""What was planned for each trajectory, and how the check of the paths would bring the guide there."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from procedures.reporting.run_reading import RunReading
+from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.plan_check import CheckedPlan
+
+
+@dataclass(frozen=True)
+class MotionRow:
+    """One checked motion: between which places, how near the head and anything else."""
+
+    start: str
+    end: str
+    kind: str
+    head_mm: float | None
+    closest: ClosestApproach | None
+
+
+@dataclass(frozen=True)
+class PlanRow:
+    """One trajectory: entry and target in LPS mm, angles about the axis, what its motions come near to.
+
+    What only the check of the paths knows is None before it, and of a trajectory that was left out.
+    """
+
+    name: str
+    entry_mm: tuple[float, float, float]
+    target_mm: tuple[float, float, float]
+    depth_mm: float
+    margin_mm: float
+    planned_angle_deg: float
+    turn_deg: float | None
+    strategy: str | None
+    motions: tuple[MotionRow, ...]
+
+    @property
+    def nearest(self) -> MotionRow | None:
+        """The motion that comes nearest to anything."""
+        known = [one for one in self.motions if one.closest is not None]
+        return min(known, key=lambda one: one.closest.distance_mm if one.closest else math.inf, default=None)
+
+    @property
+    def nearest_head_mm(self) -> float | None:
+        """Least distance of anything that moves to the head."""
+        return min((one.head_mm for one in self.motions if one.head_mm is not None), default=None)
+
+
+def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
+    """A row for each planned trajectory."""
+    checked, paths = reading.find(CheckedPlan), reading.find(CheckedPaths)
+    if checked is None:
+        return ()
+    return tuple(
+        PlanRow(
+            name=one.id,
+            entry_mm=one.entry_mm,
+            target_mm=one.target_mm,
+            depth_mm=one.depth_mm,
+            margin_mm=one.margin_mm,
+            planned_angle_deg=one.free_angle_deg,
+            turn_deg=_turn_deg(paths, one.id),
+            strategy=None if paths is None or one.id in paths.left_out else paths.strategy_of(one.id),
+            motions=() if paths is None else _motions(paths.motions, one.id),
+        )
+        for one in checked.plan.trajectories
+    )
+
+
+def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
+    turn_rad = None if paths is None else paths.free_angle_turns_rad.get(trajectory)
+    return None if turn_rad is None else math.degrees(turn_rad)
+
+
+def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
+    """The motions from and to places of this trajectory, in their order."""
+    return tuple(
+        MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
+        for one in previews
+        if trajectory in (one.start.split("/")[0], one.end.split("/")[0])
+    )
