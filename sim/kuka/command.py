@@ -65,7 +65,9 @@ def kuka(
     ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    world: Annotated[str | None, typer.Option(hidden=True)] = None,
+    world: Annotated[
+        str | None, typer.Option(hidden=True, help="Address of the theatre that starts it.")
+    ] = None,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated."""
     import gc

@@ -9,6 +9,7 @@ import importlib
 import pkgutil
 from types import ModuleType
 
+from api_pages import devices, numerics
 from checklists import checklist
 from data_files import REFERENCE
 from disturbance_table import disturbances
@@ -69,6 +70,8 @@ def tables() -> dict[str, str]:
         "answers.md": table(
             ("topic", "words"), [(f"`{topic}`", words(ANSWER_WORDS[topic])) for topic in Topic]
         ),
+        "api-devices.md": devices(),
+        "api-numerics.md": numerics(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
         "error-codes.md": _error_codes(),
         "export.md": _exported_fields(),

@@ -183,3 +183,21 @@ def test_resume_leaves_the_prompt_of_a_held_case_and_the_end_of_the_input_ends_i
     engine = cell.engine(plain_order())
     assert Typed(monkeypatch, "next", "resume", resumes=True).at(engine)
     assert not Typed(monkeypatch, "next", resumes=True).at(engine)
+
+
+def test_why_tells_of_a_step_that_has_run_that_its_result_stands(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    typed = Typed(monkeypatch, "next", "why image", "why")
+    typed.at(engine)
+    assert typed.said[-2] == "image is done and its result stands; back image repeats it"
+    assert "may begin" in typed.said[-1]
+
+
+def test_a_pause_at_an_idle_prompt_says_that_the_next_step_waits(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = Typed(monkeypatch, "pause")
+    typed.at(cell.engine(plain_order()))
+    assert typed.said == ["the case rests before the next step; while a step runs Ctrl-C pauses it"]

@@ -1,0 +1,47 @@
+"""Every command, argument and option explains itself, and so does everything on the pages about Python."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import Any
+
+import api_pages
+import pytest
+import typer
+
+COMMANDS = sorted(one.name for one in entry_points(group="console_scripts") if one.name.startswith("ronna-"))
+
+
+def commands_below(command: Any, path: str) -> Iterator[tuple[str, Any]]:
+    yield path, command
+    for name, one in getattr(command, "commands", {}).items():
+        yield from commands_below(one, f"{path} {name}")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_option_and_command_says_what_it_is_for(name: str) -> None:
+    (script,) = entry_points(group="console_scripts", name=name)
+    application = import_module(script.module).app
+    silent = [
+        f"{path} {' '.join(one.opts) if one is not command else ''}"
+        for path, command in commands_below(typer.main.get_command(application), name)
+        for one in (command, *command.params)
+        if not (one.help or "").strip()
+    ]
+    assert silent == []
+
+
+@pytest.mark.parametrize("page", [api_pages.numerics, api_pages.devices], ids=["numerics", "devices"])
+def test_everything_on_the_pages_about_python_has_its_words(page: Any) -> None:
+    lines = page().splitlines()
+    assert [line for line in lines if line.startswith("- ") and line.endswith(": ")] == []
+    assert len([line for line in lines if line.startswith("- ")]) > 30
+
+
+def test_what_a_driver_does_not_say_is_what_its_interface_says() -> None:
+    driver = api_pages.devices().partition("class `PolarisTracker`")[2]
+    told = next(line for line in driver.splitlines() if line.startswith("- **`observe("))
+    interface = api_pages.devices().partition("class `OpticalTracker`")[2]
+    assert told in interface

@@ -1,0 +1,132 @@
+"""Pages about what Python programs may call: signatures and docstrings, as they stand in the modules.
+
+A member without a docstring has that of the interface it fulfils: drivers inherit nothing but the words.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import procedures.imaging
+import procedures.registration
+import procedures.relocalization
+from drivers.basler_stereo import BaslerStereoPair
+from drivers.kuka_rsi import KukaRsiArm
+from drivers.ndi_polaris import PolarisTracker
+from procedures.exchange import raw_readings
+from procedures.strategies import strategy, trajectory
+from procedures.studies.own import contracts
+from ronna_hw import frames
+from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings
+from ronna_hw.devices.byte_sink import RecordsBytes
+
+
+@dataclass(frozen=True)
+class Part:
+    """Names of one module; of a driver, the interfaces whose words it inherits."""
+
+    module: str
+    objects: Sequence[Any]
+    interfaces: tuple[type, ...] = ()
+
+
+def _of(module: Any, *names: str) -> Part:
+    return Part(module.__name__, [getattr(module, name) for name in names or module.__all__])
+
+
+def _driver(kind: type, interface: type) -> Part:
+    return Part(kind.__module__.rpartition(".")[0], [kind], (interface, ConfirmedStart, RecordsBytes))
+
+
+def numerics() -> str:
+    """Registration, imaging, the stereo head, strategies, own methods, raw readings."""
+    return _page(
+        [
+            _of(procedures.registration),
+            _of(procedures.imaging),
+            _of(procedures.relocalization),
+            _of(strategy, "Strategy"),
+            _of(trajectory, "Trajectory"),
+            _of(contracts, "Localizer", "Pairing", "PairedRegistration", "StrategyFactory"),
+            _of(raw_readings, "RawReading", "raw_readings", "write_raw"),
+            _of(frames, "Frame", "Transform"),
+        ]
+    )
+
+
+def devices() -> str:
+    """The interfaces of devices, their readings, and the drivers."""
+    interfaces = Part("ronna_hw.devices", [lifecycle.Device, OpticalTracker, RobotArm, StereoPair])
+    own = [
+        one for one in vars(readings).values() if inspect.isclass(one) and one.__module__ == readings.__name__
+    ]
+    return _page(
+        [
+            interfaces,
+            Part(readings.__name__, own),
+            _driver(PolarisTracker, OpticalTracker),
+            _driver(KukaRsiArm, RobotArm),
+            _driver(BaslerStereoPair, StereoPair),
+        ]
+    )
+
+
+def _page(parts: Sequence[Part]) -> str:
+    return "\n".join(line for part in parts for line in _part(part)) + "\n"
+
+
+def _part(part: Part) -> Iterator[str]:
+    yield f"## `{part.module}`\n"
+    for one in part.objects:
+        if inspect.isclass(one):
+            yield from _class(one, part.interfaces)
+        else:
+            yield f"### `{one.__name__}{_signature(one)}`\n\n{_words(one)}\n"
+
+
+def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
+    yield f"### class `{one.__name__}`\n\n{_words(one)}\n"
+    for name, member in vars(one).items():
+        if name.startswith("_"):
+            continue
+        got = member.__func__ if isinstance(member, classmethod | staticmethod) else member
+        spoken = (getattr(got, "fget", got), *(getattr(two, name, None) for two in interfaces))
+        words = next((said for two in spoken if two is not None and (said := inspect.getdoc(two))), "")
+        if isinstance(got, property):
+            yield f"- **`{name}`**: {_on_one_line(words)}"
+        elif inspect.isfunction(got):
+            yield f"- **`{name}{_signature(got)}`**: {_on_one_line(words)}"
+    yield ""
+
+
+def _signature(function: Any) -> str:
+    """Without `self` and without types: they are in the module, and the words say what they are."""
+    given = inspect.signature(function)
+    kept = [
+        one.replace(annotation=one.empty, default=_default(one.default))
+        for one in given.parameters.values()
+        if one.name not in ("self", "cls")
+    ]
+    return str(given.replace(parameters=kept, return_annotation=given.empty))
+
+
+def _default(value: Any) -> Any:
+    return _Unsaid() if inspect.isfunction(value) else value
+
+
+class _Unsaid:
+    """Stands for a default that is a function: its words say what it does."""
+
+    def __repr__(self) -> str:
+        return "..."
+
+
+def _words(one: Any) -> str:
+    return inspect.cleandoc(one.__doc__ or "")
+
+
+def _on_one_line(words: str) -> str:
+    return " ".join(words.split())
