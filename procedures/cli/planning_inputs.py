@@ -31,6 +31,7 @@ class Theatre(NamedTuple):
     cell: CollisionConfig
     sight: StereoSight
     bore: GuideBore
+    reserve_mm: float  # more clearance for the stereo head: its own error, as the servo goes beside the path
 
 
 def theatre_of(
@@ -89,7 +90,13 @@ def theatre_of(
         ),
     )
     bore = ToolRecords.of(theatre).guide.bore
-    return Theatre(arm, theatre.cell_with_tools, StereoSight.of(theatre.calibration.stereo_head), bore)
+    return Theatre(
+        arm,
+        theatre.cell_with_tools,
+        StereoSight.of(theatre.calibration.stereo_head),
+        bore,
+        theatre.procedure.tool_error_mm,
+    )
 
 
 def in_its_scene(
@@ -106,7 +113,7 @@ def in_its_scene(
         frame = frame_bodies(planned.fiducials, markers)
     except LayoutNotFound:  # which the check refuses by itself
         frame = ()
-    scene = PlanningScene(theatre.cell, head_shape(volume), markers, frame)
+    scene = PlanningScene(theatre.cell, head_shape(volume), markers, frame).with_reserve(theatre.reserve_mm)
     return replace(theatre.arm, scene=scene)
 
 

@@ -6,7 +6,7 @@ A move between two approach points that is not clear goes via home, when that is
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from procedures.planning.planning_scene import PlanningScene
@@ -15,8 +15,7 @@ from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
-from ronna_hw.arm.pose import Pose
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.preview import PathPreview, preview
 from ronna_hw.devices.readings import JointVector
 
@@ -25,12 +24,16 @@ HOME = "home"
 
 @dataclass(frozen=True)
 class Motion:
-    """One motion of the procedure: a joint move or a straight line, from one named place to another."""
+    """One motion of the procedure: a joint move or a straight line, from one named place to another.
+
+    `clear` where it was swept, and was, before it was chosen.
+    """
 
     start: str
     end: str
     plan: MotionPlan
     around: Surroundings
+    clear: bool = False
 
     @property
     def kind(self) -> str:
@@ -65,6 +68,8 @@ def unclear(
     """
     found: dict[str, Unmet] = {}
     for motion in motions_of(setting, scene, check, trajectories):
+        if motion.clear:
+            continue
         bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
         if bad is not None:
             pose = motion.start if motion.end == HOME else motion.end
@@ -123,18 +128,15 @@ def _to(
     start, joints = stands
     name, kinematics = reached.visit.identifier, setting.kinematics
     straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
-    if start == HOME or sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
+    if start == HOME:
         yield straight
+    elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
+        yield replace(straight, clear=True)
     else:
         yield Motion(start, HOME, plan_joint_move(kinematics, joints, setting.start_rad, limits), around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
-    tool = setting.flange_from_tool
-    if reached.visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
-        tool = setting.flange_from_stereo
-    flange = Pose.from_transform(reached.visit.pose @ tool.inverse())
-    x, y, z = tool.translation_mm.tolist()
-    yield Motion(name, name, plan_line(kinematics, reached.approach_rad, flange, limits, (x, y, z)), around)
+    yield Motion(name, name, reached.line, around)
 
 
 def _home(

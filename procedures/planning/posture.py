@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.planning import plan_joint_move, plan_line
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
@@ -17,10 +17,15 @@ from ronna_hw.frames import Transform
 
 @dataclass(frozen=True)
 class Posture:
-    """Joint angles at the approach point and at the pose, joined by a straight line of the tool."""
+    """Joint angles at the approach point, and the straight line of the tool from there to the pose."""
 
     approach_rad: JointVector
-    at_rad: JointVector
+    line: MotionPlan
+
+    @property
+    def at_rad(self) -> JointVector:
+        """Joint angles at the pose."""
+        return self.line.target_rad
 
 
 def ranked_branches(
@@ -64,7 +69,7 @@ def place(
     )  # raises where the ranges' margin forbids to go there
     x, y, z = flange_from_tool.translation_mm.tolist()
     line = plan_line(kinematics, begin, Pose.from_transform(pose @ back), limits, (x, y, z))
-    return Posture(begin, line.target_rad)
+    return Posture(begin, line)
 
 
 def _solutions(kinematics: Kinematics, flange: Transform) -> tuple[Solution, ...]:

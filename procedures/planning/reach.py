@@ -134,7 +134,7 @@ def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
         abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
     ]
     journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
-    journey.reached.append(Reached(visit, posture.approach_rad, posture.at_rad))
+    journey.reached.append(Reached(visit, posture.approach_rad, posture.line))
     journey.near_rad, journey.last = posture.approach_rad, visit.identifier
 
 

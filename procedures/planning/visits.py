@@ -23,6 +23,7 @@ from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
@@ -59,11 +60,16 @@ class Visit:
 
 @dataclass(frozen=True)
 class Reached:
-    """A visit with the joint angles chosen for it, at the approach point and at the pose."""
+    """A visit with the joint angles chosen at its approach point, and the line from there to the pose."""
 
     visit: Visit
     approach_rad: JointVector
-    at_rad: JointVector
+    line: MotionPlan
+
+    @property
+    def at_rad(self) -> JointVector:
+        """Joint angles at the pose."""
+        return self.line.target_rad
 
 
 @dataclass(frozen=True)
