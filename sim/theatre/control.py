@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
-from sim.theatre.faults import DEVICES, begin_now, check_faults, parse_faults, parse_request
+from sim.theatre.faults import DEVICES, begin_now, begin_with_step, check_faults, parse_faults, parse_request
 from sim.theatre.hands import Hands
 from sim.theatre.left_world import write_left_world
 from sim.theatre.on_stand import OnStand
@@ -79,7 +79,12 @@ class Room:
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
 
     def _step(self, request: dict[str, Any]) -> None:
-        self._world.enter_step(str(request["name"]))
+        name = str(request["name"])
+        _, text = self._world.fault_script()
+        begun = begin_with_step(text, name, self._world.clock.now_s())
+        if begun != text:
+            self._world.set_fault_script(begun)
+        self._world.enter_step(name)
 
     def _work(self, request: dict[str, Any]) -> dict[str, Any]:
         numbers = [float(number) for number in request.get("numbers", ())]

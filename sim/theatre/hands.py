@@ -14,9 +14,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.wire.room_tasks import DEPTH_STOP, DRILL, DURA, GAUGE, INSERT, OUT, SKIN
-from sim.theatre.faults import FaultBoard
-from sim.theatre.faults.room import DEVICE, WRONG_STOP
+from ronna_hw.wire.room_tasks import (
+    CART_LOCK,
+    CART_PLACE,
+    CART_PUSH,
+    DEPTH_STOP,
+    DRILL,
+    DURA,
+    GAUGE,
+    HEAD_CLAMP,
+    INSERT,
+    OUT,
+    SKIN,
+)
+from sim.theatre.faults import FaultBoard, begin_now
+from sim.theatre.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.theatre.noise import noise
 from sim.theatre.rigid import Matrix, inverse
 from sim.theatre.true_guide import TrueGuide, calibrated_tip
@@ -45,7 +57,8 @@ class Hands:
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
-            **dict.fromkeys((SKIN, DRILL, DURA), nothing),
+            **dict.fromkeys((SKIN, DRILL, DURA, HEAD_CLAMP, CART_PLACE, CART_LOCK), nothing),
+            CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
             OUT: nothing,
             GAUGE: lambda: self._read_gauge(numbers),
@@ -69,6 +82,15 @@ class Hands:
         sample = sample_instrument(self._world, self._guide, trajectory, self._stop_mm, again)
         if self._folder is not None:
             append_sample(sample, self._folder)
+        return ()
+
+    def _push_cart(self) -> Readings:
+        """A cart that stands locked stays; another one rolls, and stays there."""
+        for fault in self._board.active(UNLOCKED.name):
+            way = " ".join(fault.arguments)
+            _, text = self._world.fault_script()
+            rolled = begin_now(f"{DEVICE} shift {CART} {way} mm", self._world.clock.now_s())
+            self._world.set_fault_script(f"{text}\n{rolled}")
         return ()
 
     def _read_gauge(self, numbers: Sequence[float]) -> Readings:

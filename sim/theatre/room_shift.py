@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER
+from sim.theatre.faults.room import CART, DEVICE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, UNLOCKED
 from sim.theatre.world import World
 
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 STILL: Vector = (0.0, 0.0, 0.0)
+SECONDS_PER_MINUTE = 60.0
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,7 @@ class ShiftedRoom:
     """Asks the fault board of the room; cheap while it has no fault."""
 
     def __init__(self, world: World) -> None:
+        self._world = world
         self._board = FaultBoard(world, DEVICE)
         self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
 
@@ -50,7 +52,7 @@ class ShiftedRoom:
         if self._board.empty:
             return NOTHING_MOVED
         faults = self._board.active(SHIFT.name)
-        cart = _sum(faults, CART)
+        cart = _total([_sum(faults, CART), *rolled_mm(self._board, self._world.clock.now_s())])
         pushes = self._board.active(PUSH.name)
         x_N, y_N, z_N = (sum(float(one.arguments[axis]) for one in pushes) for axis in range(3))
         give = (x_N / self._stiffness_N_mm, y_N / self._stiffness_N_mm, z_N / self._stiffness_N_mm)
@@ -63,8 +65,22 @@ class ShiftedRoom:
         )
 
 
+def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:
+    """How far the cart has rolled since its brakes were open, by each fault of the room that says so."""
+    return tuple(
+        _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
+        for fault, onset_s in board.acting_since()
+        if fault.kind is UNLOCKED
+    )
+
+
 def _sum(faults: tuple[Fault, ...], what: str) -> Vector:
-    ways = [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
+    return _total(
+        [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
+    )
+
+
+def _total(ways: Sequence[Sequence[float]]) -> Vector:
     x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
     return (x, y, z)
 

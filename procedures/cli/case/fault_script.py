@@ -10,7 +10,7 @@ from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import UsageMistake
 
 LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
-_STEP_OF_LINE = re.compile(r"\s*when\s+step\s*==\s*(?P<step>\w+)")
+_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)")
 
 
 def check_fault_script(path: Path, step_names: Collection[str]) -> None:

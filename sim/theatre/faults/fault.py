@@ -22,6 +22,7 @@ class Fault:
     duration_s: float  # theatre time; 0 for a momentary fault, infinite when no end is given
     at_s: float | None = None
     step: str | None = None
+    lasts: bool = False  # beyond that step
     cycle: int | None = None  # of the robot's controller
     line: int = 1  # of the script
 
@@ -44,7 +45,7 @@ class Fault:
         """What it does, and when, for the one who has just asked for it."""
         begins = "from now on" if self.at_s is None else f"from {self.at_s:.3f} s of theatre time on"
         if self.step is not None:
-            begins = f"whenever the step {self.step} begins"
+            begins = f"{'once' if self.lasts else 'whenever'} the step {self.step} begins"
         if self.cycle is not None:
             begins = f"from cycle {self.cycle} on"
         lasts = "until it is cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
@@ -58,6 +59,10 @@ class Fault:
             return self.at_s
         if self.cycle is not None:
             return cycle_began_s(self.cycle)
-        if self.step in (step, step.partition(":")[0]):
+        if self.begins_in(step) and not self.lasts:  # the control port gives those a time
             return step_started_s
         return math.inf
+
+    def begins_in(self, step: str) -> bool:
+        """Whether it begins with that step."""
+        return self.step in (step, step.partition(":")[0])

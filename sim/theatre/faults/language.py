@@ -3,16 +3,19 @@
     at 12.5 s: tracker occlude marker 3 for 2 s
     when step == relocalization: robot drop 5 % for 1 s
     at cycle 500: robot drop 100 % for 0.012 s
+    since step == relocalization:T2: room shift cart 0 2 0 mm
     now: tracker occlude tool robot_frame for 1 s
 
 Times are theatre time. Cycles are telegrams that the robot's controller has sent since it was started. A
-fault of `when` begins with the step; `relocalization:T1` is the step of one trajectory, `relocalization` that
-of each. `now` is for the control port; in a script it is the beginning.
+fault of `when` acts while the step runs, one of `since` from its first beginning on; `relocalization:T1` is
+the step of one trajectory, `relocalization` that of each. `now` is for the
+control port; in a script it is the beginning.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from difflib import get_close_matches
 from functools import cache
@@ -35,9 +38,9 @@ if TYPE_CHECKING:
     from lark.exceptions import UnexpectedInput
 
 FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
-NOW = "now"
+NOW, SINCE = "now", "since"
 CYCLES_OF = "robot"  # the device whose cycles a script can name
-TRIGGERS = ("at", "when", NOW)
+TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
 MOST_MISTAKES = 20  # that are told at once; each costs a search for what was meant
@@ -53,16 +56,19 @@ READABLE = {
     "STEP": "the name of a step",
 }
 
+STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
+_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}\s*:")
 GRAMMAR = r"""
 start: statement?
 statement: trigger ":" fault duration?
 ?trigger: "at" NUMBER "s"            -> at
         | "at" "cycle" INT           -> at_cycle
         | "when" "step" "==" STEP    -> when
+        | "since" "step" "==" STEP   -> since
         | "now"                      -> now
 duration: "for" NUMBER "s"
 ?fault: {faults}
-STEP: /[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?/
+STEP: /{step}/
 NAME: /[A-Za-z0-9_][A-Za-z0-9_.-]*/
 SIGNED: /[+-]?[0-9]+([.][0-9]+)?/
 COMMENT: /#[^\n]*/
@@ -120,6 +126,15 @@ def begin_now(line: str, now_s: float) -> str:
         return f"at {now_s:.6f} s: {line}"
     trigger, colon, rest = line.partition(":")
     return f"at {now_s:.6f} s{colon}{rest}" if trigger.strip() == NOW else line
+
+
+def begin_with_step(text: str, step: str, now_s: float) -> str:
+    """The script in which the faults that last since that step begin at the present theatre time."""
+    begins = [fault.line for fault in parse_faults(text) if fault.lasts and fault.begins_in(step)]
+    lines = text.split("\n")
+    for number in begins:
+        lines[number - 1] = _SINCE_STEP.sub(f"at {now_s:.6f} s:", lines[number - 1])
+    return "\n".join(lines)
 
 
 def _begins(line: str) -> bool:
@@ -246,7 +261,7 @@ def _grammar() -> Lark:
         " ".join([f'"{kind.device}"', *(_symbol(word) for word in kind.phrase.split())]) + f" -> {kind.name}"
         for kind in FAULT_KINDS
     )
-    return Lark(GRAMMAR.replace("{faults}", alternatives), parser="lalr")
+    return Lark(GRAMMAR.replace("{faults}", alternatives).replace("{step}", STEP), parser="lalr")
 
 
 def _symbol(word: str) -> str:
@@ -264,7 +279,8 @@ def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
         arguments=tuple(str(argument) for argument in phrase.children),
         duration_s=duration_s,
         at_s=float(begin) if trigger.data in ("at", NOW) else None,
-        step=begin if trigger.data == "when" else None,
+        step=begin if trigger.data in ("when", SINCE) else None,
+        lasts=trigger.data == SINCE,
         cycle=int(begin) if trigger.data == "at_cycle" else None,
         line=line,
     )

@@ -18,6 +18,12 @@ SHIFT = lasting(
     "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
     OneOf("to move the", (HEAD, CART, TRACKER)),
 )
+UNLOCKED = lasting(
+    "unlocked",
+    "unlocked cart SIGNED SIGNED SIGNED mm per min",
+    "The brakes of the robot's cart are open: it rolls at that rate along the robot's x, y and z, and by as "
+    "much as in a minute when somebody leans on it.",
+)
 LOOSEN = lasting(
     "loosen",
     "loosen marker INT SIGNED SIGNED SIGNED mm",
@@ -53,6 +59,7 @@ WRONG_LOAD = lasting(
 )
 ROOM_FAULTS = (
     SHIFT,
+    UNLOCKED,
     LOOSEN,
     PUSH,
     WRONG_STOP,

@@ -6,8 +6,10 @@ import math
 
 from sim.theatre.faults.board import FaultBoard
 from sim.theatre.faults.camera import TWIST
-from sim.theatre.faults.room import PUSH, ROOM_FAULTS
+from sim.theatre.faults.room import CART, PUSH, ROOM_FAULTS
+from sim.theatre.faults.room import DEVICE as ROOM
 from sim.theatre.faults.tracker import DISPLACED_TOOLS
+from sim.theatre.room_shift import rolled_mm
 from sim.theatre.world import World
 
 STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLACED_TOOLS)
@@ -17,6 +19,8 @@ def standing_faults(world: World) -> str:
     """The script by which a world that goes on has them still, to the end that they were given."""
     now_s = world.clock.now_s()
     lines = []
+    for way in rolled_mm(FaultBoard(world, ROOM), now_s):
+        lines.append(f"at {now_s:.6f} s: {ROOM} shift {CART} {' '.join(f'{value:.6f}' for value in way)} mm")
     for device in sorted({kind.device for kind in STANDING}):
         for fault, onset_s in FaultBoard(world, device).acting_since():
             if fault.kind in STANDING:

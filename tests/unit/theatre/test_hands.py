@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.wire.room_tasks import DEPTH_STOP, INSERT, SKIN
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, INSERT, SKIN
 from sim.theatre.control import Room
 from sim.theatre.hands import Hands
 from sim.theatre.rigid import matrix_of
+from sim.theatre.room_shift import ShiftedRoom
 from sim.theatre.scene.model import Guide
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import read_samples
@@ -87,3 +88,33 @@ def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> No
         answer = room.answer(request)
         assert not answer["ok"]
         assert "bad request" in answer["reason"]
+
+
+def shift_mm(world: World) -> tuple[float, float, float]:
+    """Of the head, as the robot sees it."""
+    return ShiftedRoom(world).now().head_mm
+
+
+def test_a_locked_cart_stands_when_somebody_leans_on_it() -> None:
+    world = a_world()
+    Hands(world, None).work(CART_PUSH, "", ())
+    assert shift_mm(world) == (0.0, 0.0, 0.0)
+
+
+def test_a_cart_that_is_not_locked_rolls_and_stays_where_it_was_pushed_to() -> None:
+    world = a_world()
+    world.set_fault_script("at 0 s: room unlocked cart 6 0 -3 mm per min")
+    world.clock.advance_cycle(30_000_000_000)
+    assert shift_mm(world) == pytest.approx((-3.0, 0.0, 1.5))
+    Hands(world, None).work(CART_PUSH, "", ())
+    assert shift_mm(world) == pytest.approx((-9.0, 0.0, 4.5))
+
+
+def test_a_fault_since_a_step_begins_with_it_and_outlasts_it() -> None:
+    world = a_world()
+    room = Room(world, None)
+    world.set_fault_script("since step == relocalization:T2: room shift cart 0 2 0 mm  # kicked")
+    for step, moved_mm in (("relocalization:T1", 0.0), ("relocalization:T2", -2.0), ("retreat:T1", -2.0)):
+        assert room.answer({"do": "step", "name": step})["ok"]
+        assert shift_mm(world)[1] == moved_mm, step
+    assert "since" not in world.fault_script()[1]

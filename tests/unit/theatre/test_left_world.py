@@ -72,6 +72,20 @@ def test_what_was_moved_or_bent_stays_so_and_what_hid_or_pressed_is_gone(
     assert FaultBoard(again, "tracker").empty
 
 
+def test_a_cart_that_has_rolled_goes_on_from_where_it_is(tmp_path: Path) -> None:
+    scene = named_scene("mini", seed=3)
+    world = World.create(scene, paced=False)
+    world.set_fault_script("at 0 s: room unlocked cart 0 6 0 mm per min")
+    world.clock.advance_cycle(30_000_000_000)
+    write_left_world(world, tmp_path)
+    left = read_left_world(tmp_path)
+    assert left is not None
+    again = left.go_on(scene, paced=False)
+    assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -3.0, 0.0))
+    again.clock.advance_cycle(10_000_000_000)
+    assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -4.0, 0.0))
+
+
 def test_a_folder_in_which_no_theatre_ended_leaves_nothing_to_go_on_with(tmp_path: Path) -> None:
     assert read_left_world(tmp_path) is None
 
