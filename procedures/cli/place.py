@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -54,6 +55,12 @@ def place(
     within: Annotated[
         float, typer.Option("--within", metavar="MM", min=60.0, max=1000.0, help="How far the map extends.")
     ] = 240.0,
+    turned: Annotated[
+        float,
+        typer.Option(
+            metavar="DEG", min=-180.0, max=180.0, help="How far the cart is turned, left seen from above."
+        ),
+    ] = 0.0,
     home: Annotated[
         SixNumbers | None,
         typer.Option(metavar="A1 .. A6", help="Joint angles at which the arm starts, deg."),
@@ -68,17 +75,20 @@ def place(
 ) -> None:
     """Map where the cart may stand, and propose the place that may be missed by most.
 
-    Places are those to which the cart is pushed from the assumed one, along x and y of its $ROBROOT, without
-    turning it. Each is judged as the path check judges: every pose of the strategy, joint ranges, clearance,
-    sight of the stereo head and, with --robot-from-tracker, of the tracker. The map is of what the coarse
-    registration will find again: it replaces no path check.
+    Places are those to which the cart is pushed from the assumed one, along x and y of its $ROBROOT, and
+    turned about its z by --turned. Each is judged as the path check judges: every pose of the strategy, joint
+    ranges, clearance, sight of the stereo head and, with --robot-from-tracker, of the tracker. The map is of
+    what the coarse registration will find again: it replaces no path check.
 
     Exit codes: 0 there is a place, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
     """
     console.set_up_logging(verbose)
     began_s = time.perf_counter()
     if strategy == CHOSEN_BY_PLACE:
-        raise UsageMistake(f"--strategy {strategy} is chosen for one place of the cart: name the others")
+        raise UsageMistake(
+            f"--strategy {strategy} chooses by the errors at one place of the cart, after it is known",
+            action="Map with --strategy ocs: where that serves, a case with best has it to choose from.",
+        )
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     assert theatre is not None
     from procedures.planning.cart.cart_case import CartCase
@@ -98,11 +108,18 @@ def place(
     trajectories = held_trajectories(plan, theatre.bore)
     case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)
     with console.progress_bar("mapping places") as advance, judging(case) as judge:
-        found = propose_place(map_places(within, judge, advance), judge)
+        found = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
+    payload = {
+        "series_instance_uid": plan.series_instance_uid,
+        "assumed_robot_from_ct": list(robot_from_ct),
+        "strategy": strategy,
+        **found.as_payload(),
+        "elapsed_s": round(time.perf_counter() - began_s, 3),
+    }
     if out is not None:
-        _write(out, found, case, time.perf_counter() - began_s)
+        _write(out, payload, found, case)
     if as_json:
-        console.print_json({**found.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
+        console.print_json(payload)
         return
     _print(found)
 
@@ -117,14 +134,13 @@ def _tracker_at(numbers: SixNumbers) -> Transform:
     )
 
 
-def _write(out: Path, found: PlaceProposal, case: CartCase, elapsed_s: float) -> None:
+def _write(out: Path, payload: dict[str, Any], found: PlaceProposal, case: CartCase) -> None:
     from procedures.planning.cart.picture import place_picture
     from ronna_hw.records import write_whole
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        content = json.dumps({**found.as_payload(), "elapsed_s": round(elapsed_s, 3)}, indent=1)
-        write_whole(out / "place.json", content.encode())
+        write_whole(out / "place.json", json.dumps(payload, indent=1).encode())
         write_whole(out / "place.svg", place_picture(found, case))
     except OSError as error:
         raise UsageMistake(
@@ -140,11 +156,12 @@ def _print(found: PlaceProposal) -> None:
     console.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map can be reached")
     console.print_table(
         "push the cart from the assumed place by",
-        ["x mm", "y mm", "may be missed by mm", "may be turned by deg"],
+        ["x mm", "y mm", "turned deg", "may be missed by mm", "or half that, turned by deg"],
         [
             [
                 f"{best.x_mm:+.0f}",
                 f"{best.y_mm:+.0f}",
+                f"{math.degrees(best.turn_rad):+g}",
                 f"{found.free_mm:.0f}",
                 f"-{found.turns_deg[0]:g} to +{found.turns_deg[1]:g}",
             ]

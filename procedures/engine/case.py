@@ -8,7 +8,7 @@ RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar, cast
@@ -70,23 +70,44 @@ class Case:
         named = (stored.result.names_series() for stored in self._standing.values())
         return next((series for series in named if series), None)
 
-    def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
-        """What a new result of that step supersedes: its former result and whatever descends from it."""
+    def superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
+        """What a new result of that step supersedes: its former result and whatever descends from it.
+
+        Of `finished` trajectories nothing: what was done there was done.
+        """
         former = self._standing.get(key)
-        gone: dict[str, Record] = {} if former is None else {former.record.identifier: former.record}
+        gone: dict[str, Record] = {}
         for stored in self._standing.values():  # a parent stands before its children
-            if not gone.keys().isdisjoint(stored.record.parents):
+            descends = stored is former or not gone.keys().isdisjoint(stored.record.parents)
+            if descends and stored.record.trajectory not in finished:
                 gone[stored.record.identifier] = stored.record
         return tuple(gone.values())
+
+    @property
+    def past(self) -> frozenset[str]:
+        """Identifiers of results that stand without their ancestors, of finished trajectories."""
+        standing = {stored.record.identifier for stored in self._standing.values()}
+        past: set[str] = set()
+        for stored in self._standing.values():
+            if any(parent not in standing or parent in past for parent in stored.record.parents):
+                past.add(stored.record.identifier)
+        return frozenset(past)
+
+    @property
+    def past_trajectories(self) -> frozenset[str]:
+        """Those of which such results stand: nothing is done for them any more."""
+        past = self.past
+        named = (one.record for one in self._standing.values() if one.record.identifier in past)
+        return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
         """Let a result stand in place of those that it supersedes."""
         self.void(key)
         self._standing[key] = stored
 
-    def void(self, key: StepKey) -> None:
-        """Let neither the result of that step stand, nor what descends from it."""
-        gone = self.superseded_by(key)
+    def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
+        """Let neither the result of that step stand, nor what descends from it; but as `superseded_by`."""
+        gone = self.superseded_by(key, finished)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
 

@@ -43,6 +43,11 @@ class ClinicalInput:
     strategy: Strategy
     measure_targets: bool = False  # on a phantom
 
+    @property
+    def place(self) -> Path:
+        """Where the cart's proposed place is, beside the plan, if there is one."""
+        return self.plan.with_name("place.json")
+
 
 @dataclass(frozen=True)
 class CaseSetting:
@@ -92,8 +97,12 @@ class StepContext:
         return stored.result
 
     def is_last_trajectory(self) -> bool:
-        """Whether this step has been done for every other trajectory; then those results are read."""
-        others = [StepKey(self.key.name, name) for name in self.remaining if name != self.trajectory]
+        """Whether this step has been done for every other trajectory; then those results are read.
+
+        What was finished before something moved is done.
+        """
+        done = {self.trajectory, *self._case.past_trajectories}
+        others = [StepKey(self.key.name, name) for name in self.remaining if name not in done]
         if not all(map(self._case.stands, others)):
             return False
         for other in others:
@@ -187,9 +196,12 @@ class StepContext:
     def standing(self, model: type[R]) -> tuple[R, ...]:
         """Every standing result of a step, of any trajectory, the last one last.
 
-        For what watches: it makes none of them a parent, so no result may depend on them.
+        For what watches: it makes none of them a parent, so no result may depend on them. Those of finished
+        trajectories are left aside that were made before something moved.
         """
-        return tuple(one.result for one in self._case.standing if isinstance(one.result, model))
+        past = self._case.past
+        stands = [one for one in self._case.standing if one.record.identifier not in past]
+        return tuple(one.result for one in stands if isinstance(one.result, model))
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:
         """As `void`, for every trajectory that has a standing result of a step."""

@@ -79,6 +79,8 @@ class Engine:
         self._before_result = before_result
         self._recorders = recorders
         self._latest = latest  # the step that was done last
+        # Whether a case goes on by itself that a step's error has stopped: somebody has agreed.
+        self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False
         setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
 
     @property
@@ -100,8 +102,10 @@ class Engine:
         return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
 
     def _settled(self, key: StepKey) -> bool:
-        """Whether a step's result stands, or its trajectory is left out."""
-        return self.case.stands(key) or self.left_out(key) is not None
+        """Whether a step's result stands, or its trajectory is left out, or was finished before a move."""
+        if self.case.stands(key) or self.left_out(key) is not None:
+            return True
+        return key.trajectory is not None and key.trajectory in self.case.past_trajectories
 
     @property
     def instrument_in(self) -> str | None:
@@ -136,7 +140,14 @@ class Engine:
             for model in spec.reads
             if self.case.find(model, key.trajectory) is None
         )
-        return missing or spec.preconditions(self.context(key))
+        return missing or self._past(key) or spec.preconditions(self.context(key))
+
+    def _past(self, key: StepKey) -> tuple[str, ...]:
+        """Results of a finished trajectory are there to be shown: nothing moves by them again."""
+        past = self.case.past
+        found = (self.case.find(model, key.trajectory) for model in self.order.spec(key).reads)
+        names = [one.record.identifier for one in found if one is not None and one.record.identifier in past]
+        return (f"made before something moved: {', '.join(names)}",) if names else ()
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
@@ -185,7 +196,12 @@ class Engine:
     def run_to(self, last: StepKey | None = None) -> None:
         """Run the upcoming steps up to and including `last`, or all."""
         while (key := self.upcoming) is not None:
-            self.run_step(key)
+            try:
+                self.run_step(key)
+            except RonnaError as problem:
+                if not self.goes_on(problem):
+                    raise
+                continue
             if key == last:
                 return
 
@@ -347,10 +363,11 @@ class Engine:
         return stored
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
-        """A standing result no longer holds, nor what descends from it."""
-        gone = [record.identifier for record in self.case.superseded_by(key)]
+        """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
+        finished = self.order.finished(self.case.stands)
+        gone = [record.identifier for record in self.case.superseded_by(key, finished)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
-        self.case.void(key)
+        self.case.void(key, finished)
         for identifier in gone:
             self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
 

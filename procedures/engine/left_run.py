@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,9 +79,9 @@ class LeftRun:
                 _require_superseded(case, key, line)
                 case.accept(key, Stored(record, typed(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
-                key = step_key(line)
-                _require_superseded(case, key, line)
-                case.void(key)
+                key, finished = step_key(line), order.finished(case.stands)
+                _require_superseded(case, key, line, finished)
+                case.void(key, finished)
             elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again
                 for name in _names(line, "steps"):
                     case.doubt(order.find(name), str(line.get("fault")))
@@ -102,8 +103,8 @@ def step_key(line: Line) -> StepKey:
     return StepKey(name, trajectory or None)
 
 
-def _require_superseded(case: Case, key: StepKey, line: Line) -> None:
-    if [one.identifier for one in case.superseded_by(key)] != list(_names(line, "supersedes")):
+def _require_superseded(case: Case, key: StepKey, line: Line, finished: Sequence[str] = ()) -> None:
+    if [one.identifier for one in case.superseded_by(key, finished)] != list(_names(line, "supersedes")):
         raise JournalCorrupt(f"line {line['sequence']} supersedes other results than {key} does")
 
 

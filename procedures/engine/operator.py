@@ -23,6 +23,10 @@ class Topic(StrEnum):
     PATIENT = "patient"  # that this is the patient and the plan
     RESUME = "resume"  # what was found again after a restart
     FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
+    HEAD_CLAMPED = "head_clamped"  # and the clamp locked to the table
+    CART_PLACE = "cart_place"  # the cart stands elsewhere than its place was proposed
+    CART_LOCKED = "cart_locked"  # its brakes are closed
+    CART_MOVED = "cart_moved"  # or the tracker, after the localization: the case goes on from there
     SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
     UNMATCHED_SPHERE = "unmatched_sphere"  # one is not where the CT has it, as the tracker sees
     REACH = "reach"  # the arm cannot reach a trajectory
@@ -68,6 +72,7 @@ DELIBERATE = frozenset(
         Topic.PAUSE,
         Topic.HEAD_UNSEEN,
         Topic.MOVE_FOLLOWED,
+        Topic.CART_MOVED,
         Topic.UNVERIFIED,
     }
 )

@@ -37,6 +37,11 @@ class CaseOrder:
         """The steps that say where the head is before the arm."""
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
+    def finished(self, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
+        """The trajectories at whose targets the work is done."""
+        last = (key for key in self.sequence if self.spec(key).finishes and stands(key))
+        return tuple(key.trajectory for key in last if key.trajectory is not None)
+
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
         """The steps that must have been done before `key`: those of other trajectories need not."""
         earlier = self.sequence[: self.sequence.index(key)]

@@ -65,7 +65,9 @@ class StepSpec(Generic[R_co]):
 
     `reads` are the results it needs and may read, of its own trajectory where they belong to one.
     `continues` says that it may only follow the step before it in the case, for the same trajectory, and that
-    nothing else may come between. `preconditions` are checked besides, and say in plain words what is unmet.
+    nothing else may come between. `finishes` says that the work at a target is done with it: what moves later
+    voids no result of that trajectory, and nothing more is done for it. `preconditions` are checked besides,
+    and say in plain words what is unmet.
     """
 
     result: type[R_co]
@@ -76,6 +78,7 @@ class StepSpec(Generic[R_co]):
     reads: tuple[type[StepResult], ...] = ()
     moves: bool = False
     continues: bool = False
+    finishes: bool = False
     preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
 
     @property

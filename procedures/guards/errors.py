@@ -16,6 +16,7 @@ class BaseShifted(RefusedError):
         "Find out what was moved and lock it, then localize again from global_localization on; with the "
         "guide mounted send the arm home first."
     )
+    cart: bool = True  # else it was the tracker
 
 
 class InputChanged(RefusedError):

@@ -204,11 +204,13 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
     # The frame moves with the cart, and against the tracker; the head only against the tracker.
     tracker = head_mm is not None and float(np.linalg.norm(head_mm - base_mm)) < BASE_LIMIT_MM / 2.0
     way_mm = -base_mm if tracker else base_mm
-    return BaseShifted(
+    shifted = BaseShifted(
         f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_in_words(way_mm)}",
         limit=f"{limit_mm:g} mm",
         got=f"{np.linalg.norm(base_mm):.2f} mm",
     )
+    shifted.cart = not tracker
+    return shifted
 
 
 def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_apart: bool) -> PatientMoved:

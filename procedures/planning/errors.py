@@ -155,6 +155,13 @@ class NoMarkerSites(PlanError):
     action = "Ask for fewer --markers, or move an entry point."
 
 
+class PlaceUnfit(PlanError):
+    """The file of a proposed place cannot be read, or was made for another CT."""
+
+    code = "PLAN-022"
+    action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or take it out of the case folder."
+
+
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
     """Raise nothing for no findings, the finding for one, and one error that lists them for several."""
     if not findings:

@@ -19,11 +19,12 @@ from procedures.planning.alternatives import BY_ACCURACY
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
-from procedures.steps.clinical.errors import DepthStopWrong, ToolBesideGauge
+from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
+AGAIN, AS_IT_STANDS = "placed again", "as it stands"
 
 
 def use(strategy: str) -> str:
@@ -33,6 +34,7 @@ def use(strategy: str) -> str:
 
 FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
 SETTINGS = 3  # of a depth stop, before the case is held
+PLACINGS = 3  # of the cart, before the case is held
 MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
@@ -181,6 +183,37 @@ REFERENCE_MOVED = Branch(
     Ending.HOLD,
     (BaseShifted, PatientMoved),
 )
+CART_MISPLACED = Branch(
+    "the cart stands elsewhere than `ronna-plan place` proposed",
+    "place.json of the case, against frame on the arm and spheres as the tracker sees them",
+    ("cart_lock",),
+    f"how far to push it is told; it is placed again, {PLACINGS} times at most, or stays when the operator "
+    "says so: the path check judges the real place",
+    Ending.ASK,
+    (CartMisplaced,),
+    Topic.CART_PLACE,
+    (AGAIN, AS_IT_STANDS, HOLD),
+)
+CART_UNLOCKED = Branch(
+    "the cart is not locked",
+    "nobody confirms it, or the frame on the arm moves against the spheres while somebody leans on the cart; "
+    "0.3 mm",
+    ("cart_lock",),
+    "nothing is localized and nothing moves; it is locked, and leaned on again",
+    Ending.HOLD,
+    (CartNotLocked,),
+)
+CART_MOVED = Branch(
+    "the cart or the tracker has moved, and what depends on its place is void",
+    "the frame on the arm by tracker and arm, as above",
+    ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat"),
+    "when the operator agrees the arm goes home, the cart is locked again, and the case goes on from the "
+    "global localization; CT and plan stand, and what was done at finished targets",
+    Ending.ASK,
+    (BaseShifted,),
+    Topic.CART_MOVED,
+    (GO_ON, HOLD),
+)
 MOVE_FOLLOWED = Branch(
     "with the guide mounted the head has moved by up to 5 mm and 2 degrees, as one body, and lies still",
     "60 frames of the tracker, arm at home, with the frame on the arm where it was",
@@ -310,7 +343,10 @@ BRANCHES = (
         WRONG_SPHERE,
     ),
     *(
+        CART_MISPLACED,
+        CART_UNLOCKED,
         REFERENCE_MOVED,
+        CART_MOVED,
         MOVE_FOLLOWED,
         MOVED_SPHERE,
         FIT_DISAGREES,

@@ -5,10 +5,12 @@ from __future__ import annotations
 from procedures.engine.order import Steps
 from procedures.steps.clinical import (
     at_target,
+    cart_lock,
     correspondence,
     ct_import,
     fiducial_localization,
     global_localization,
+    head_clamp,
     path_check,
     plan_check,
     positioning,
@@ -26,7 +28,9 @@ CLINICAL_STEPS: Steps = (
     fiducial_localization.STEP,
     plan_check.STEP,
     set_up.STEP,
-    global_localization.STEP,
+    head_clamp.STEP,
+    cart_lock.STEP,
+    global_localization.IN_CASE,
     correspondence.STEP,
     path_check.STEP,
     relocalization.STEP,

@@ -19,6 +19,7 @@ from ronna_hw.frames import Frame, Transform
 
 FRAMES = 60  # one second of a 60 Hz tracker
 FRAME_S = 1 / 60
+LEAST_FRAMES_WITH_TOOL = 30
 READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
@@ -75,6 +76,34 @@ def fresh_frames(
         else:
             clock.sleep(FRAME_S / 2)
     return frames, lost
+
+
+def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
+    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it. Raises PRO-007."""
+    poses = poses_of(frames, tool)
+    if len(poses) < LEAST_FRAMES_WITH_TOOL:
+        why, action = _why_unseen(frames, tool)
+        raise GateFailed(
+            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames{why}",
+            limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
+            action=f"{action}, then repeat the step.",
+        )
+    return mean_of(poses)
+
+
+def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
+    """What most frames without the tool have in common, and what to do about it."""
+    readings = [frame.tool(tool) for frame in frames]
+    outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
+    disturbed = sum(
+        Validity.PARTIAL in (frame.validity, reading.validity)
+        for frame, reading in zip(frames, readings, strict=True)
+    )
+    if outside > disturbed:
+        return f", outside the measuring volume in {outside}", "Move the tracker so that the tool is inside"
+    if disturbed:
+        return f", disturbed by infrared light in {disturbed}", "Shade the tracker from sun and lamps"
+    return "", "Clear the line of sight between tracker and tool"
 
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:

@@ -18,7 +18,7 @@ from sim.cli import app as ronna_sim
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_LINES = 125
+MINI_LINES = 135
 FULL_LINES = (5, 48, 91, 112, 134, 176, 219, 240, 282, 304)  # of 333
 FULL = ("run", "--sim", "--seed", "7", "--json")
 # A sphere is centred, the tool exchanged, the mandrel is in the gauge, the guide is held, the instrument goes

@@ -23,10 +23,12 @@ from procedures.registration.verification import TwoWayTable
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -260,6 +262,14 @@ def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
     )
 
 
+def clamped_head() -> ClampedHead:
+    return ClampedHead(patient_position=PatientPosition.HFS, spheres=4, implanted=4)
+
+
+def locked_cart() -> LockedCart:
+    return LockedCart(placings=1, moved_mm=(0.0, 0.0, 0.0), spheres=4, beside_mm=None, turned_deg=None)
+
+
 def global_localization(points_mm: Array = SPHERES_MM) -> GlobalLocalization:
     """What the tracker saw, from a place at the robot's origin."""
     points = tuple(points_mm.tolist())
@@ -291,7 +301,7 @@ def correspondence(robot_from_ct: Transform = ROBOT_FROM_CT) -> Correspondence:
 def up_to_correspondence(cell: RecordingCell) -> tuple[StepResult, ...]:
     """What every step up to the coarse registration leaves."""
     before = (imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell))
-    return (*before, *coarse())
+    return (*before, clamped_head(), locked_cart(), *coarse())
 
 
 def coarse() -> tuple[StepResult, ...]:

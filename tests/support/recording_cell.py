@@ -192,15 +192,21 @@ class RecordingArm(RecordingDevice):
 
 
 class RecordingOperator:
-    """Goes on, or by `refusing` some topics answers these as silence would; remembers the questions."""
+    """Goes on, or by `refusing` some topics answers these as silence would; remembers the questions.
+
+    `answers` has the words for some topics.
+    """
 
     def __init__(self, *refusing: Topic) -> None:
         self.refusing = refusing
         self.asked: list[Question] = []
+        self.answers: dict[Topic, str] = {}
 
     def ask(self, question: Question) -> str:
         self.asked.append(question)
-        return question.silence if question.topic in self.refusing else question.answers[0]
+        if question.topic in self.refusing:
+            return question.silence
+        return self.answers.get(question.topic, question.answers[0])
 
 
 @dataclass

@@ -16,9 +16,11 @@ from user_commands import Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.studies.accuracy.postures import ARM, TOOL_MM
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.solving import PlannedPoses, centred
+from procedures.workcell.tracker_look import FRAMES
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
@@ -31,8 +33,8 @@ LARGEST_ERROR_MM = 1.5
 WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis
 # The set-up and the change of tools name ports and dates, which differ from run to run.
 MEASURED = {
-    "ct_import", "fiducial_localization", "plan_check", "global_localization", "correspondence", "path_check",
-    "relocalization", "registration", "tool_check",
+    "ct_import", "fiducial_localization", "plan_check", "head_clamp", "cart_lock", "global_localization",
+    "correspondence", "path_check", "relocalization", "registration", "tool_check",
 }  # fmt: skip
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
 
@@ -89,7 +91,7 @@ def test_nobody_else_may_read_anything_of_the_run(finished: MiniRun) -> None:
 def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None:
     records = records_of(finished.folder)
     known = {record.identifier for record in records}
-    assert len(records) == 14
+    assert len(records) == 16
     for record in records:
         assert set(record.parents) <= known
         assert record.parents or record.kind in ("ct_import", "set_up")
@@ -160,7 +162,8 @@ def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
     readings = copy / "readings" / "readings.jsonl"
     lines = readings.read_text().splitlines()
     frames = [number for number, line in enumerate(lines) if '"call":"read_frame"' in line]
-    place = frames[10]  # of the sixty that are averaged before the first path is checked
+    before = ROOM_FRAMES + 2 * FRAMES  # while the head is clamped, and before and after the cart is leaned on
+    place = frames[before + 10]  # of the sixty that are averaged before the first path is checked
     edited = json.loads(lines[place])
     edited["answer"]["strays"][0]["position_mm"][0] += 0.001
     lines[place] = json.dumps(edited)

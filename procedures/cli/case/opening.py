@@ -227,7 +227,10 @@ def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
 
     case = case_folder(request, folder)
     return ClinicalInput(
-        case / "ct", case / "plan.toml", strategy_named(request.strategy), request.measure_targets
+        case / "ct",
+        case / "plan.toml",
+        strategy_named(request.strategy),
+        request.measure_targets,
     )
 
 
@@ -280,6 +283,7 @@ def _make_engine(
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.engine.step import StepKey
     from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
+    from procedures.recovery.moved_cart import MovedCart
     from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.moved_head import void_moved
     from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
@@ -364,6 +368,7 @@ def _make_engine(
     engine.checkpoint.beside = tape.beside
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
+        engine.goes_on = MovedCart(engine).agreed_to_go_on
         engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
         void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
         engine.checkpoint.guards.append(sight_guard(engine, void))

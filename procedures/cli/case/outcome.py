@@ -131,7 +131,7 @@ def _outcome(
     registered = {name: case.get(RegisteredRobot, name).result for name in names}
     links = [
         case.get(MountedGuide).result.link,
-        *(link for name in names if (link := case.get(Retreated, name).result.link) is not None),
+        *(one.result.link for name in names if (one := case.find(Retreated, name)) and one.result.link),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     measured_mm = {name: _measured_error_mm(case, name) for name in names}

@@ -129,6 +129,8 @@ class Pilot:
                 self._leave(engine)
             raise
         except RonnaError as error:
+            if engine.goes_on(error):
+                return
             self._going = False
             if not self.in_charge or engine.machine.ended:
                 raise

@@ -6,6 +6,7 @@ on the side of refusing, by half a finest square along its edge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -21,16 +22,21 @@ Judge = Callable[[Sequence[tuple[CartMove, tuple[Found, ...], bool]]], Sequence[
 
 COARSE = 4  # finest squares along the side of a coarsest one
 FINEST_MM = 15.0
+HALF_DIAGONAL = math.sqrt(0.5)  # of a square: so much nearer than its middle may the edge of the next one be
 MOST_KNOWN = 3  # ways that served nearby are tried before a place is refused
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceMap:
-    """What was judged, about the assumed place: `verdicts` by node, `allowed` (n, n) by square, x first."""
+    """What was judged, about the assumed place: `verdicts` by node, `allowed` (n, n) by square, x first.
+
+    Everywhere the cart is turned by `turn_rad` against how it was assumed to stand.
+    """
 
     half: int  # finest squares from the middle to the edge
     verdicts: dict[Node, Verdict]
     allowed: NDArray[np.bool_]
+    turn_rad: float = 0.0
 
     @property
     def within_mm(self) -> float:
@@ -53,19 +59,22 @@ class PlaceMap:
         away = np.hypot(*centres)
         most = room.max()
         place = np.unravel_index(np.argmin(np.where(room >= most - 0.5, away, np.inf)), room.shape)
-        free_mm = (float(room[place]) - 1.0) * FINEST_MM
-        return CartMove(float(centres[0][place]), float(centres[1][place])), max(free_mm, 0.0)
+        free_mm = (float(room[place]) - HALF_DIAGONAL) * FINEST_MM
+        return CartMove(float(centres[0][place]), float(centres[1][place]), self.turn_rad), free_mm
 
 
 @dataclass
 class _Search:
     half: int
     judge: Judge
+    turn_rad: float
     verdicts: dict[Node, Verdict] = field(default_factory=dict)
 
     def ask(self, nodes: Sequence[Node], known: Callable[[Node], tuple[Found, ...]], search: bool) -> None:
         new = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
-        asked = [(CartMove(i * FINEST_MM, j * FINEST_MM), known((i, j)), search) for i, j in new]
+        asked = [
+            (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad), known((i, j)), search) for i, j in new
+        ]
         self.verdicts.update(zip(new, self.judge(asked), strict=True))
 
     def known_at(self, nodes: Sequence[Node]) -> tuple[Found, ...]:
@@ -74,17 +83,27 @@ class _Search:
 
 
 def map_places(
-    within_mm: float, judge: Judge, progress: Callable[[float], None] = lambda share: None
+    within_mm: float,
+    judge: Judge,
+    progress: Callable[[float], None] = lambda share: None,
+    turn_rad: float = 0.0,
 ) -> PlaceMap:
-    """Judge places up to `within_mm` from the assumed one in x and y; a whole number of coarse squares."""
+    """Judge places up to `within_mm` from the assumed one in x and y; a whole number of coarse squares.
+
+    With `turn_rad` the cart is turned by that everywhere, about the z of its base, left seen from above.
+    """
     coarse = max(1, round(within_mm / (COARSE * FINEST_MM)))
     half = coarse * COARSE
-    search = _Search(half, judge)
+    search = _Search(half, judge, turn_rad)
     search.ask([(0, 0)], lambda node: (), True)
     progress(0.05)
     lines = range(-half, half + 1, COARSE)
-    search.ask([(i, j) for i in lines for j in lines], lambda node: search.known_at([(0, 0)]), True)
-    progress(0.6)
+    for ring in range(1, coarse + 1):  # outwards: what serves a place mostly serves the next one
+        far = ring * COARSE
+        nodes = [(i, j) for i in lines for j in lines if max(abs(i), abs(j)) == far]
+        known = {node: search.known_at([*_inward(node), (0, 0)]) for node in nodes}
+        search.ask(nodes, known.__getitem__, True)
+        progress(0.05 + 0.55 * (ring / coarse) ** 2)
     allowed = np.zeros((2 * half, 2 * half), dtype=bool)
     squares = [(i, j) for i in lines[:-1] for j in lines[:-1]]
     size = COARSE
@@ -104,7 +123,14 @@ def map_places(
         size //= 2
         squares = [(i + a, j + b) for i, j in mixed for a in (0, size) for b in (0, size)]
         progress(1.0 - 0.4 * (size - 1) / COARSE)
-    return PlaceMap(half, search.verdicts, allowed)
+    return PlaceMap(half, search.verdicts, allowed, turn_rad)
+
+
+def _inward(node: Node) -> list[Node]:
+    """The neighbours on the coarsest grid, the next ones first; those further out are not judged yet."""
+    i, j = node
+    ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
+    return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]
 
 
 def _corners(i: int, j: int, size: int) -> list[Node]:

@@ -9,16 +9,18 @@ from typing import Any
 
 from procedures.planning.cart.cart_case import CartMove, Verdict
 from procedures.planning.cart.place_map import FINEST_MM, Judge, PlaceMap
+from procedures.planning.cart.proposed_place import TURNED_SHARE
 from procedures.planning.errors import NoPlace
 
-TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way at the best place
+TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way, at the best place and around it
+SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceProposal:
     """Where the cart should stand against the assumed place, and what it may be missed by.
 
-    `free_mm` in any direction, `turns_deg` the other way and this; `assumed` is the verdict there.
+    `free_mm` in any direction; or half of that and turned further by `turns_deg`, the other way and this.
     """
 
     best: CartMove
@@ -28,7 +30,7 @@ class PlaceProposal:
 
     @property
     def assumed(self) -> Verdict:
-        """Of the place where the cart was assumed to stand."""
+        """Of the place where the cart was assumed to stand, turned as the map has it."""
         return self.places.verdicts[(0, 0)]
 
     def as_payload(self) -> dict[str, Any]:
@@ -36,6 +38,7 @@ class PlaceProposal:
         places = self.places
         return {
             "best_mm": [self.best.x_mm, self.best.y_mm],
+            "turned_deg": round(math.degrees(self.best.turn_rad), 6),
             "free_mm": self.free_mm,
             "turns_deg": list(self.turns_deg),
             "assumed_place_serves": self.assumed.serves,
@@ -63,16 +66,21 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
         reason = f"; most often: {why.most_common(1)[0][0]}" if why else ""
         raise NoPlace(f"from no place within {places.within_mm:g} mm can the plan be done{reason}")
     best, free_mm = found
-    turns = [(side, turn) for side in (-1.0, 1.0) for turn in TURNS_DEG]
-    moves = [CartMove(best.x_mm, best.y_mm, math.radians(side * turn)) for side, turn in turns]
-    verdicts = judge([(move, (), True) for move in (best, *moves)])
-    if not verdicts[0].serves:
-        raise NoPlace(f"the best place of the map does not serve: {verdicts[0].pose}: {verdicts[0].reason}")
-    free = [0.0, 0.0]
-    for number, side in enumerate((-1.0, 1.0)):
-        for (one, turn), verdict in zip(turns, verdicts[1:], strict=True):
-            if one == side:
-                if not verdict.serves:
-                    break
-                free[number] = turn
-    return PlaceProposal(best, free_mm, (free[0], free[1]), places)
+    (verdict,) = judge([(best, (), True)])
+    if verdict.found is None:
+        raise NoPlace(f"the best place of the map does not serve: {verdict.pose}: {verdict.reason}")
+    free_deg = {-1.0: 0.0, 1.0: 0.0}  # by the side to which it is turned
+    going = list(free_deg)
+    for turn in TURNS_DEG:
+        moves = [_beside(best, free_mm * TURNED_SHARE, way, side * turn) for side in going for way in SIDES]
+        serving = [one.serves for one in judge([(move, (verdict.found,), True) for move in moves])]
+        of_sides = [serving[first : first + len(SIDES)] for first in range(0, len(serving), len(SIDES))]
+        going = [side for side, each in zip(going, of_sides, strict=True) if all(each)]
+        free_deg |= dict.fromkeys(going, turn)
+    return PlaceProposal(best, free_mm, (free_deg[-1.0], free_deg[1.0]), places)
+
+
+def _beside(best: CartMove, way_mm: float, way: tuple[float, float], turn_deg: float) -> CartMove:
+    x, y = way
+    turn_rad = best.turn_rad + math.radians(turn_deg)
+    return CartMove(best.x_mm + x * way_mm, best.y_mm + y * way_mm, turn_rad)

@@ -22,11 +22,10 @@ from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.global_localization import average_pose
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room
-from procedures.workcell.tracker_look import frames_at_rest
+from procedures.workcell.tracker_look import average_pose, frames_at_rest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector

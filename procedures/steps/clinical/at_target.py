@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed, NotConfirmed
+from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed
 from procedures.engine.operator import Question, Task, Topic
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
@@ -23,7 +23,7 @@ from procedures.steps.clinical.conditions import inserted
 from procedures.steps.clinical.depth_stop import DepthStop, set_depth_stop
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.room_check import head_must_show
+from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_must_show
 from ronna_hw.wire import room_tasks
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
@@ -161,7 +161,10 @@ def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) ->
 
 @contextmanager
 def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
-    """Within, the guide is compared with how it had come to rest, before anybody touched it."""
+    """Within, the guide is compared with how it had come to rest, before anybody touched it.
+
+    Raises PRO-019 and PRO-020 where it was left because of a push that was none.
+    """
     workspace = context.setting.workspace
     rest = workspace.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
@@ -175,6 +178,10 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
     rest.worked = True
     try:
         yield rest
+    except GuardUnmet:
+        if rest.now_mm > PUSHED_MM:  # by a hand; or the cart has moved, and the arm with it
+            check_room(context, f"at {context.trajectory}")
+        raise
     finally:
         rest.worked = False
 
@@ -185,7 +192,8 @@ STEP = StepSpec(
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,
-    reads=(PositionedGuide, CheckedPlan),
+    reads=(PositionedGuide, CheckedPlan, *ROOM_READS),
     continues=True,
+    finishes=True,
     preconditions=inserted,
 )

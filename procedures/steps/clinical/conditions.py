@@ -32,6 +32,12 @@ def localizable(context: StepContext) -> tuple[str, ...]:
     return ()
 
 
+def away_from_head(context: StepContext) -> tuple[str, ...]:
+    """Nobody leans on the cart, or works at the clamp, while a guide is held at the head."""
+    insertion = context.workcell.insertion
+    return () if insertion is None else (f"the guide is held before the entry of {insertion.trajectory}",)
+
+
 def inserted(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry."""
     insertion = context.workcell.insertion

@@ -9,24 +9,19 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.planning.plan import FiducialKind
-from procedures.registration import match, match_by_template
+from procedures.registration import match
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
+from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM, coarse_match
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
-from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
-
-SIGMA_CT_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
-SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
 
 
 class Correspondence(StepResult, kind="correspondence"):
@@ -52,7 +47,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     room = context.result(GlobalLocalization)
     plan = context.result(CheckedPlan)
     image, physical = localization.centres_mm, room.points_mm
-    found, left_out = _agreed_rest(context, _matched(plan, image, physical), image, physical)
+    found, left_out = _agreed_rest(context, coarse_match(plan, image, physical), image, physical)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
     table = verify_two_way(image, physical, pairs, transform, ct_disagreement_mm=localization.disagreement_mm)
@@ -69,35 +64,6 @@ def run(context: StepContext) -> Outcome[Correspondence]:
         ),
         summary=f"{len(pairs)} pairs, largest residual {residuals.max():.2f} mm"
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
-    )
-
-
-def _matched(plan: CheckedPlan, image: Array, physical: Array) -> Match:
-    """By the frame or the template, or all that were implanted."""
-    if plan.plan.fiducials is FiducialKind.XFRAME:
-        return match_by_template(
-            SPHERE_CENTRES_MM,
-            image,
-            physical,
-            sigma_image_mm=SIGMA_CT_MM,
-            sigma_physical_mm=SIGMA_TRACKER_MM,
-        )
-    template_mm = plan.plan.template_mm
-    if template_mm is not None and plan.implanted == len(template_mm):
-        return match_by_template(
-            template_mm,
-            image,
-            physical,
-            sigma_image_mm=SIGMA_CT_MM,
-            sigma_physical_mm=SIGMA_TRACKER_MM,
-            sigma_template_mm=IMPLANTED_SIGMA_MM,
-        )
-    return match(
-        image,
-        physical,
-        sigma_image_mm=SIGMA_CT_MM,
-        sigma_physical_mm=SIGMA_TRACKER_MM,
-        expected=plan.implanted,
     )
 
 

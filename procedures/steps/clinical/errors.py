@@ -1,8 +1,22 @@
-"""What is found wrong with tools and instruments."""
+"""What is found wrong with the cart, with tools and instruments."""
 
 from __future__ import annotations
 
 from ronna_hw.errors import LimitError, RefusedError
+
+
+class CartNotLocked(RefusedError):
+    """Nobody says that the cart is locked, or it rolls when somebody leans on it."""
+
+    code = "PRO-041"
+    action = "Close the brakes of every wheel, or set the cart on its feet, then repeat the step."
+
+
+class CartMisplaced(RefusedError):
+    """The cart stands farther from its proposed place than that place may be missed by."""
+
+    code = "PRO-042"
+    action = "Push the cart as told and repeat the step, or make a map from here: ronna-plan place."
 
 
 class DepthStopWrong(LimitError):

@@ -6,6 +6,8 @@ that is asked faster than it measures gives the same one again; those do not cou
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -14,23 +16,16 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.exchange import exchange_for
+from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import (
-    FRAMES,
-    frames_at_rest,
-    mean_of,
-    poses_of,
-    robot_from_marker,
-)
+from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
-from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.devices.strays import StrayAverage, average_strays
-from ronna_hw.frames import Transform
 
-LEAST_FRAMES_WITH_TOOL = 30
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
 
@@ -56,7 +51,8 @@ class GlobalLocalization(StepResult, kind="global_localization"):
 
 def run(context: StepContext) -> Outcome[GlobalLocalization]:
     """Measure all strays in the robot frame by way of the reference frame M."""
-    context.result(CheckedSetUp)
+    for before in context.spec.reads:
+        context.result(before)
     workcell = context.workcell
     if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
         exchange_for(context, MountedTool.STEREO_HEAD)
@@ -105,34 +101,6 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
     return spread_mm
 
 
-def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
-    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it."""
-    poses = poses_of(frames, tool)
-    if len(poses) < LEAST_FRAMES_WITH_TOOL:
-        why, action = _why_unseen(frames, tool)
-        raise GateFailed(
-            f"the reference frame {tool} is in {len(poses)} of {len(frames)} frames{why}",
-            limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
-            action=f"{action}, then repeat the step.",
-        )
-    return mean_of(poses)
-
-
-def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
-    """What most frames without the tool have in common, and what to do about it."""
-    readings = [frame.tool(tool) for frame in frames]
-    outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
-    disturbed = sum(
-        Validity.PARTIAL in (frame.validity, reading.validity)
-        for frame, reading in zip(frames, readings, strict=True)
-    )
-    if outside > disturbed:
-        return f", outside the measuring volume in {outside}", "Move the tracker so that the tool is inside"
-    if disturbed:
-        return f", disturbed by infrared light in {disturbed}", "Shade the tracker from sun and lamps"
-    return "", "Clear the line of sight between tracker and tool"
-
-
 def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
     """The arm carries the stereo head; or the guide, and is parked where the tools can be exchanged."""
     workcell = context.workcell
@@ -150,3 +118,4 @@ STEP = StepSpec(
     reads=(CheckedSetUp,),
     preconditions=_localizable_from_here,
 )
+IN_CASE = replace(STEP, reads=(CheckedSetUp, ClampedHead, LockedCart))  # where a patient lies

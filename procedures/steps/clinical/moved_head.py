@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from procedures.engine.context import StepContext
-from procedures.guards.errors import PatientMoved
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.followed_move import MOST_FOLLOWED_MM
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
@@ -12,7 +13,10 @@ from ronna_hw.errors import RonnaError
 
 
 def void_moved(context: StepContext, moved: RonnaError) -> None:
-    """The registrations while they may follow: with the guide mounted, after a small move; else all of it."""
+    """The registrations while they may follow: with the guide mounted, after a small move; else all of it.
+
+    A cart that has moved was not locked.
+    """
     may_follow = (
         isinstance(moved, PatientMoved)
         and moved.moved_mm <= MOST_FOLLOWED_MM
@@ -21,5 +25,7 @@ def void_moved(context: StepContext, moved: RonnaError) -> None:
     )
     if may_follow:
         context.void_each(RegisteredRobot, moved)
+    elif isinstance(moved, BaseShifted) and moved.cart and context.standing(LockedCart):
+        context.void(LockedCart, moved)
     else:
         context.void(GlobalLocalization, moved)

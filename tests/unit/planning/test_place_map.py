@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from procedures.planning.cart.cart_case import CartMove, Found, Verdict
 from procedures.planning.cart.place_map import map_places
 from procedures.planning.cart.proposal import propose_place
+from procedures.planning.cart.proposed_place import TURNED_SHARE
 from procedures.planning.errors import NoPlace
 
 WITHIN_MM = 240.0
@@ -64,6 +66,42 @@ def test_nothing_beyond_the_map_is_called_reachable() -> None:
     places = map_places(WITHIN_MM, judge)
     assert places.allows(0.0, WITHIN_MM - 1.0)
     assert not places.allows(0.0, WITHIN_MM + 1.0)
+
+
+def _serves_turned(move: CartMove) -> bool:
+    """At the place itself turned by less than 7 degrees, and the farther off the less."""
+    return abs(math.degrees(move.turn_rad) - 20.0) < 7.0 - math.hypot(move.x_mm, move.y_mm) / 50.0
+
+
+def test_of_a_turned_cart_is_told_how_far_off_and_turned_it_still_serves() -> None:
+    asked: list[CartMove] = []
+
+    def judge(moves: Asked) -> list[Verdict]:
+        asked.extend(move for move, _, _ in moves)
+        return [Verdict(FOUND if _serves_turned(move) else None) for move, _, _ in moves]
+
+    places = map_places(WITHIN_MM, judge, turn_rad=math.radians(20.0))
+    assert {move.turn_rad for move in asked} == {places.turn_rad}
+    found = propose_place(places, judge)
+    assert found.best.turn_rad == places.turn_rad
+    assert max(found.turns_deg) < 7.0  # which only the place itself bears
+    less, more = found.turns_deg
+    for turn_deg in (-less, more):
+        for angle in np.linspace(0.0, 2.0 * np.pi, 8):
+            x, y = found.free_mm * TURNED_SHARE * np.array([np.cos(angle), np.sin(angle)])
+            turn_rad = places.turn_rad + math.radians(turn_deg)
+            assert _serves_turned(CartMove(found.best.x_mm + x, found.best.y_mm + y, turn_rad))
+
+
+def test_what_served_beside_a_place_is_tried_there_first() -> None:
+    knew: dict[tuple[float, float], int] = {}
+
+    def judge(moves: Asked) -> list[Verdict]:
+        knew.update({(move.x_mm, move.y_mm): len(known) for move, known, _ in moves})
+        return [Verdict(FOUND) for _ in moves]
+
+    map_places(WITHIN_MM, judge)
+    assert [place for place, known in knew.items() if not known] == [(0.0, 0.0)]
 
 
 def test_no_place_at_all_is_refused_with_the_commonest_reason() -> None:

@@ -11,9 +11,9 @@ import pytest
 from clinical_case import ClinicalCell, checked_set_up
 
 from procedures.engine.errors import GateFailed
-from procedures.steps.clinical.global_localization import STEP, average_pose
+from procedures.steps.clinical.global_localization import STEP
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, fresh_frames
+from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -57,7 +57,7 @@ def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed
     once: ClinicalCell,
 ) -> None:
     done = [step for _, step in once.entries("result")]
-    assert done[6:] == [
+    assert done[8:] == [
         *("path_check", "relocalization", "registration", "tool_change", "tool_check"),
         *(f"{name}:{one}" for one in TRAJECTORIES for name in ("positioning", "at_target", "retreat")),
     ]

@@ -1,5 +1,7 @@
 """The depth stop is right, then the instrument goes in, stage by stage; nothing moves before it is out."""
 
+from contextlib import AbstractContextManager
+
 import pytest
 from clinical_case import (
     FIRST,
@@ -20,6 +22,7 @@ from procedures.engine.errors import GuardUnmet, NotConfirmed
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.operator import Question, Topic
 from procedures.guards import GuideStill
+from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_still import PUSHED_MM
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -165,10 +168,27 @@ def test_a_guide_that_is_pushed_suspends_the_case_until_it_is_let_go(
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
 
 
-@pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
+@pytest.mark.parametrize(
+    ("pushed_mm", "ends"),
+    [
+        pytest.param(
+            0.5,
+            pytest.raises(GuardUnmet, match=r"pushed or pulled by 0\.50 mm, limit 0\.2 mm: let go"),
+            marks=pytest.mark.hazard(46),
+        ),
+        pytest.param(
+            2.0,
+            pytest.raises(BaseShifted, match=r"the cart of the robot was moved by 2\.0 mm"),
+            marks=pytest.mark.hazard(13),
+        ),
+    ],
+)
 def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is(
-    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+    cell: ClinicalCell,
+    monkeypatch: pytest.MonkeyPatch,
+    pushed_mm: float,
+    ends: AbstractContextManager[object],
 ) -> None:
     monkeypatch.setattr("procedures.engine.checkpoint.PATIENCE_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
@@ -178,10 +198,10 @@ def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is
 
     def push(question: Question) -> str:
         if question.topic is Topic.SKIN:
-            cell.tracker.frame_shift_mm = (0.0, 0.0, 0.5)
+            cell.tracker.frame_shift_mm = (0.0, 0.0, pushed_mm)
         return ask(question)
 
     cell.operator.ask = push  # type: ignore[method-assign]
-    with pytest.raises(GuardUnmet, match=r"pushed or pulled by 0\.50 mm, limit 0\.2 mm: let go"):
+    with ends:
         work(engine)
     assert engine.instrument_in == FIRST

@@ -1,0 +1,94 @@
+"""The proposed place as a case reads it, and how far beside it the cart stands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+
+from procedures.planning.errors import PlaceUnfit
+from ronna_hw.arm.pose import Pose
+from ronna_hw.bounded_input import InputRefused, read_bounded
+from ronna_hw.calibration import Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.frames import Frame, Transform
+
+LARGEST_FILE_BYTES = 4_000_000  # a map of the largest extent has some 18,000 squares and nodes
+Numbers2 = tuple[float, float]
+Numbers6 = tuple[float, float, float, float, float, float]
+
+
+@dataclass(frozen=True)
+class BesideProposal:
+    """Where the cart stands against its proposed place: x and y in the assumed $ROBROOT, and turned by.
+
+    `head_mm` and `head_deg` are what no cart on the floor can do: the head lies higher, or tilted.
+    """
+
+    x_mm: float
+    y_mm: float
+    turned_deg: float
+    head_mm: float
+    head_deg: float
+
+    @property
+    def off_mm(self) -> float:
+        """How far beside."""
+        return math.hypot(self.x_mm, self.y_mm)
+
+
+class ProposedPlace(Strict):
+    """What a case needs of `place.json`; the map itself it leaves aside."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    series_instance_uid: str
+    assumed_robot_from_ct: Numbers6 = Field(description="X Y Z A B C in mm and deg, at the assumed place.")
+    best_mm: Numbers2
+    turned_deg: float
+    free_mm: float = Field(ge=0.0)
+    turns_deg: Numbers2 = Field(description="That it may be turned further, the other way and this.")
+
+    def beside(self, robot_from_ct: Transform) -> BesideProposal:
+        """Where a cart stands from which the CT is seen in this pose ROBOT <- CT."""
+        assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
+        then = Transform.of(
+            Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
+        )
+        moved = then.rigid * robot_from_ct.rigid.inv()  # the base of now in the base of then
+        x_mm, y_mm, z_mm = moved.translation.tolist()
+        axes = moved.rotation.as_matrix()
+        turned_deg = math.degrees(math.atan2(axes[1, 0], axes[0, 0]))
+        return BesideProposal(
+            x_mm=x_mm - self.best_mm[0],
+            y_mm=y_mm - self.best_mm[1],
+            turned_deg=(turned_deg - self.turned_deg + 180.0) % 360.0 - 180.0,
+            head_mm=-z_mm,
+            head_deg=math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0)))),
+        )
+
+    def allows(self, beside: BesideProposal) -> bool:
+        """Whether it stands near enough: turned at most as was tried, with the room that was left then."""
+        less, more = self.turns_deg
+        turned = abs(beside.turned_deg) > UNTURNED_DEG
+        free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
+        return beside.off_mm <= free_mm and (not turned or -less <= beside.turned_deg <= more)
+
+
+UNTURNED_DEG = 0.5  # what the tracker cannot tell: 0.35 mm on spheres 80 mm apart, twice
+TURNED_SHARE = 0.5  # of what an unturned cart may miss its place by, at which turns are tried
+
+
+def read_place(path: Path) -> ProposedPlace:
+    """Read it. Raises PLAN-022."""
+    try:
+        return ProposedPlace.model_validate_json(read_bounded(path, LARGEST_FILE_BYTES))
+    except OSError as error:
+        raise PlaceUnfit(f"cannot read {path.name}: {error.strerror}") from error
+    except InputRefused as error:
+        raise PlaceUnfit(f"{path.name}: {error.summary}") from error
+    except ValidationError as error:
+        raise PlaceUnfit(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error

@@ -1,0 +1,35 @@
+"""After the cart or the tracker has moved: the case goes on when the operator agrees."""
+
+from __future__ import annotations
+
+from procedures.engine.engine import Engine
+from procedures.guards.errors import BaseShifted
+from procedures.steps.branches import CART_MOVED, GO_ON
+from ronna_hw.errors import RonnaError
+
+MOST_MOVES = 3  # in one session: a cart that moves again and again needs another lock, no localization
+
+
+class MovedCart:
+    """Asks, and brings the arm home; counts how often that was needed."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._moves = 0
+
+    def agreed_to_go_on(self, problem: RonnaError) -> bool:
+        """Whether a case that this has stopped goes on by itself. Raises what the way home raises."""
+        engine = self._engine
+        if not isinstance(problem, BaseShifted) or engine.upcoming is None or self._moves == MOST_MOVES:
+            return False
+        self._moves += 1
+        stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
+        question = CART_MOVED.question(
+            f"{problem.summary}: lock it, then the case goes on from {engine.upcoming}",
+            f"nobody stands in the arm's way home; these stand: {stands}",
+        )
+        if engine.questions.ask(question) != GO_ON:
+            return False
+        if not engine.setting.workcell.at_home:
+            engine.retreat_home()
+        return True

@@ -1,0 +1,200 @@
+"""People place and lock the cart of the arm; the tracker says whether it stands, and where it should.
+
+The frame on the arm moves with the cart, the spheres with the head: somebody leans on the cart, and neither
+may have moved against the other.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.operator import YES, Question, Task, Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.guards.errors import PatientMoved
+from procedures.guards.room_reading import room_reading
+from procedures.guards.room_watch import RoomReading
+from procedures.planning.cart.proposed_place import BesideProposal, ProposedPlace, read_place
+from procedures.planning.errors import PlaceUnfit
+from procedures.registration.shift import shift_of
+from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
+from procedures.steps.clinical.coarse_match import coarse_match
+from procedures.steps.clinical.conditions import away_from_head
+from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.head_clamp import ClampedHead
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker
+from ronna_hw.calibration import Numbers3
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH
+
+Array = NDArray[np.float64]
+
+# Of the frame on the arm against the spheres between two looks from one pose. Their noise is 0.1 mm; a wheel
+# that is free gives way by centimetres.
+LOCKED_LIMIT_MM = 0.3
+HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head that lies differently
+
+
+class LockedCart(StepResult, kind="cart_lock"):
+    """The cart as it was locked, how it stood when somebody leaned on it, and where."""
+
+    placings: int = Field(description="How often it was placed.")
+    moved_mm: Numbers3 = Field(description="Of the frame on the arm against the head meanwhile, robot frame.")
+    spheres: int = Field(description="Spheres of the head that both looks show.")
+    beside_mm: tuple[float, float] | None = Field(
+        description="Of the cart beside its proposed place, x and y; none without a proposal."
+    )
+    turned_deg: float | None = Field(description="How far it is turned against the proposal.")
+
+
+def run(context: StepContext) -> Outcome[LockedCart]:
+    """Have it placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
+    for before in context.spec.reads:
+        context.result(before)
+    proposal = _proposal(context)
+    for placing in range(1, PLACINGS + 1):
+        context.have_done(Task(CART_PLACE, "wheel the cart of the arm to its place"))
+        context.have_done(Task(CART_LOCK, "close the brakes of the cart"))
+        robot_from_tracker, first = _first_look(context)
+        beside = None if proposal is None else _beside(context, proposal, robot_from_tracker, first)
+        if proposal is None or beside is None or _agreed(context, proposal, beside, placing):
+            break
+    _confirm_locked(context)
+    context.have_done(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
+    frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock)
+    second = room_reading(context.workcell, frames, robot_from_tracker)
+    moved_mm, spheres = moved_against_head(robot_from_tracker, first, second)
+    return Outcome(
+        LockedCart(
+            placings=placing,
+            moved_mm=tuple(moved_mm.tolist()),
+            spheres=spheres,
+            beside_mm=None if beside is None else (beside.x_mm, beside.y_mm),
+            turned_deg=None if beside is None else beside.turned_deg,
+        ),
+        summary=f"the cart stands, {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
+        + ("" if beside is None else f"; {_in_words(beside)} beside its proposed place"),
+    )
+
+
+def _proposal(context: StepContext) -> ProposedPlace | None:
+    path = context.clinical.place
+    if not path.exists():
+        return None
+    proposal = read_place(path)
+    series = context.result(CheckedPlan).plan.series_instance_uid
+    if proposal.series_instance_uid != series:
+        raise PlaceUnfit(
+            f"{path.name} was made for another CT", expected=series, got=proposal.series_instance_uid
+        )
+    return proposal
+
+
+def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
+    workcell = context.workcell
+    frames, _ = frames_at_rest(
+        workcell.tracker,
+        context.setting.clock,
+        lambda share: context.progress(share, "looking where the cart stands"),
+    )
+    seen = average_pose(frames, workcell.calibrations.tracker_frame.tool)
+    robot_from_tracker = robot_from_marker(workcell, workcell.joints_rad()) @ seen.inverse()
+    return robot_from_tracker, room_reading(workcell, frames, robot_from_tracker)
+
+
+def _beside(
+    context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
+) -> BesideProposal | None:
+    """Where the cart stands, by a match of its own; None, with a finding, where that is not unique."""
+    image = context.result(LocalizedFiducials).centres_mm
+    found = coarse_match(context.result(CheckedPlan), image, robot_from_tracker.apply(look.spheres_mm))
+    if found.transform is None:
+        context.find(f"where the cart stands cannot be compared with its proposed place: {found.reason}")
+        return None
+    beside = proposal.beside(Transform(Frame.ROBOT, Frame.CT, found.transform))
+    if abs(beside.head_mm) > HEAD_LEVEL_MM or beside.head_deg > HEAD_LEVEL_DEG:
+        context.find(
+            f"the head lies {beside.head_mm:+.0f} mm higher and tilted by {beside.head_deg:.0f} deg against "
+            "the map of places: the path check judges this place"
+        )
+    return beside
+
+
+def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int) -> bool:
+    """Whether it may stand there; False to place it again. Raises PRO-042."""
+    if proposal.allows(beside):
+        return True
+    problem = CartMisplaced(
+        f"the cart stands {_in_words(beside)} beside its proposed place",
+        limit=f"{proposal.free_mm:.0f} mm, or half of that turned by -{proposal.turns_deg[0]:g} to "
+        f"+{proposal.turns_deg[1]:g} deg",
+        action=f"Push it by x {round(-beside.x_mm):+d} mm and y {round(-beside.y_mm):+d} mm and turn it by "
+        f"{_tenths(-beside.turned_deg)} deg, then repeat the step; or make a map: ronna-plan place.",
+    )
+    context.find(problem.summary)
+    answer = context.choose(CART_MISPLACED.question(problem.summary, problem.advice))
+    if answer == HOLD or (answer != AS_IT_STANDS and placing == PLACINGS):
+        raise problem
+    return answer == AS_IT_STANDS
+
+
+def _confirm_locked(context: StepContext) -> None:
+    question = Question(
+        Topic.CART_LOCKED, "the cart is locked", "the brakes of every wheel are closed; nobody pushes it"
+    )
+    if context.choose(question) != YES:
+        raise CartNotLocked("the cart is not locked: nobody confirmed it")
+
+
+def moved_against_head(
+    robot_from_tracker: Transform, first: RoomReading, second: RoomReading
+) -> tuple[Array, int]:
+    """How far the frame on the arm has moved (3,) against the spheres, and how many show it.
+
+    Raises PRO-041, and PRO-020 where it was the head.
+    """
+    head = shift_of(first.spheres_mm, second.spheres_mm)
+    if head is None or first.frame_mm is None or second.frame_mm is None:
+        raise GateFailed(
+            "the tracker does not see frame and head before and after the cart was leaned on",
+            expected="the frame on the arm and three spheres",
+            action="Clear the line of sight, then repeat the step.",
+        )
+    head_mm = robot_from_tracker.rotation_matrix @ head.mean_mm
+    frame_mm = second.frame_mm - first.frame_mm
+    against_mm = np.asarray(frame_mm - head_mm)
+    moved_mm = float(np.linalg.norm(against_mm))
+    if moved_mm < LOCKED_LIMIT_MM:
+        return against_mm, head.points
+    limit, got = f"{LOCKED_LIMIT_MM:g} mm", f"{moved_mm:.2f} mm"
+    if np.linalg.norm(head_mm) > np.linalg.norm(frame_mm):
+        raise PatientMoved(
+            "the head moved while the cart was leaned on: it is not clamped", limit=limit, got=got
+        )
+    raise CartNotLocked("the cart is not locked: it rolled when somebody leaned on it", limit=limit, got=got)
+
+
+def _in_words(beside: BesideProposal) -> str:
+    way = f"x {round(beside.x_mm):+d}, y {round(beside.y_mm):+d}"
+    return f"{beside.off_mm:.0f} mm ({way}), {_tenths(beside.turned_deg)} deg"
+
+
+def _tenths(value: float) -> str:
+    return f"{round(value, 1) + 0.0:+.1f}"  # without a sign before nothing
+
+
+STEP = StepSpec(
+    LockedCart,
+    "Place and lock the cart",
+    Phase.PREPARATION,
+    run,
+    reads=(CheckedSetUp, ClampedHead, LocalizedFiducials, CheckedPlan),
+    preconditions=away_from_head,
+)

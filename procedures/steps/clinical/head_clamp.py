@@ -1,0 +1,63 @@
+"""People clamp the head; the tracker has to see the spheres on it."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
+from procedures.engine.operator import Task, Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.guards.room_reading import FRAMES
+from procedures.planning.plan import PatientPosition
+from procedures.registration.shift import LEAST_POINTS
+from procedures.steps.clinical.conditions import away_from_head
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.workcell.tracker_look import frames_at_rest
+from ronna_hw.devices.strays import average_strays
+from ronna_hw.wire.room_tasks import HEAD_CLAMP
+
+
+class ClampedHead(StepResult, kind="head_clamp"):
+    """The head as it was clamped, and what the tracker sees of it."""
+
+    patient_position: PatientPosition = Field(description="How the patient lies, by the plan, as confirmed.")
+    spheres: int = Field(description="Spheres that the tracker sees.")
+    implanted: int = Field(description="How many there should be.")
+
+
+def run(context: StepContext) -> Outcome[ClampedHead]:
+    """Have it clamped, look at it, have it confirmed. Raises PRO-007 for a head unseen, PRO-002."""
+    context.result(CheckedSetUp)
+    checked = context.result(CheckedPlan)
+    lies = checked.plan.patient_orientation
+    context.have_done(
+        Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, put the spheres on")
+    )
+    frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
+    seen = len(average_strays(frames).groups)
+    if seen < LEAST_POINTS:
+        raise GateFailed(
+            "the tracker sees too few spheres on the head",
+            limit=f"at least {LEAST_POINTS}",
+            got=str(seen),
+            action="Turn head or tracker, clear the line of sight, then repeat the step.",
+        )
+    told = f"{seen} spheres seen, {checked.implanted} implanted"
+    subject = "the head is clamped, and the clamp locked to the table"
+    context.confirm(Topic.HEAD_CLAMPED, subject, f"the patient lies {lies}; {told}")
+    return Outcome(
+        ClampedHead(patient_position=lies, spheres=seen, implanted=checked.implanted), summary=told
+    )
+
+
+STEP = StepSpec(
+    ClampedHead,
+    "Clamp the head",
+    Phase.PREPARATION,
+    run,
+    reads=(CheckedSetUp, CheckedPlan),
+    preconditions=away_from_head,
+)

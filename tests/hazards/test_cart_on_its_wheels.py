@@ -1,0 +1,42 @@
+"""Hazard 49: with the tracker's noise a locked cart is never taken for one that rolls, nor the other way."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from room_trials import STILL, TrackedCase
+
+from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, moved_against_head
+from procedures.steps.clinical.errors import CartNotLocked
+
+SCENES, TRIALS_PER_SCENE = 10, 20
+ROLLED_MM = 1.0
+pytestmark = pytest.mark.hazard(49)
+
+
+def looks() -> Iterator[tuple[TrackedCase, RoomWatch, RoomReading]]:
+    """The first look of 200 cases, of 12 frames: fewer than the step takes."""
+    for seed in range(SCENES):
+        case = TrackedCase(seed)
+        for _ in range(TRIALS_PER_SCENE):
+            watch = case.begin()
+            yield case, watch, case.reading(watch, case.home_rad)
+
+
+def test_a_cart_that_stands_is_never_refused() -> None:
+    moved_mm = []
+    for case, watch, first in looks():
+        second = case.reading(watch, case.home_rad)
+        way_mm, _ = moved_against_head(watch.robot_from_tracker, first, second)
+        moved_mm.append(float(np.linalg.norm(way_mm)))
+    assert max(moved_mm) < 0.8 * LOCKED_LIMIT_MM
+
+
+def test_a_cart_that_rolls_by_a_millimetre_is_always_noticed() -> None:
+    for case, watch, first in looks():
+        second = case.reading(watch, case.home_rad, STILL, ROLLED_MM * case.direction())
+        with pytest.raises(CartNotLocked, match="PRO-041"):
+            moved_against_head(watch.robot_from_tracker, first, second)

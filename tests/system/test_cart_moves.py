@@ -1,0 +1,124 @@
+"""A cart that is not locked, and one that moves: scripted and live, each with its promised outcome."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+from user_commands import Commands
+
+from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
+from procedures.steps.branches import GO_ON
+from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.host.control_port import ask_control_port
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(500)]
+MINI = ("--sim", "--scene", "mini", "--seed", "3", "--targets", "2")
+CONTROL = re.compile(r"control port (\S+)")
+ROLLS = "room unlocked cart 4 -3 0 mm per min"
+MOVES = "room shift cart 1.5 2 0 mm"
+LARGEST_ERROR_MM = 0.6
+KEPT = {"ct_import", "fiducial_localization", "plan_check", "set_up", "head_clamp"}
+
+
+def run(commands: Commands, folder: Path, faults: str) -> subprocess.CompletedProcess[str]:
+    script = folder / "faults.txt"
+    script.write_text(f"{faults}\n")
+    options = ("--faults", str(script), "--out", str(folder / "runs"), "--json")
+    return commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=400)
+
+
+def journal(folder: Path) -> list[Line]:
+    (run_folder,) = (folder / "runs").iterdir()
+    return list(read_journal(run_folder / JOURNAL_FILE))
+
+
+def done(lines: list[Line]) -> list[str]:
+    return [line["step"] for line in lines if line["entry"] == "result"]
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.branch("CART_UNLOCKED")
+def test_a_case_with_a_cart_that_is_not_locked_ends_before_anything_is_localized(
+    commands: Commands, tmp_path: Path
+) -> None:
+    ran = run(commands, tmp_path, f"at 0 s: {ROLLS}")
+    assert ran.returncode == EXIT_REFUSED
+    assert "PRO-041" in ran.stderr
+    assert set(done(journal(tmp_path))) == KEPT
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.branch("CART_UNLOCKED")
+def test_brakes_that_somebody_opens_are_found_and_closed_the_step_goes_through(
+    commands: Commands, tmp_path: Path
+) -> None:
+    stepping = commands.start(
+        "ronna-procedure", "step", *MINI, "--out", str(tmp_path / "runs"), stdin=subprocess.PIPE
+    )
+    assert stepping.stdin is not None
+    assert stepping.stdout is not None
+    assert stepping.stderr is not None
+    stepping.stdin.write("to head_clamp\n")
+    stepping.stdin.flush()
+    control = next(found for line in stepping.stderr if (found := CONTROL.search(line)))[1]
+    assert any(line.startswith("done head_clamp") for line in stepping.stdout)
+    ask_control_port(control, "fault", line=ROLLS)
+    stepping.stdin.write("run cart_lock\n")
+    stepping.stdin.flush()
+    assert any("PRO-041" in line for line in stepping.stderr)
+    ask_control_port(control, "clear_faults")
+    stepping.communicate("run cart_lock\nquit\n", timeout=100)
+    assert done(journal(tmp_path))[-1] == "cart_lock"
+
+
+@pytest.mark.hazard(50)
+@pytest.mark.branch("CART_MOVED")
+@pytest.mark.parametrize(
+    ("step", "again"),
+    [
+        ("cart_lock", 0),  # before the localization: it is where it is
+        ("relocalization:T2", 1),
+        ("at_target:T2", 1),
+    ],
+)
+def test_after_a_move_of_the_cart_the_case_goes_on_from_the_lock_and_reaches_its_targets(
+    commands: Commands, tmp_path: Path, step: str, again: int
+) -> None:
+    ran = run(commands, tmp_path, f"since step == {step}: {MOVES}")
+    assert ran.returncode == 0, ran.stderr
+    outcome = json.loads(ran.stdout)
+    assert [target["id"] for target in outcome["targets"]] == ["T1", "T2"]
+    assert outcome["max_application_error_mm"] <= LARGEST_ERROR_MM
+    lines = journal(tmp_path)
+    asked = [line for line in lines if line.get("topic") == "cart_moved"]
+    assert [line["answer"] for line in asked] == [GO_ON] * again
+    steps = done(lines)
+    assert steps.count("cart_lock") == steps.count("global_localization") == 1 + again
+    assert all(steps.count(name) == 1 for name in (*KEPT, "at_target:T1", "retreat:T1"))
+    voided = [line for line in lines if line["entry"] == "voided"]
+    assert [line["step"] for line in voided] == ["cart_lock"] * again
+    for line in voided:  # exactly what stood, without what does not depend on the cart, and finished targets
+        stood = [one["record"] for one in lines[: lines.index(line)] if one["entry"] == "result"]
+        finished = "retreat:T1" in done(lines[: lines.index(line)])
+        kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1"))]
+        assert line["supersedes"] == [one for one in stood if one not in kept]
+
+
+@pytest.mark.hazard(50)
+@pytest.mark.branch("CART_MOVED")
+def test_without_consent_the_case_is_held_with_what_stands(commands: Commands, tmp_path: Path) -> None:
+    answers = tmp_path / "answers.toml"
+    answers.write_text('default = "first"\n[answers]\ncart_moved = "hold"\n')
+    script = tmp_path / "faults.txt"
+    script.write_text(f"since step == relocalization:T2: {MOVES}\n")
+    options = ("--faults", str(script), "--answers", str(answers), "--out", str(tmp_path / "runs"))
+    ran = commands.run("ronna-procedure", "run", *MINI, *options, timeout_s=400)
+    assert ran.returncode == EXIT_REFUSED
+    assert "PRO-019" in ran.stderr
+    lines = journal(tmp_path)
+    assert [line["entry"] for line in lines].count("voided") == 1
+    assert done(lines).count("cart_lock") == 1

@@ -1,0 +1,189 @@
+"""Hazard 50: after a move of the cart nothing is used that depended on its place, and nothing done twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from clinical_case import (
+    FIRST,
+    LAST,
+    ClinicalCell,
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    clamped_head,
+    imported_ct,
+    localized_fiducials,
+)
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.left_run import read_left_run
+from procedures.engine.operator import Topic
+from procedures.engine.result import StepResult
+from procedures.engine.step import Outcome, Phase, Scope, StepKey, StepSpec
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.recovery.moved_cart import MOST_MOVES, MovedCart
+from procedures.steps.branches import HOLD
+from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
+from procedures.workcell import MountedTool
+
+pytestmark = [pytest.mark.hazard(50), pytest.mark.branch("CART_MOVED")]
+KEPT = ["ct_import", "fiducial_localization", "plan_check", "set_up", "head_clamp"]
+
+
+def localizing(cell: ClinicalCell) -> Engine:
+    """A case in which the cart can move before or while the spheres are localized."""
+    cell.carrying(MountedTool.STEREO_HEAD)
+    before = (imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell), clamped_head())
+    steps = (cart_lock.STEP, global_localization.IN_CASE, correspondence.STEP, checked_paths(cell))
+    engine = cell.begin(*before, *steps, relocalization.STEP)
+    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    return engine
+
+
+def move_at(cell: ClinicalCell, step: str) -> None:
+    """The cart is pushed when that step begins, for the first time."""
+    announce = cell.room.announce
+
+    def announced(name: str) -> None:
+        announce(name)
+        if cell.room.announced.count(name) == 1 and name == step:
+            cell.tracker.frame_shift_mm = (0.0, 2.0, 0.0)
+
+    cell.room.announce = announced  # type: ignore[method-assign]
+
+
+def moves_asked(cell: ClinicalCell) -> int:
+    return [question.topic for question in cell.operator.asked].count(Topic.CART_MOVED)
+
+
+@pytest.mark.parametrize(
+    ("step", "moves"),
+    [
+        ("cart_lock", 0),
+        ("global_localization", 0),
+        (f"relocalization:{FIRST}", 1),
+        (f"relocalization:{LAST}", 1),
+    ],
+)
+def test_a_move_voids_what_depends_on_the_place_and_the_case_goes_on_from_the_lock(
+    tmp_path: Path, step: str, moves: int
+) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    move_at(cell, step)
+    engine.run_to()
+    assert moves_asked(cell) == moves
+    assert cell.entries("voided") == [("voided", "cart_lock")] * moves
+    done = [name for _, name in cell.entries("result")]
+    assert all(done.count(name) == 1 for name in KEPT)
+    assert done.count("cart_lock") == done.count("global_localization") == 1 + moves
+    assert engine.upcoming is None
+
+
+def test_who_is_asked_reads_what_moved_and_what_stands(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    move_at(cell, f"relocalization:{FIRST}")
+    engine.run_to()
+    (question,) = [one for one in cell.operator.asked if one.topic is Topic.CART_MOVED]
+    assert "the cart of the robot was moved by 2.0 mm" in question.subject
+    assert "goes on from cart_lock" in question.subject
+    assert ", ".join(KEPT) in question.value
+    assert question.deliberate
+
+
+def test_without_consent_the_case_is_held_and_the_lock_is_next(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    cell.operator.answers = {Topic.CART_MOVED: HOLD}
+    move_at(cell, f"relocalization:{FIRST}")
+    with pytest.raises(BaseShifted):
+        engine.run_to()
+    assert str(engine.upcoming) == "cart_lock"
+    assert cell.arm.motions == []
+
+
+def test_a_cart_that_moves_again_and_again_is_left_to_people(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    announce = cell.room.announce
+
+    def announced(name: str) -> None:
+        announce(name)
+        if name == f"relocalization:{FIRST}":
+            x, y, z = cell.tracker.frame_shift_mm
+            cell.tracker.frame_shift_mm = (x, y + 2.0, z)
+
+    cell.room.announce = announced  # type: ignore[method-assign]
+    with pytest.raises(BaseShifted):
+        engine.run_to()
+    assert moves_asked(cell) == MOST_MOVES
+
+
+def test_nothing_else_is_gone_on_from(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    assert not MovedCart(localizing(cell)).agreed_to_go_on(PatientMoved("the head has moved"))
+    assert moves_asked(cell) == 0
+
+
+class Place(StepResult, kind="place"):
+    """What depends on where the cart stands."""
+
+
+class Target(StepResult, kind="target"):
+    """What is done at a target."""
+
+
+class Out(StepResult, kind="out"):
+    """The end of a trajectory."""
+
+
+def read_and_leave(result: StepResult, *reads: type[StepResult]) -> StepSpec[StepResult]:
+    def run(context):  # type: ignore[no-untyped-def]
+        for model in reads:
+            context.result(model)
+        return Outcome(result)
+
+    kind, once = type(result), isinstance(result, Place)
+    scope = Scope.CASE if once else Scope.TRAJECTORY
+    finishes = isinstance(result, Target)
+    return StepSpec(kind, "", Phase.OPERATION, run, scope, reads, finishes=finishes)
+
+
+def half_done(cell: ClinicalCell, last: str) -> Engine:
+    """The work at the first target is done, and then the cart moves."""
+    steps = (read_and_leave(Place()), read_and_leave(Target(), Place), read_and_leave(Out(), Target))
+    engine = cell.begin(*steps)
+    engine.run_to(engine.order.find(last))
+    engine.void(StepKey("place"), BaseShifted("the cart has moved"))
+    return engine
+
+
+@pytest.mark.parametrize("last", [f"target:{FIRST}", f"out:{FIRST}"])
+def test_what_was_done_at_a_finished_target_stands_and_is_not_done_again(tmp_path: Path, last: str) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = half_done(cell, last)
+    stands = [str(key) for key in engine.order.sequence if engine.case.stands(key)]
+    assert stands == [f"target:{FIRST}", f"out:{FIRST}"][: 1 + last.startswith("out")]
+    engine.run_to()
+    assert [name for _, name in cell.entries("result")][-3:] == ["place", f"target:{LAST}", f"out:{LAST}"]
+
+
+def test_nothing_is_done_with_what_was_made_before_the_move(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = half_done(cell, f"target:{FIRST}")
+    engine.run_step(engine.order.find("place"))
+    with pytest.raises(StepRefused, match="made before something moved: 02-target"):
+        engine.run_step(engine.order.find(f"out:{FIRST}"))
+    assert engine.context(engine.order.find("place")).standing(Target) == ()
+
+
+def test_a_run_that_is_taken_up_again_knows_what_was_finished(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = half_done(cell, f"out:{FIRST}")
+    engine.close("left")
+    case = read_left_run(tmp_path).restored(engine.order)
+    assert [stored.record.identifier for stored in case.standing] == [f"02-target-{FIRST}", f"03-out-{FIRST}"]

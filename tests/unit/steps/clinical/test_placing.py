@@ -1,0 +1,260 @@
+"""Head and cart before the localization: people act, and the tracker checks what it can."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import (
+    ROBOT_FROM_CT,
+    SERIES,
+    SPHERES_MM,
+    ClinicalCell,
+    checked_plan,
+    checked_set_up,
+    clamped_head,
+    localized_fiducials,
+)
+from watched_case import findings
+
+from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
+from procedures.engine.operator import Task, Topic
+from procedures.guards.errors import PatientMoved
+from procedures.planning.errors import PlaceUnfit
+from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
+from procedures.steps.clinical import cart_lock, head_clamp
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked
+from procedures.steps.clinical.head_clamp import ClampedHead
+from procedures.workcell import MountedTool
+from procedures.workcell.insertion import Insertion
+from ronna_hw.arm.pose import Pose
+from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH, HEAD_CLAMP
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path / "run").carrying(MountedTool.STEREO_HEAD)
+
+
+def clamp(cell: ClinicalCell) -> ClampedHead:
+    found = cell.run(checked_plan(), checked_set_up(cell), head_clamp.STEP).result
+    assert isinstance(found, ClampedHead)
+    return found
+
+
+def lock(cell: ClinicalCell) -> LockedCart:
+    before = (localized_fiducials(), checked_plan(), checked_set_up(cell), clamped_head())
+    found = cell.run(*before, cart_lock.STEP).result
+    assert isinstance(found, LockedCart)
+    return found
+
+
+def when_done(cell: ClinicalCell, name: str, happens: Callable[[], None]) -> None:
+    """Something happens in the room with a task."""
+    work = cell.room.work
+
+    def working(task: Task) -> tuple[float, ...]:
+        if task.name == name:
+            happens()
+        return work(task)
+
+    cell.room.work = working  # type: ignore[method-assign]
+
+
+def tasks(cell: ClinicalCell) -> list[str]:
+    return [task.name for task in cell.room.worked]
+
+
+def test_a_head_is_clamped_by_hand_seen_and_confirmed_as_the_plan_has_it_lying(cell: ClinicalCell) -> None:
+    assert clamp(cell).spheres == len(SPHERES_MM)
+    assert tasks(cell) == [HEAD_CLAMP]
+    (question,) = [one for one in cell.operator.asked if one.topic is Topic.HEAD_CLAMPED]
+    assert "HFS" in question.value
+    assert "4 spheres seen, 4 implanted" in question.value
+
+
+def test_a_head_that_nobody_confirms_or_nothing_sees_is_not_clamped(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "1").carrying(MountedTool.STEREO_HEAD)
+    cell.operator.refusing = (Topic.HEAD_CLAMPED,)
+    with pytest.raises(NotConfirmed, match="PRO-002"):
+        clamp(cell)
+    cell = ClinicalCell(tmp_path / "2").carrying(MountedTool.STEREO_HEAD)
+    cell.tracker.spheres_mm = SPHERES_MM[:2]
+    with pytest.raises(GateFailed, match="too few spheres"):
+        clamp(cell)
+
+
+def test_a_cart_is_placed_locked_confirmed_and_leaned_on(cell: ClinicalCell) -> None:
+    found = lock(cell)
+    assert tasks(cell) == [CART_PLACE, CART_LOCK, CART_PUSH]
+    assert np.linalg.norm(found.moved_mm) < 1e-6
+    assert (found.placings, found.spheres, found.beside_mm) == (1, len(SPHERES_MM), None)
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.branch("CART_UNLOCKED")
+def test_a_cart_that_nobody_says_is_locked_is_refused(cell: ClinicalCell) -> None:
+    cell.operator.refusing = (Topic.CART_LOCKED,)
+    with pytest.raises(CartNotLocked, match=r"PRO-041.*Close the brakes") as refused:
+        lock(cell)
+    assert refused.value.exit_code == 3
+    assert CART_PUSH not in tasks(cell)
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.branch("CART_UNLOCKED")
+def test_a_cart_that_rolls_when_somebody_leans_on_it_is_refused(cell: ClinicalCell) -> None:
+    def roll() -> None:
+        cell.tracker.frame_shift_mm = (0.3, 0.3, 0.0)
+
+    when_done(cell, CART_PUSH, roll)
+    with pytest.raises(CartNotLocked, match=r"rolled.*0\.42 mm"):
+        lock(cell)
+
+
+@pytest.mark.hazard(12)
+def test_a_head_that_gives_way_meanwhile_is_told_from_the_cart(cell: ClinicalCell) -> None:
+    def slip() -> None:
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 0.5, 0.0))
+
+    when_done(cell, CART_PUSH, slip)
+    with pytest.raises(PatientMoved, match="not clamped"):
+        lock(cell)
+
+
+def test_a_tracker_that_is_pushed_meanwhile_is_no_cart_that_rolls(cell: ClinicalCell) -> None:
+    def push() -> None:
+        cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 2.0, 0.0))
+        cell.tracker.frame_shift_mm = (0.0, 2.0, 0.0)
+
+    when_done(cell, CART_PUSH, push)
+    assert np.linalg.norm(lock(cell).moved_mm) < 1e-6
+
+
+def test_without_sight_of_the_frame_nothing_is_said_of_the_cart(cell: ClinicalCell) -> None:
+    def hide() -> None:
+        cell.tracker.hidden = True
+
+    when_done(cell, CART_PUSH, hide)
+    with pytest.raises(GateFailed, match="before and after"):
+        lock(cell)
+
+
+def test_nobody_leans_on_the_cart_while_a_guide_is_held_at_the_head(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.begin(
+        *(localized_fiducials(), checked_plan(), checked_set_up(cell), clamped_head()), cart_lock.STEP
+    )
+    engine.run_to(engine.order.find("head_clamp"))
+    held = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0)
+    monkeypatch.setattr(type(cell.workcell), "insertion", held)
+    with pytest.raises(StepRefused, match="held before the entry of T1"):
+        engine.run_to()
+
+
+def propose(cell: ClinicalCell, push_mm: tuple[float, float] = (0.0, 0.0), **changes: object) -> None:
+    """A map that proposes to push the cart by that from where it stands."""
+    pose = Pose.from_matrix(ROBOT_FROM_CT.as_matrix().tolist())
+    proposal = {
+        "series_instance_uid": SERIES,
+        "assumed_robot_from_ct": list(pose.to_kuka()),
+        "best_mm": list(push_mm),
+        "turned_deg": 0.0,
+        "free_mm": 40.0,
+        "turns_deg": [5.0, 5.0],
+        "map": ["#"],
+        **changes,
+    }
+    cell.setting().clinical.place.write_text(json.dumps(proposal))  # type: ignore[union-attr]
+
+
+@pytest.mark.hazard(49)
+def test_a_cart_within_what_its_place_may_be_missed_by_stays(cell: ClinicalCell) -> None:
+    propose(cell, (20.0, -10.0))
+    found = lock(cell)
+    assert found.beside_mm == pytest.approx((-20.0, 10.0), abs=0.01)
+    assert found.turned_deg == pytest.approx(0.0, abs=0.01)
+    assert Topic.CART_PLACE not in [question.topic for question in cell.operator.asked]
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.branch("CART_MISPLACED")
+def test_a_cart_beyond_it_is_placed_again_as_told_and_held_in_the_end(cell: ClinicalCell) -> None:
+    propose(cell, (60.0, 0.0))
+    with pytest.raises(CartMisplaced, match=r"PRO-042.*60 mm \(x -60, y \+0\).*Push it by x \+60 mm"):
+        lock(cell)
+    assert tasks(cell) == [CART_PLACE, CART_LOCK] * PLACINGS
+
+
+@pytest.mark.branch("CART_MISPLACED")
+def test_a_cart_that_was_pushed_to_its_place_is_locked_there(cell: ClinicalCell) -> None:
+    propose(cell, (60.0, 0.0))
+    pushed = iter([0.0, 60.0])
+
+    def push() -> None:
+        cell.tracker.frame_shift_mm = (next(pushed), 0.0, 0.0)
+
+    when_done(cell, CART_PLACE, push)
+    found = lock(cell)
+    assert found.placings == 2
+    assert found.beside_mm == pytest.approx((0.0, 0.0), abs=0.01)
+
+
+@pytest.mark.branch("CART_MISPLACED")
+def test_the_operator_may_leave_it_to_the_path_check(cell: ClinicalCell) -> None:
+    propose(cell, (60.0, 0.0))
+    cell.operator.answers = {Topic.CART_PLACE: AS_IT_STANDS}
+    assert lock(cell).beside_mm == pytest.approx((-60.0, 0.0), abs=0.01)
+
+
+@pytest.mark.branch("CART_MISPLACED")
+def test_or_hold_the_case(cell: ClinicalCell) -> None:
+    propose(cell, (60.0, 0.0))
+    cell.operator.answers = {Topic.CART_PLACE: HOLD}
+    with pytest.raises(CartMisplaced):
+        lock(cell)
+    assert tasks(cell) == [CART_PLACE, CART_LOCK]
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.parametrize(
+    ("turned_deg", "push_mm", "stays"),
+    [(4.0, (0.0, 0.0), True), (-6.0, (0.0, 0.0), False), (4.0, (30.0, 0.0), False), (0.0, (30.0, 0.0), True)],
+)
+def test_a_turned_cart_may_miss_its_place_by_less(
+    cell: ClinicalCell, turned_deg: float, push_mm: tuple[float, float], stays: bool
+) -> None:
+    propose(cell, push_mm, turned_deg=turned_deg)
+    if stays:
+        assert lock(cell).turned_deg == pytest.approx(-turned_deg, abs=0.01)
+    else:
+        with pytest.raises(CartMisplaced, match=re.escape(f"turn it by {turned_deg:+.1f} deg")):
+            lock(cell)
+
+
+def test_a_head_that_lies_higher_than_the_map_was_made_for_is_told(cell: ClinicalCell) -> None:
+    pose = Pose.from_matrix(ROBOT_FROM_CT.as_matrix().tolist())
+    x, y, z, a, b, c = pose.to_kuka()
+    propose(cell, assumed_robot_from_ct=[x, y, z - 30.0, a, b, c])
+    lock(cell)
+    (finding,) = findings(cell)
+    assert "lies +30 mm higher" in finding
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [("{", "Invalid JSON"), ("{}", "series_instance_uid"), (None, "made for another CT")],
+)
+def test_a_file_of_no_use_is_refused(cell: ClinicalCell, content: str | None, why: str) -> None:
+    propose(cell, series_instance_uid="1.2.3")
+    if content is not None:
+        cell.setting().clinical.place.write_text(content)  # type: ignore[union-attr]
+    with pytest.raises(PlaceUnfit, match=f"PLAN-022.*{why}"):
+        lock(cell)
