@@ -52,7 +52,8 @@ class ControllerFaults:
         arguments = {fault.kind.name: fault.argument for fault in acting}
         controller, interlocks = self._controller, self._controller.interlocks
         mode = OperationMode(arguments.get("mode", OperationMode.EXT))
-        if mode is not interlocks.mode:
+        turned = mode is not interlocks.mode
+        if turned:
             controller.turn_key(mode)
         pressed = "emergency_stop" in arguments
         if pressed is not interlocks.emergency_stop:
@@ -66,6 +67,9 @@ class ControllerFaults:
         key = "start_key" in arguments
         if key is not interlocks.start_key:
             controller.hold_start_key(key)
+            turned = True
+        if key and interlocks.manual:
+            self._attend(newly=turned)
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)
         controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
@@ -78,6 +82,14 @@ class ControllerFaults:
                 self._happen(fault)
         self._start_again()
         self._quiet = not acting and self._restart is None
+
+    def _attend(self, *, newly: bool) -> None:
+        """Who holds the start key in a test mode holds the enabling switch as well, and confirms."""
+        if newly and not self._controller.drives_on:
+            self._controller.switch_drives(True)
+        run = self._controller.run
+        if run is not None and run.awaits_confirmation:
+            self._controller.acknowledge()
 
     def _happen(self, fault: Fault) -> None:
         controller, kind = self._controller, fault.kind.name

@@ -67,7 +67,11 @@ CELL_FAULTS = (
         "enabling switch released",
         "The enabling switch is released; matters in T1 and T2.",
     ),
-    lasting("start_key", "start key held", "The start key is held, as T1 and T2 require."),
+    lasting(
+        "start_key",
+        "start key held",
+        "In T1 and T2 somebody holds enabling switch and start key: drives come on, questions are confirmed.",
+    ),
     once("drives_off", "drives off", "The drives are switched off."),
     once(
         "trip",
