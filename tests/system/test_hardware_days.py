@@ -1,0 +1,45 @@
+"""The guides for the first days with hardware, exercised on simulators from their text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from documented import commands_of, run_all, run_exercises
+from user_commands import Commands
+
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.child_process import ChildProcess, command
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(180)]
+
+
+@pytest.fixture
+def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with `cell/lab.toml`, made as the page on theatre files says, on simulated devices."""
+    monkeypatch.chdir(tmp_path)
+    arguments = ("--scene", "mini", "--first-day", "--out", "cell")
+    with ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *arguments)) as child:
+        endpoints = child.ready["endpoints"]
+        commands.environment |= {
+            "LINE": endpoints["polaris"],
+            "CONTROLLER": endpoints["kuka"]["eki_project"],
+            "STREAM": endpoints["kuka"]["rsi"],
+            "CLOCK": endpoints["clock"],
+            "LEFT": parse_endpoint(endpoints["basler"]["left"]).host,
+            "RIGHT": parse_endpoint(endpoints["basler"]["right"]).host,
+            "RONNA_CONTROL": endpoints["control"],
+        }
+        monkeypatch.setenv("RONNA_CONTROL", endpoints["control"])
+        run_all(commands_of("docs/how-to/a-theatre-of-your-own.md"), commands, tmp_path)
+        yield tmp_path
+
+
+@pytest.mark.parametrize(
+    ("page", "statements"), [("first-hardware-day", 40), ("first-tracker-day", 15), ("first-camera-day", 9)]
+)
+def test_a_day_with_hardware_is_rehearsed_from_its_text(
+    page: str, statements: int, cell: Path, commands: Commands
+) -> None:
+    assert run_exercises(f"docs/how-to/{page}.md", commands, cell) >= statements
