@@ -15,6 +15,9 @@ from typing import Any
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 ALL = "ronna"  # the logger above all of ours
+PARTS = ("engine", "events", "flight recorder", "log", "reading tape")  # that are neither device nor process
+TABLES = ("device", "robot", "stereo", "tracker")  # of the theatre file, which names devices
+PROGRAMS = "ronna-"  # as every command begins, and every process
 
 logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets up no log sees none
 
@@ -24,7 +27,7 @@ class Logger:
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
-        self._channel = logging.getLogger(".".join((ALL, *names.values())).replace(" ", "."))
+        self._channel = logging.getLogger(_channel(".".join((ALL, *names.values()))))
 
     def debug(self, event: str, **facts: Any) -> None:
         """Detail for the one who looks for a fault."""
@@ -73,6 +76,22 @@ def logger(**names: str) -> Logger:
     return Logger(names)
 
 
+def known_loggers() -> tuple[str, ...]:
+    """What the name of a logger can begin with."""
+    return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
+
+
+def is_known(name: str) -> bool:
+    """Whether there can be loggers of that name, or below it."""
+    first = name.split(".")[0]
+    parts = (part for known in PARTS for part in (known, _channel(known).split(".")[0]))
+    return first in (*parts, *TABLES) or first.startswith(PROGRAMS)
+
+
+def _channel(name: str) -> str:
+    return name.replace(" ", ".")
+
+
 def set_level(level: str, name: str = "") -> None:
     """Log only this level (`debug`, `info`, `warning`, `error`) and above, for one logger or for all.
 
@@ -80,4 +99,4 @@ def set_level(level: str, name: str = "") -> None:
     """
     if level not in LEVELS:
         raise ValueError(f"expected a level ({', '.join(LEVELS)}), got {level!r}")
-    logging.getLogger(f"{ALL}.{name}" if name else ALL).setLevel(LEVELS[level])
+    logging.getLogger(_channel(f"{ALL}.{name}") if name else ALL).setLevel(LEVELS[level])

@@ -12,7 +12,7 @@ import typer
 
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
-from ronna_hw.logs import Logger, logger, set_level
+from ronna_hw.logs import Logger, is_known, known_loggers, logger, set_level
 
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
@@ -26,6 +26,10 @@ def set_log_levels(levels: Iterable[str] | None) -> None:
     """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
     for entry in levels or ():
         name, _, level = entry.strip().rpartition("=")
+        if name and not is_known(name):
+            raise UsageMistake(
+                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(known_loggers())
+            )
         try:
             set_level(level.lower(), name)
         except ValueError as wrong:

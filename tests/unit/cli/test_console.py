@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import signal
 import stat
 import subprocess
@@ -27,6 +28,9 @@ from ronna_hw.command_line.errors import (
     UsageMistake,
 )
 from ronna_hw.errors import LimitError, RonnaError
+from ronna_hw.logs import PARTS, is_known
+
+ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(autouse=True)
@@ -254,12 +258,24 @@ def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
     assert arguments or done.stderr == ""
 
 
-@pytest.mark.parametrize(("arguments", "environment"), [("--log-level tracker=loud", ""), ("", "loud")])
-def test_a_level_that_does_not_exist_is_a_usage_error(arguments: str, environment: str) -> None:
+@pytest.mark.parametrize(
+    ("arguments", "environment"),
+    [("--log-level tracker=loud", ""), ("", "loud"), ("--log-level tacker=debug", ""), ("", "robots=debug")],
+)
+def test_a_level_or_logger_that_does_not_exist_is_a_usage_error(arguments: str, environment: str) -> None:
     done = spoken(arguments, environment)
     assert done.returncode == 2
     assert done.stderr.startswith("CLI-001: log level ")
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_every_logger_of_the_sources_can_be_named() -> None:
+    parts = set()
+    for folder in ("ronna_hw", "drivers", "sim", "procedures", "console"):
+        for source in (ROOT / folder).rglob("*.py"):
+            parts |= set(re.findall(r'[^`]logger\(part="([^"]+)"', source.read_text()))
+    assert parts == set(PARTS)
+    assert all(map(is_known, (*parts, "robot.master", "reading.tape", "ronna-sim.polaris")))
 
 
 WORDY = [
