@@ -137,6 +137,11 @@ class Camera:
         self._until(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw)
 
+    def temperature_C(self, deadline_s: float) -> float | None:
+        """Inside the camera; None when it does not say."""
+        self._until(deadline_s)
+        return known_state.temperature_C(self.features)
+
     def start(self, deadline_s: float) -> None:
         """Open the stream and start the acquisition; block ids begin anew."""
         self._until(deadline_s)

@@ -79,17 +79,26 @@ class BaslerStereoPair(PairDevice[Camera]):
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """How many packets of the present streams were lost on the way; nothing before they run."""
-        return tuple(
-            Fact(
-                f"packets of the {side} camera",
-                f"{counters.packets} came, {counters.resend_requests} requests to send some again",
-                counters.incomplete_frames == 0,
-                "Use jumbo frames, another cable or port, a larger receive buffer.",
+        """Packets lost on the way of the present streams, and temperatures; nothing before they run.
+
+        No published limit of the temperature is known here: it is told, not judged.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        facts: list[Fact] = []
+        for side, camera, counters in zip(("left", "right"), self._pair, self.counters, strict=True):
+            if counters is None:
+                continue
+            facts.append(
+                Fact(
+                    f"packets of the {side} camera",
+                    f"{counters.packets} came, {counters.resend_requests} requests to send some again",
+                    counters.incomplete_frames == 0,
+                    "Use jumbo frames, another cable or port, a larger receive buffer.",
+                )
             )
-            for side, counters in zip(("left", "right"), self.counters, strict=True)
-            if counters is not None
-        )
+            if (inside_C := camera.temperature_C(deadline_s)) is not None:
+                facts.append(Fact(f"temperature of the {side} camera", f"{inside_C:.0f} C"))
+        return tuple(facts)
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:

@@ -61,6 +61,16 @@ def _swapped(text: str) -> str:
     return text.replace(left, "SIDE = ").replace(right, left).replace("SIDE = ", right)
 
 
+def _with_a_record_of_another_arm(text: str) -> str:
+    zeros = {3: "[0.0, 0.0, 0.0]", 2: "[0.0, 0.0]", 1: "0.0"}
+    deviations = {"link_translation_mm": 3, "link_rotation_rad": 3, "sine_rad": 2, "cosine_rad": 2}
+    deviations |= dict.fromkeys(("joint_offset_rad", "sag_rad", "backlash_rad"), 1)
+    dates = "created = 2026-01-01T00:00:00Z\nexpires = 2126-01-01T00:00:00Z"
+    lines = [f"{name} = [{', '.join(6 * [zeros[count]])}]" for name, count in deviations.items()]
+    head = f'identifier = "other"\n{dates}\nmade_by = "test"\nstated_error_mm = 0.1\nscatter_mm = 0.1'
+    return "\n".join((text, "[calibration.arm]", head, 'arm = "kr6_r900_2"', *lines))
+
+
 @dataclass(frozen=True)
 class Trouble:
     """Something that `set_up` refuses with `code`: a fault, another tool, or a change of the theatre file."""
@@ -76,6 +86,13 @@ TROUBLES = {
     "tool tip expired": Trouble("CAL-001", change=_replaced("expires = 2", "expires = 1")),
     "dated in the future": Trouble("CAL-001", change=lambda text: text.replace("created = 2", "created = 9")),
     "no calibrations": Trouble("DEV-007", change=_without("calibration")),
+    "record of another arm": Trouble("CAL-013", change=_with_a_record_of_another_arm),
+    "records of other cameras": Trouble(
+        "STE-010", change=_replaced('\nserial = "21904412"', '\nserial = "21900001"')
+    ),
+    "cameras swapped": Trouble("GEV-004", change=_swapped),
+    "tools of another flange": Trouble("TOOL-003", change=lambda text: text.replace("flange =", "#", 1)),
+    "no record of the guide": Trouble("TOOL-002", change=_without("tools.guide")),
     "no cameras": Trouble("DEV-007", change=_without("stereo")),
     "no banner": Trouble("CFG-004", change=_replaced("banner = ", 'banner = "" # ')),
     "guide mounted": Trouble("PRO-009", tool=GUIDE),

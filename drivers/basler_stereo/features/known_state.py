@@ -15,6 +15,7 @@ from ronna_hw.wire import gige_vision as gev
 # cameras of this family use the first name, younger standards the others
 EXPOSURE_NAMES = ("ExposureTimeAbs", "ExposureTime", "ExposureTimeRaw")
 GAIN_NAMES = ("GainRaw", "Gain")
+TEMPERATURE_NAMES = ("TemperatureAbs", "DeviceTemperature")  # whether this model has one is unconfirmed
 SENSOR_WIDTH_NAMES = ("SensorWidth", "WidthMax")
 SENSOR_HEIGHT_NAMES = ("SensorHeight", "HeightMax")
 
@@ -37,6 +38,8 @@ class Features(Protocol):
 
     def has(self, name: str) -> bool: ...
 
+    def number(self, name: str) -> Number: ...
+
     def whole(self, name: str) -> int: ...
 
     def entries(self, name: str) -> Iterable[str]: ...
@@ -48,6 +51,12 @@ class Features(Protocol):
     def choose(self, name: str, entry: str) -> None: ...
 
     def execute(self, name: str) -> None: ...
+
+
+def temperature_C(features: Features) -> float | None:
+    """Inside the camera; None when it does not say."""
+    name = next(filter(features.has, TEMPERATURE_NAMES), None)
+    return None if name is None else float(features.number(name))
 
 
 def apply_known_state(features: Features, options: BaslerOptions) -> None:

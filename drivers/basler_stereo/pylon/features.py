@@ -21,6 +21,11 @@ class PylonFeatures:
         node = self._nodes.GetNode(name)
         return node is not None and bool(self._genicam.IsAvailable(node))
 
+    def number(self, name: str) -> Number:
+        """Value of a feature."""
+        value: Number = self._node(name).GetValue()
+        return value
+
     def whole(self, name: str) -> int:
         """Value of a whole-numbered feature."""
         return int(self._node(name).GetValue())

@@ -1,4 +1,4 @@
-"""The calibration records of a theatre file: whether they are there, and until when they are valid."""
+"""The records of a theatre file, calibrations and tools: are they there, do they fit, until when."""
 
 from __future__ import annotations
 
@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 
 from procedures.calibration.validity import MADE_BY_COMMAND
+from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import TheatreFile
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.devices.probing import Diagnostic, refusal
+from ronna_hw.errors import RonnaError
 
 SOON = timedelta(days=3)  # before it expires a record is worth a word
 
@@ -32,3 +34,13 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         yield Diagnostic(
             subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )
+    yield _tools(theatre, theatre.calibration, now)
+
+
+def _tools(theatre: TheatreFile, calibrations: Calibrations, now: datetime) -> Diagnostic:
+    """Whether the records of the tools are valid, of this flange and of the calibrated tip."""
+    try:
+        ToolRecords.of(theatre).check(calibrations, now)
+    except RonnaError as error:
+        return refusal("tool records", error)
+    return Diagnostic("tool records", True, ", ".join(theatre.tools))

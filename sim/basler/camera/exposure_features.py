@@ -26,6 +26,7 @@ EXPOSURE_LIMITS: dict[str, Any] = {
     "maximum": always(EXPOSURE_MAXIMUM_US),
 }
 ANALOG = "AnalogControls"
+INSIDE_C = 45.0  # a camera that has warmed up on its mount; it never changes here
 EXPOSURE_FEATURES: tuple[Feature, ...] = (
     constant("ExposureMode", CONTROL, "How the exposure ends.", 0, **only("Timed")),
     constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **only("Off")),
@@ -49,6 +50,7 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         read=lambda commands: readout_us(commands.settings.frame()),
         unit="us",
     ),
+    constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
     constant("GainAuto", ANALOG, "Automatic gain.", 0, **only("Off")),
     constant("GainSelector", ANALOG, "What the gain acts on.", 0, selects=("GainRaw",), **only("All")),
     setting(
