@@ -37,9 +37,10 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
     for index in order.tolist():
         centre = circles.centres_mm[index]
         for chain in open_chains:
-            last = circles.centres_mm[chain[-1]]
-            step_mm = centre[circles.axis] - last[circles.axis]
-            beside_mm = float(np.linalg.norm(centre[across] - last[across]))
+            centres = circles.centres_mm[chain]
+            step_mm = centre[circles.axis] - centres[-1, circles.axis]
+            # Beside most of them: one circle found askew must not part those above it from those below.
+            beside_mm = float(np.linalg.norm(centre[across] - np.median(centres[:, across], axis=0)))
             if 0.0 < step_mm <= GAP_MM and beside_mm <= IN_PLANE_MM:
                 chain.append(index)
                 break

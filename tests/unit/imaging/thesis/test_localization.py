@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis
-from procedures.imaging.thesis.clusters import Cluster
+from procedures.imaging.thesis.circles import Circles
+from procedures.imaging.thesis.clusters import Cluster, cluster_circles
 from procedures.imaging.thesis.fits import fit_lines, fit_sphere
 
 CENTRES = np.array([[30.2, 19.7, 17.4], [31.1, 20.3, 50.6]])
@@ -69,3 +70,13 @@ def test_lines_and_sphere_are_exact_on_exact_circles_and_ransac_leaves_outliers_
         np.testing.assert_allclose(found, centre, atol=0.02 if outlying else 1e-9)
         assert radius == pytest.approx(5.75, abs=0.02)
         assert share > 0.8
+
+
+def test_one_circle_found_askew_does_not_part_a_sphere_in_two() -> None:
+    heights = np.arange(-4.5, 5.0)
+    centres = np.column_stack([heights, np.zeros((len(heights), 2))])
+    centres[4, 1:] = 0.5
+    centres[5:, 1:] = -0.4
+    radii = np.sqrt(5.75**2 - heights**2)
+    (cluster,) = cluster_circles(Circles(centres, radii, 0), 5.75)
+    assert len(cluster.radii_mm) == len(heights)
