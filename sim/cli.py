@@ -25,10 +25,10 @@ def register(app: typer.Typer) -> None:
     from sim.kuka.command import kuka
     from sim.phantom.command import phantom
     from sim.polaris.command import polaris
-    from sim.theatre.command import dials, fault, mount, stand, theatre, verify, work
+    from sim.theatre.command import fault, mount, stand, theatre, verify, work
     from sim.theatre.scene.command import scene
 
-    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, dials, work, fault, verify):
+    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, work, fault, verify):
         app.command()(command)
 
 

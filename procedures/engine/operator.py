@@ -12,7 +12,6 @@ from enum import StrEnum
 from typing import Protocol
 
 from procedures.engine.events import Evidence
-from ronna_hw.calibration import Numbers3
 
 YES, NO = "yes", "no"
 
@@ -185,13 +184,6 @@ class Room(Protocol):
 
     def prepare_stand(self, holds: str) -> None:
         """Put the ball or the divot on the calibration stand; the step then has it confirmed."""
-        ...
-
-    def read_dials(self, where: str) -> Numbers3:
-        """Raise the divot to the tip, read its three dials and lower it: mm along the axes of the robot.
-
-        Raises PRO-002 when nobody reads them.
-        """
         ...
 
     def work(self, task: Task) -> tuple[float, ...]:

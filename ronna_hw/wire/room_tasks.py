@@ -12,4 +12,5 @@ HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
 CART_PLACE = "cart_place"  # wheel the cart to its place
 CART_LOCK = "cart_lock"  # close its brakes
 CART_PUSH = "cart_push"  # lean on the locked cart from each side
+DIALS = "dials"  # of the calibration stand: raise the divot to the tip, read its x, y and z, lower it again
 GAUGE = "gauge"  # read it: the joints at which it stands in deg, and the height between its dials in mm

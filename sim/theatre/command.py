@@ -178,16 +178,6 @@ def stand(
     ask_control_port(control, "stand", holds=holds.value)
 
 
-def dials(
-    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
-) -> None:
-    """Raise the divot to the guide's tip and read the three dials, in mm, as the staff would."""
-    from ronna_hw.host.control_port import ask_control_port
-
-    x, y, z = ask_control_port(control, "dials")["dials_mm"]
-    typer.echo(f"{x:.2f} {y:.2f} {z:.2f}")
-
-
 def work(
     task: Annotated[str, typer.Argument(help="What hands do, such as depth_stop, insert, out or gauge.")],
     numbers: Annotated[

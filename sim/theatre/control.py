@@ -1,7 +1,7 @@
 """What can be asked for at the control port, the only access of the scripted operator to the simulated room.
 
 `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`,
-`{"do": "dials"}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and
+`{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and
 `{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`. An
 instrument that is inserted samples the truth at that target.
 """
@@ -18,7 +18,6 @@ from sim.theatre.faults import DEVICES, begin_now, begin_with_step, check_faults
 from sim.theatre.hands import Hands
 from sim.theatre.left_world import write_left_world
 from sim.theatre.on_stand import OnStand
-from sim.theatre.stand import read_dials
 from sim.theatre.world import World
 
 LONGEST_REASON = 500  # characters: it may quote the request
@@ -56,7 +55,6 @@ class Room:
             "work": self._work,
             "mount": self._mount,
             "stand": self._stand,
-            "dials": self._dials,
             "fault": self._fault,
             "clear_faults": self._clear_faults,
         }
@@ -105,9 +103,6 @@ class Room:
 
     def _stand(self, request: dict[str, Any]) -> None:
         self._world.put_on_stand(OnStand(str(request["holds"])))
-
-    def _dials(self, _request: dict[str, Any]) -> dict[str, Any]:
-        return {"dials_mm": read_dials(self._world)}
 
     def _fault(self, request: dict[str, Any]) -> dict[str, Any]:
         line = str(request["line"])

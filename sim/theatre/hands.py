@@ -19,6 +19,7 @@ from ronna_hw.wire.room_tasks import (
     CART_PLACE,
     CART_PUSH,
     DEPTH_STOP,
+    DIALS,
     DRILL,
     DURA,
     GAUGE,
@@ -31,6 +32,7 @@ from sim.theatre.faults import FaultBoard, begin_now
 from sim.theatre.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.theatre.noise import noise
 from sim.theatre.rigid import Matrix, inverse
+from sim.theatre.stand import read_dials
 from sim.theatre.true_guide import TrueGuide, calibrated_tip
 from sim.theatre.truth import append_sample, sample_instrument
 from sim.theatre.world import World
@@ -61,6 +63,7 @@ class Hands:
             CART_PUSH: self._push_cart,
             INSERT: lambda: self._insert(trajectory),
             OUT: nothing,
+            DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
         }
         readings = tasks[task]()

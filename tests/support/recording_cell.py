@@ -40,7 +40,7 @@ from ronna_hw.devices.readings import (
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
-from ronna_hw.wire.room_tasks import DEPTH_STOP, GAUGE
+from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE
 from sim.theatre.scene.model import Scene
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
@@ -233,11 +233,10 @@ class RecordingRoom:
     def prepare_stand(self, holds: str) -> None:
         self.stand.append(holds)
 
-    def read_dials(self, where: str) -> tuple[float, float, float]:
-        return self.dials(self.arm.joints_rad)
-
     def work(self, task: Task) -> tuple[float, ...]:
         self.worked.append(task)
+        if task.name == DIALS:
+            return self.dials(self.arm.joints_rad)
         if task.name == GAUGE:
             return self.dials_mm
         if task.name == DEPTH_STOP:

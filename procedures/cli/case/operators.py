@@ -12,9 +12,7 @@ from types import MappingProxyType
 
 from typer import style
 
-from procedures.engine.errors import NotConfirmed
 from procedures.engine.operator import Operator, Question, Task, Topic, words
-from ronna_hw.calibration import Numbers3
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
 
@@ -77,11 +75,6 @@ class SimulatedRoom:
     def prepare_stand(self, holds: str) -> None:
         """Put it there."""
         ask_control_port(self._control, "stand", holds=holds)
-
-    def read_dials(self, where: str) -> Numbers3:
-        """What the stand shows."""
-        x, y, z = ask_control_port(self._control, "dials")["dials_mm"]
-        return (float(x), float(y), float(z))
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Have it done, and what the scene shows read off."""
@@ -155,20 +148,6 @@ class TerminalRoom:
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
 
-    def read_dials(self, where: str) -> Numbers3:
-        """Three numbers, typed; what is none is asked again. Raises PRO-002 when nothing is typed."""
-        with self._asking():
-            _say(f"At {where}: raise the divot to the tip, read the three dials, lower it again.")
-            self._hint("dials")
-            while sys.stdin.isatty() and (typed := _typed("x y z in mm, along the axes of the robot", None)):
-                try:
-                    x, y, z = (_number(value) for value in typed.split())
-                except ValueError:
-                    _say(f"{typed!r} is not three numbers, such as 0.12 -0.05 0.30.")
-                    continue
-                return (x, y, z)
-        raise NotConfirmed(f"nobody read the dials at {where}")
-
     def _hint(self, command: str) -> None:
         """In a simulated room things are done by commands."""
         if self._simulated:
@@ -179,14 +158,9 @@ class TerminalRoom:
         """Say what to do, and have typed what is read off; nothing without a terminal."""
         with self._asking():
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
-            if self._simulated:
-                numbers = "".join(f" {number:g}" for number in task.numbers)
-                trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
-                sys.stderr.write(
-                    f"In the simulated room: ronna-sim work {task.name}{numbers}{trajectory}"
-                    " --control 'ENDPOINT FROM READY'\n"
-                )
-            sys.stderr.flush()
+            numbers = "".join(f" {number:g}" for number in task.numbers)
+            trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
+            self._hint(f"work {task.name}{numbers}{trajectory}")
             readings: list[float] = []
             for what in task.reads if sys.stdin.isatty() else ():
                 if (number := _typed_number(what)) is None:

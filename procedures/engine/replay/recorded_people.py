@@ -8,7 +8,6 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import Line
 from procedures.engine.operator import Question, Task
 from procedures.engine.replay.recorded_answers import RecordedAnswers
-from ronna_hw.calibration import Numbers3
 
 
 class RecordedOperator:
@@ -48,10 +47,6 @@ class RecordedRoom:
 
     def prepare_stand(self, holds: str) -> None:
         """As `Room`."""
-
-    def read_dials(self, where: str) -> Numbers3:
-        """Calibrations are computed again from their readings, not replayed. Raises PRO-024."""
-        raise NotRecorded(f"the dials at {where} are not in the journal")
 
     def work(self, task: Task) -> tuple[float, ...]:
         """What was read off after the next task of that name. Raises PRO-024 when it was not done."""

@@ -15,7 +15,7 @@ from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLoo
 from procedures.calibration.tool_tip.record import require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
+from procedures.engine.operator import Task, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.calibration.ball_place import BallPlace
@@ -26,11 +26,13 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.wire.room_tasks import DIALS
 
 Array = NDArray[np.float64]
 
 DIVOT = "divot"
 HOVER_MM = 40.0  # back along the guide, on the way to the divot and from it
+READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
 MOST_TRIES = 3  # at one orientation: the second is near, unless something gives way
 
@@ -109,7 +111,14 @@ class _Reading:
         hover_rad = workcell.joints_at(back, over.joints_rad)
         workcell.settle(hover_rad, SAME_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), SAME_SIDE)
-        dials_mm = self.context.setting.room.read_dials(f"orientation {look + 1}")
+        x_mm, y_mm, z_mm = self.context.have_done(
+            Task(
+                DIALS,
+                f"at orientation {look + 1} raise the divot to the tip, read the three dials, lower it again",
+                reads=READS,
+            )
+        )
+        dials_mm = (x_mm, y_mm, z_mm)
         require_plausible(dials_mm)
         joints = workcell.joints_rad()
         self._confirm_clear(look)

@@ -9,9 +9,8 @@ import pytest
 
 from procedures.cli.case import operators
 from procedures.cli.case.operators import TerminalRoom
-from procedures.engine.errors import NotConfirmed
 from procedures.engine.operator import Task
-from ronna_hw.wire.room_tasks import DEPTH_STOP
+from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS
 
 
 @pytest.mark.parametrize("simulated", [True, False])
@@ -24,23 +23,18 @@ def test_only_in_a_simulated_room_a_command_mounts_the_tool(
     assert ("ronna-sim mount 2 --control" in told) == simulated
 
 
-def test_dials_are_typed_as_three_numbers_and_asked_again_otherwise(
+def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typed = iter(["zero", "0.1 0.2", "0,1 2", "0.12, -0.05, 0.30", "nan 0 0", "0,12 -0.05 0.30"])
+    typed = iter(["zero", "0,12", "nan", "0.1 0.2", "-0.05", "0.30"])
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
     monkeypatch.setattr(operators, "_typed", lambda _what, _ends_s: next(typed))
-    assert TerminalRoom(simulated=True).read_dials("orientation 4") == (0.12, -0.05, 0.30)
+    task = Task(DIALS, "read the three dials", reads=("x in mm", "y in mm", "z in mm"))
+    assert TerminalRoom(simulated=True).work(task) == (0.12, -0.05, 0.30)
     told = capsys.readouterr().err
-    assert told.startswith("At orientation 4: raise the divot to the tip, read the three dials")
-    assert "ronna-sim dials --control" in told
-    assert "'0.1 0.2' is not three numbers, such as 0.12 -0.05 0.30." in told
-
-
-def test_without_a_terminal_nobody_reads_the_dials(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: False))
-    with pytest.raises(NotConfirmed, match="nobody read the dials at orientation 4"):
-        TerminalRoom().read_dials("orientation 4")
+    assert told.startswith("Read the three dials.\n")
+    assert "ronna-sim work dials --control" in told
+    assert "'0.1 0.2' is not a number." in told
 
 
 def test_what_the_stand_is_to_hold_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -64,11 +64,11 @@ def test_dials_that_cannot_be_read_are_refused(world: World, what: str) -> None:
 
 def test_the_control_port_moves_the_stand_and_reads_it(world: World) -> None:
     room = Room(world, None)
-    assert room.answer({"do": "dials"})["dials_mm"] == read_dials(world)
+    assert room.answer({"do": "work", "task": "dials"})["readings"] == list(read_dials(world))
     assert room.answer({"do": "stand", "holds": "ball"})["ok"]
     assert world.on_stand() is OnStand.BALL
     assert not room.answer({"do": "stand", "holds": "cup"})["ok"]
-    assert "the divot is not on the stand" in room.answer({"do": "dials"})["reason"]
+    assert "the divot is not on the stand" in room.answer({"do": "work", "task": "dials"})["reason"]
 
 
 def test_the_head_sees_the_ball_only_while_it_is_on_the_stand(world: World) -> None:
