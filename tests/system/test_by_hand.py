@@ -1,18 +1,14 @@
 """A theatre started by hand, with the procedure on its file and a person who answers."""
 
 import json
-import os
-import pty
-import re
-import select
-import subprocess
-import time
+import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Thread
 
 import pytest
+from person import Person
 from run_folders import await_motion_in, run_folder
 from user_commands import Commands, in_this_process, one_error
 
@@ -20,18 +16,7 @@ from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from sim.cli import app as ronna_sim
 
-CASE_S = 100.0
-PROMPT = r"Type (yes or no|done|how many mm|the patient's identifier)[^:]*: |held> "
 PATIENT = "mini-4"  # scene and seed
-
-
-def answer(asked: str | None, text: str) -> str:
-    """What a person types who has read the text; a case that is held is left."""
-    if asked is None:
-        return "quit"
-    if asked == "how many mm":
-        return re.findall(r"moves\s+(\d+)\s+mm", text)[-1]
-    return PATIENT if asked.startswith("the patient") else asked.split()[0]
 
 
 @dataclass(frozen=True)
@@ -40,51 +25,18 @@ class Cell:
 
     commands: Commands
     folder: Path
-    endpoints: dict[str, str]
 
     @property
     def case(self) -> tuple[str, ...]:
-        file, patient = self.folder / "theatre" / "theatre.toml", self.folder / "patient"
-        return ("--config", str(file), "--case", str(patient), "--out", str(self.folder / "runs"))
+        return ("--config", "theatre/theatre.toml", "--case", "patient", "--out", "runs")
 
     def simulator(self, *line: str) -> None:
-        control = ("--control", self.endpoints["control"])
-        assert self.commands.run("ronna-sim", *line, *control).returncode == 0
+        assert self.commands.run("ronna-sim", *line).returncode == 0
 
     def by_hand(self, *line: str, happens: Callable[[str], None] = lambda _text: None) -> tuple[int, str]:
-        """The exit code and the terminal's text of a command whose questions are answered.
-
-        `happens` is handed the text before each answer and whenever there is more of it.
-        """
-        primary, secondary = pty.openpty()
-        process = subprocess.Popen(
-            self.commands.line("ronna-procedure", *line),
-            env={**self.commands.environment, "TERM": "xterm"},
-            stdin=secondary,
-            stdout=secondary,
-            stderr=secondary,
-        )
-        os.close(secondary)
-        text, answered, deadline = "", 0, time.monotonic() + CASE_S
-        try:
-            while process.poll() is None and time.monotonic() < deadline:
-                if not select.select([primary], [], [], 0.2)[0]:
-                    continue
-                try:
-                    text += os.read(primary, 65536).decode(errors="replace")
-                except OSError:
-                    break
-                happens(text)
-                asked = [found[1] for found in re.finditer(PROMPT, text)]
-                if len(asked) > answered:
-                    answered += 1
-                    os.write(primary, answer(asked[-1], text).encode() + b"\n")
-            return process.wait(5), text
-        finally:
-            if process.poll() is None:
-                process.kill()
-                process.wait()
-            os.close(primary)
+        """The exit code and the terminal's text of a command whose questions are answered."""
+        person = Person(self.commands, self.folder, PATIENT)
+        return person.does(shlex.join(["ronna-procedure", *line]), happens=happens)
 
 
 @pytest.fixture
@@ -94,8 +46,9 @@ def cell(commands: Commands, tmp_path: Path) -> Iterator[Cell]:
     theatre = commands.start("ronna-sim", "theatre", *scene, "--out", str(tmp_path / "theatre"))
     assert theatre.stdout is not None
     ready = json.loads(theatre.stdout.readline().removeprefix("READY "))
+    commands.environment["RONNA_CONTROL"] = ready["endpoints"]["control"]
     try:
-        yield Cell(commands, tmp_path, ready["endpoints"])
+        yield Cell(commands, tmp_path)
     finally:
         theatre.terminate()
         theatre.communicate(timeout=5)
@@ -103,15 +56,7 @@ def cell(commands: Commands, tmp_path: Path) -> Iterator[Cell]:
 
 @pytest.mark.slow
 def test_a_person_confirms_each_value_and_exchanges_the_tool(cell: Cell) -> None:
-    exchanges = 0
-
-    def exchanged(text: str) -> None:
-        nonlocal exchanges
-        if text.count("Mount the surgical guide") > exchanges:
-            exchanges += 1
-            cell.simulator("mount", "2")
-
-    code, text = cell.by_hand("run", *cell.case, happens=exchanged)
+    code, text = cell.by_hand("run", *cell.case)
     assert code == 0, text[-1500:]
     assert "predicted error of" in text
 

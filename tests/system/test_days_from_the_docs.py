@@ -1,0 +1,131 @@
+"""Two users' days, walked from the documentation alone: its commands, a person who reads what is asked."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from threading import Thread
+
+import pytest
+from documented import commands_of
+from person import Person
+from run_folders import await_motion_in
+from user_commands import Commands
+
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, EXIT_SAFETY_STOP
+from ronna_hw.host.child_process import ChildProcess, command
+
+pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
+THEATRE = re.compile(r"^ronna-sim theatre (.+)$", re.MULTILINE)
+ENDED = re.compile(r"^exit code (\d+)\r?$", re.MULTILINE)
+PATIENT = "mini-4"
+ROOT = Path(__file__).resolve().parents[2]
+
+
+class Day:
+    """A page, the theatre that it has started in another terminal, and a person who follows it."""
+
+    def __init__(self, page: str, commands: Commands, folder: Path) -> None:
+        self.page = ROOT / page
+        self.lines = commands_of(page)
+        self.folder = folder
+        self.person = Person(commands, folder, PATIENT)
+
+    def theatre(self) -> ChildProcess:
+        """What the page has in a terminal of its own."""
+        found = THEATRE.search(self.page.read_text())
+        assert found is not None
+        words = found[1].split()
+        out = words.index("--out") + 1
+        words[out] = str(self.folder / words[out])
+        return ChildProcess("ronna-sim theatre", command("sim.cli", "theatre", *words))
+
+    def to(self, beginning: str) -> tuple[int, str]:
+        """Follow the page up to and with the next line that begins so: its exit code, and what it said."""
+        while self.lines:
+            line = self.lines.pop(0)
+            code, text = self.person.does(line)
+            assert code == 0, f"{line}\n{text[-3000:]}"
+            if line.startswith(beginning):
+                ended = ENDED.search(text)
+                return (int(ended[1]) if ended else 0), text
+        raise AssertionError(f"the page has no line {beginning}")
+
+
+@pytest.fixture
+def lab(commands: Commands, tmp_path: Path) -> Iterator[Day]:
+    day = Day("docs/tutorial/first-day-in-a-lab.md", commands, tmp_path)
+    with day.theatre() as theatre:
+        endpoints = theatre.ready["endpoints"]
+        commands.environment |= {
+            "RONNA_CONTROL": endpoints["control"],
+            "LINE": endpoints["polaris"],
+            "CONTROLLER": endpoints["kuka"]["eki_project"],
+            "STREAM": endpoints["kuka"]["rsi"],
+            "LEFT": parse_endpoint(endpoints["basler"]["left"]).host,
+            "RIGHT": parse_endpoint(endpoints["basler"]["right"]).host,
+            "CLOCK": endpoints["clock"],
+        }
+        yield day
+
+
+def test_the_lab_engineer_comes_from_a_cell_full_of_faults_to_a_finished_case(lab: Day) -> None:
+    code, text = lab.to("ronna-procedure doctor")
+    assert code == EXIT_NOT_FOUND
+    told = " ".join(text.split())
+    for what in ("emergency stop", "NDI-022", "GEV-004", "CAL-001"):
+        assert what in told, text
+    code, text = lab.to("ronna-procedure doctor")
+    assert code == EXIT_NOT_FOUND
+    assert "NDI-022" not in text
+    assert "calibrate tool-tip" in " ".join(text.split())
+    code, text = lab.to("ronna-procedure run")
+    assert code == EXIT_REFUSED, text
+    assert "CAL-001" in text
+    lab.to("ronna-procedure calibrate tracker-frame")
+    lab.to("ronna-procedure calibrate tool-tip")
+    assert lab.to("ronna-procedure doctor")[0] == 0
+    assert lab.to("ronna-procedure run")[0] == 0
+    assert lab.to("ronna-procedure verify")[0] == 0
+    assert not lab.lines
+    assert list(lab.folder.glob("runs/*/report.html"))
+
+
+@pytest.fixture
+def rehearsal(commands: Commands, tmp_path: Path) -> Iterator[Day]:
+    day = Day("docs/tutorial/rehearsal-with-a-surgeon.md", commands, tmp_path)
+    with day.theatre() as theatre:
+        commands.environment["RONNA_CONTROL"] = theatre.ready["endpoints"]["control"]
+        yield day
+
+
+def test_the_clinical_engineer_rehearses_a_stop_and_finishes_the_case(rehearsal: Day) -> None:
+    assert rehearsal.to("ronna-procedure doctor")[0] == 0
+    case, stop = rehearsal.lines[:2]
+    del rehearsal.lines[:2]
+    assert case.startswith("ronna-procedure run")
+    assert "emergency stop" in stop
+    pressed: list[Thread] = []
+
+    def press() -> None:
+        await_motion_in(rehearsal.folder / "runs", "relocalization:T1")
+        rehearsal.person.does(stop)
+
+    def at_the_first_motion(text: str) -> None:
+        if "first motion" in text and not pressed:
+            pressed.append(Thread(target=press, daemon=True))
+            pressed[0].start()
+
+    _, text = rehearsal.person.does(case, happens=at_the_first_motion)
+    ended = ENDED.search(text)
+    assert ended is not None, text[-2000:]
+    assert int(ended[1]) == EXIT_SAFETY_STOP
+    pressed[0].join()
+    code, text = rehearsal.to("ronna-procedure resume")
+    assert code == 0, text[-2000:]
+    assert rehearsal.to("ronna-procedure verify")[0] == 0
+    rehearsal.to("ronna-procedure report")
+    (report,) = rehearsal.folder.glob("runs/*/report.html")
+    assert "A. Nurse" in report.read_text()
