@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from procedures.calibration.validity import MADE_BY_COMMAND
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.config import TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 
@@ -34,13 +34,15 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         yield Diagnostic(
             subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )
-    yield _tools(theatre, theatre.calibration, now)
 
 
-def _tools(theatre: TheatreFile, calibrations: Calibrations, now: datetime) -> Diagnostic:
+def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
     """Whether the records of the tools are valid, of this flange and of the calibrated tip."""
+    if theatre.calibration is None:
+        return
     try:
-        ToolRecords.of(theatre).check(calibrations, now)
+        ToolRecords.of(theatre).check(theatre.calibration, now)
     except RonnaError as error:
-        return refusal("tool records", error)
-    return Diagnostic("tool records", True, ", ".join(theatre.tools))
+        yield refusal("tool records", error)
+    else:
+        yield Diagnostic("tool records", True, ", ".join(theatre.tools))

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.doctor.calibrations import calibration_diagnostics
+from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import case_diagnostics
@@ -59,7 +59,8 @@ def examine(
     devices: list[str] = []
     if config is not None:
         file = read_theatre_file(config)
-        calibrations = tuple(calibration_diagnostics(file, datetime.now(UTC)))
+        now = datetime.now(UTC)
+        calibrations = (*calibration_diagnostics(file, now), *tool_diagnostics(file, now))
         case = tuple(case_diagnostics(file))
         devices = list(file.devices)
         for name, device in file.devices.items():
