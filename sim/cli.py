@@ -28,8 +28,9 @@ def register(app: typer.Typer) -> None:
     from sim.theatre.command import fault, mount, stand, theatre, verify, work
     from sim.theatre.scene.command import scene
 
-    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, work, fault, verify):
+    for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, fault, verify):
         app.command()(command)
+    app.command(context_settings={"ignore_unknown_options": True})(work)  # joints of -40 are no options
 
 
 register(app)

@@ -98,3 +98,10 @@ def test_a_theatre_that_is_not_there_cannot_exchange_its_tool() -> None:
     done = in_this_process(ronna_sim, "mount", "2", "--control", "tcp://127.0.0.1:9?token=x")
     assert done.returncode == 4
     assert one_error(done.stderr)[0].startswith("CTL-001")
+
+
+def test_hands_take_negative_joints_as_the_terminal_tells_them() -> None:
+    told = "work gauge -40 -75 99 0 66 180 60 --control tcp://127.0.0.1:9?token=x"
+    done = in_this_process(ronna_sim, *told.split())
+    assert done.returncode == 4
+    assert one_error(done.stderr)[0].startswith("CTL-001")
