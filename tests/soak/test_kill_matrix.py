@@ -19,11 +19,12 @@ pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
 MINI_LINES = 135
-FULL_LINES = (5, 48, 91, 112, 134, 176, 219, 240, 282, 304)  # of 333
+FULL_LINES = (5, 58, 101, 122, 144, 186, 229, 250, 292, 314)  # of 343
 FULL = ("run", "--sim", "--seed", "7", "--json")
-# A sphere is centred, the tool exchanged, the mandrel is in the gauge, the guide is held, the instrument goes
-# in, is at depth, comes out, and the guide goes back, among others.
-POWER_CUTS = (5, 12, 17, 31, 45, 58, 71, 79, 82, 98, 105, 112, 115, 119)
+# The head is clamped, the cart is leaned on, a sphere is centred, the tool exchanged, the mandrel is in the
+# gauge, the guide is held, the instrument goes in, is at depth, comes out, and the guide goes back, among
+# others.
+POWER_CUTS = (5, 12, 18, 22, 27, 41, 55, 68, 81, 89, 92, 108, 115, 122, 125, 129)
 
 
 @pytest.fixture
