@@ -26,6 +26,7 @@ from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.theatre import Theatre
 
 STEREO_HEAD, GUIDE, NOTHING = 1, 2, 0
+MOST_TRIES = 5
 Change = Callable[[str], str]
 
 
@@ -148,6 +149,16 @@ def _refusal(file: Path, folder: Path) -> RonnaError | None:
     return None
 
 
+def _awaited_refusal(file: Path, folder: Path) -> RonnaError | None:
+    """The same, once a fault that was just injected acts: a busy simulator takes a moment."""
+    for number in range(MOST_TRIES):
+        again = folder / str(number)
+        again.mkdir()
+        if (refused := _refusal(file, again)) is not None:
+            return refused
+    return None
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["nothing", *TROUBLES])
 def test_what_set_up_refuses_the_doctor_has_said_before(name: str, room: Room, tmp_path: Path) -> None:
@@ -165,8 +176,9 @@ def test_what_set_up_refuses_the_doctor_has_said_before(name: str, room: Room, t
             taken = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             taken.bind((rsi.host, rsi.port))
     try:
+        refused = None if trouble is None else _awaited_refusal(file, tmp_path)
         done = in_this_process(app, "doctor", "--config", file, "--json")
-        refused = _refusal(file, tmp_path)
+        refused = _refusal(file, tmp_path) if trouble is None else refused
     finally:
         ask_control_port(room.control, "clear_faults")
         ask_control_port(room.control, "mount", number=STEREO_HEAD)
