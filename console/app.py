@@ -46,14 +46,20 @@ def _print_ready(ready: dict[str, str]) -> None:
 
 
 def serve_hub(hub: Hub, port: int, work: Work | None, ready: Callable[[dict[str, str]], None]) -> None:
-    """Serve until `work` is done, or without it until the process is ended. Raises CON-001."""
+    """Serve a case until `work` is done, or without it until the process is ended. Raises CON-001."""
+    serve_pages(lambda app: _add_case(app, hub), port, work, ready)
+
+
+def serve_pages(
+    add: Callable[[FastAPI], None], port: int, work: Work | None, ready: Callable[[dict[str, str]], None]
+) -> None:
+    """Serve what `add` adds to an application, behind the guard, as `serve_hub`. Raises CON-001."""
     listening = _listen(port)
     port = listening.getsockname()[1]
     sessions = Sessions()
-    guard = guarded_app(hub, sessions, port)
     server = uvicorn.Server(
         uvicorn.Config(
-            guard,
+            _guarded(add, sessions, port),
             log_config=None,
             access_log=False,  # an address may hold a key
             lifespan="on",
@@ -78,12 +84,15 @@ def serve_hub(hub: Hub, port: int, work: Work | None, ready: Callable[[dict[str,
     asyncio.run(run())
 
 
-def guarded_app(hub: Hub, sessions: Sessions, port: int) -> Guard:
-    """Pages and routes of a run behind the guard."""
+def _guarded(add: Callable[[FastAPI], None], sessions: Sessions, port: int) -> Guard:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
+    add(app)
+    return Guard(app, sessions, port)
+
+
+def _add_case(app: FastAPI, hub: Hub) -> None:
     add_order_routes(app, hub)
     add_page(app, hub)
-    return Guard(app, sessions, port)
 
 
 def _listen(port: int) -> socket.socket:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from console.bell import Bell
 from console.feed.fold import fold
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView
@@ -27,10 +28,11 @@ NOT_RUNNING = "this case is not running: it can only be looked at"
 SendOrder = Callable[[AnyOrder], Awaitable[None]]
 
 
-class Hub:
+class Hub(Bell):
     """Holds the view; pages subscribe with an event that is set when it changes."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
+        super().__init__()
         self.folder = folder
         self.view = CaseView()
         self.ended = False  # the engine has closed its end
@@ -40,7 +42,6 @@ class Hub:
         self._now_s = now_s
         self._heard_s = now_s()
         self._seen_s: dict[str, float] = {}  # host time at which each device was last told of
-        self._waiting: set[asyncio.Event] = set()
         self._send: SendOrder | None = None
         self._replies: dict[str, asyncio.Future[str]] = {}
 
@@ -104,21 +105,6 @@ class Hub:
             if not reply.done():
                 reply.set_result("the engine has ended")
         self.tell()
-
-    def subscribe(self) -> asyncio.Event:
-        """An event that is set whenever something changes."""
-        event = asyncio.Event()
-        self._waiting.add(event)
-        return event
-
-    def unsubscribe(self, event: asyncio.Event) -> None:
-        """Nobody waits for it any more."""
-        self._waiting.discard(event)
-
-    def tell(self) -> None:
-        """Wake whoever waits."""
-        for event in self._waiting:
-            event.set()
 
     # Orders
 

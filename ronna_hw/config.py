@@ -31,6 +31,7 @@ from ronna_hw.errors import ConfigurationError
 from ronna_hw.text.counting import counted
 from ronna_hw.tool_record import ToolRecord
 
+MASTER = "master"  # name of the arm that carries stereo head and guide
 MISTAKES_SHOWN = 20  # of one file: more help nobody, and a hostile file has thousands
 
 

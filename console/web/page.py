@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from fastapi import FastAPI, Request
-from nicegui import app as page_app
-from nicegui import core, ui
+from nicegui import ui
 
 from console.feed.view import CaseView
 from console.figures import Figures, as_of
@@ -28,47 +25,33 @@ from console.panels.pictures import pictures
 from console.panels.question import QuestionPanel
 from console.scene.panel import ScenePanel
 from console.sessions import Role, Session
-from console.web.sockets import bind_sockets, own_page
+from console.web.changes import changed_within
+from console.web.library import page_head, use_library
+from console.web.sockets import own_page
 from procedures.reporting.case_figures import CaseFigures
 
 TITLE = "RONNA console"  # of every case alike: titles are seen in lists of windows
-HERE = Path(__file__).parent
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
 VIEWER_PERIOD_S = 0.1
 BETWEEN_FACTS_S = 0.01
 BEAT_S = 0.4  # host time between two updates when nothing happens: ages grow
-RECONNECT_S = 3.0
 SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as numbers
-RESENT_MESSAGES = 50  # after a short break; a longer one reloads the page
 
 
 def add_page(app: FastAPI, hub: Hub) -> None:
     """Serve the page at `/` of an application."""
     figures = Figures(hub)
     figures.add_routes(app)
-    style = (HERE / "style.css").read_text(encoding="utf-8")
-    script = (HERE / "fresh.js").read_text(encoding="utf-8")
+    head = page_head()
 
     @ui.page("/")
     async def page(request: Request) -> None:
-        ui.add_head_html(f"<style>{style}</style><script>{script}</script>")
+        ui.add_head_html(head)
         session: Session = request.scope[SESSION]
         own_page(ui.context.client, session.identifier)
         CasePage(hub, figures, session, low="low" in request.query_params).build()
 
-    ui.run_with(
-        app,
-        title=TITLE,
-        dark=None,
-        tailwind=False,
-        favicon=str(HERE / "icon.svg"),
-        reconnect_timeout=RECONNECT_S,
-        message_history_length=RESENT_MESSAGES,
-        show_welcome_message=False,
-        gzip_middleware_factory=None,
-    )
-    page_app.config.socket_io_js_transports = ["websocket"]
-    bind_sockets(core.sio)
+    use_library(app, TITLE)
 
 
 class CasePage:
@@ -186,9 +169,9 @@ class CasePage:
                     self._show(loop.time())
             fact, next_s = self._hub.view.fact, loop.time() + self._period_s
             await asyncio.sleep(BETWEEN_FACTS_S)
-            await _changed_within(changed, BEAT_S)
+            await changed_within(changed, BEAT_S)
             while self._hub.view.fact == fact and (left_s := next_s - loop.time()) > 0.0:
-                await _changed_within(changed, left_s)
+                await changed_within(changed, left_s)
 
     @property
     def _period_s(self) -> float:
@@ -212,9 +195,3 @@ class CasePage:
         self._frozen.set_content(f'<div class="frozen" role="alert">{frozen}</div>' if frozen else "")
         self._beat += 1
         self._clock.set_content(bar.clock(view, self._beat))
-
-
-async def _changed_within(changed: asyncio.Event, limit_s: float) -> None:
-    with contextlib.suppress(TimeoutError):
-        await asyncio.wait_for(changed.wait(), limit_s)
-    changed.clear()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from procedures.cli.planning_inputs import SixNumbers, in_its_scene, read_ct, theatre_of
+from procedures.cli.planning_inputs import SixNumbers, read_ct, theatre_of
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -103,7 +103,7 @@ def place(
     volume, fiducials_mm, _ = read_ct(series_dir, True)
     check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
     assert fiducials_mm is not None
-    setting = in_its_scene(theatre, volume, plan, fiducials_mm)
+    setting = theatre.in_its_scene(volume, plan.fiducials, tuple(fiducials_mm))
     tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
     trajectories = held_trajectories(plan, theatre.bore)
     case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)

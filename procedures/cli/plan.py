@@ -12,7 +12,8 @@ import typer
 
 from procedures.cli.place import place
 from procedures.cli.plan_new import new
-from procedures.cli.planning_inputs import SixNumbers, in_its_scene, read_ct, theatre_of
+from procedures.cli.plan_open import open_plan
+from procedures.cli.planning_inputs import SixNumbers, read_ct, theatre_of
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-plan",
-    help="Begin and check plans, map where the cart may stand, propose where markers go.",
+    help="Draw, begin and check plans, map where the cart may stand, propose where markers go.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -31,7 +32,7 @@ app = typer.Typer(
 
 @app.callback()
 def plan() -> None:
-    """Begin and check plans, map where the cart may stand, propose where markers go."""
+    """Draw, begin and check plans, map where the cart may stand, propose where markers go."""
 
 
 app.command()(place)
@@ -105,9 +106,9 @@ def check(
         volume,
         fiducials_mm=fiducials_mm,
         to_fiducials=markers,
-        arm=theatre and in_its_scene(theatre, volume, planned, fiducials_mm),
-        sight=theatre and theatre.sight,
-        bore=theatre and theatre.bore,
+        arm=theatre.in_its_scene(volume, planned.fiducials, tuple(fiducials_mm or ())) if theatre else None,
+        sight=theatre.sight if theatre else None,
+        bore=theatre.bore if theatre else None,
     )
     result = replace(result, warnings=(*result.warnings, *uncounted))
     for sentence in (*volume.warnings, *result.warnings):
@@ -270,8 +271,13 @@ def _motion_row(motion: PreviewedMotion) -> list[str]:
 
 
 app.command()(new)
+app.command("open")(open_plan)
 
 
 def main() -> None:
     """Entry point of the console script."""
     console.run(app)
+
+
+if __name__ == "__main__":
+    main()

@@ -79,6 +79,9 @@ CalibratedOption = Annotated[
 ]
 ConfigOption = Annotated[Path | None, typer.Option(help="Theatre file with the endpoints to use.")]
 CaseOption = Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")]
+PlanOption = Annotated[
+    Path | None, typer.Option(help="With --sim: follow this plan on the simulated patient, not its own.")
+]
 AnswersOption = Annotated[
     Path | None, typer.Option(help="TOML file that answers the questions of the case: a scripted operator.")
 ]
@@ -90,6 +93,7 @@ def run_command(
     sim: SimOption = False,
     config: ConfigOption = None,
     case: CaseOption = None,
+    plan: PlanOption = None,
     scene: SceneOption = "default",
     seed: SeedOption = 0,
     markers: MarkersOption = None,
@@ -131,6 +135,7 @@ def run_command(
         measure_targets=measure_targets,
         config=config,
         case=case,
+        plan=plan,
         scene=SceneChoice(
             scene,
             seed,
@@ -155,6 +160,7 @@ def step_command(
     sim: SimOption = False,
     config: ConfigOption = None,
     case: CaseOption = None,
+    plan: PlanOption = None,
     scene: SceneOption = "default",
     seed: SeedOption = 0,
     markers: MarkersOption = None,
@@ -180,6 +186,7 @@ def step_command(
             strategy=strategy,
             config=config,
             case=case,
+            plan=plan,
             scene=SceneChoice(scene, seed, markers, targets, fiducials.value),
             speed=speed,
             faults=faults,
@@ -271,6 +278,7 @@ def _request(
     measure_targets: bool = False,
     config: Path | None,
     case: Path | None,
+    plan: Path | None,
     scene: SceneChoice,
     speed: SpeedChoice,
     faults: Path | None,
@@ -287,6 +295,8 @@ def _request(
         raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
     if config is None and case is not None:
         raise UsageMistake("--case goes with --config", action="A simulated case brings its own patient.")
+    if config is not None and plan is not None:
+        raise UsageMistake("--plan goes with --sim", action="With --config the plan stands in --case DIR.")
     drawn = replace(scene, calibrated=False)
     if config is not None and (drawn != SceneChoice() or faults is not None or speed is not SpeedChoice.MAX):
         raise UsageMistake(
@@ -313,6 +323,7 @@ def _request(
         faults=faults,
         config=config,
         case=case,
+        plan=plan,
     )
 
 

@@ -24,6 +24,7 @@ from procedures.planning.errors import (
 from procedures.planning.guide_hold import held_trajectories, too_short
 from procedures.planning.layout import layout_warnings, shows_template
 from procedures.planning.plan import FiducialKind, Plan
+from procedures.planning.seal import other_voxels
 from procedures.planning.tissue import standoff_in_skin, way_into_head
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
     from procedures.planning.motions import PreviewedMotion
     from procedures.planning.sight import StereoSight
-    from procedures.planning.visits import ArmSetting
+    from procedures.planning.visits import ArmSetting, PathCheck
     from procedures.strategies.strategy import Strategy
     from procedures.strategies.trajectory import Trajectory
 
@@ -52,7 +53,7 @@ class PlanCheck:
     """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
 
     `motions` are those of the whole procedure as the arm would drive them, when it was given and reaches all.
-    `turns_rad` say by trajectory how far it was turned about its axis for that.
+    `turns_rad` say by trajectory how far it was turned about its axis for that, `paths` with which joints.
     """
 
     plan: Plan
@@ -60,6 +61,7 @@ class PlanCheck:
     warnings: tuple[str, ...]
     motions: tuple[PreviewedMotion, ...] = ()
     turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
 
     @property
     def passed(self) -> bool:
@@ -84,6 +86,16 @@ class PlanCheck:
             "motions": [motion.as_payload() for motion in self.motions],
             "free_angle_turns_rad": dict(self.turns_rad),
         }
+
+
+@dataclass(frozen=True)
+class _Driven:
+    """What the arm can do of a plan."""
+
+    unmet: tuple[RonnaError, ...] = ()
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
 
 
 def check_plan(
@@ -113,15 +125,14 @@ def check_plan(
         found, warned = _these_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned
-    motions: tuple[PreviewedMotion, ...] = ()
-    turns: tuple[tuple[str, float], ...] = ()
+    driven = _Driven()
     if arm is not None:
         held = tuple(one.trajectory for one in plan.trajectories)
         held = held if bore is None else held_trajectories(plan, bore)
-        refused, motions, turns = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
-        findings += refused
-        warnings += _too_near_from_the_start(motions)
-    return PlanCheck(plan, tuple(findings), tuple(warnings), motions, turns)
+        driven = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
+        findings += driven.unmet
+        warnings += _too_near_from_the_start(driven.motions)
+    return PlanCheck(plan, tuple(findings), tuple(warnings), driven.motions, driven.turns_rad, driven.paths)
 
 
 def _in_this_series(plan: Plan, volume: Volume) -> Judged:
@@ -133,7 +144,8 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
             got=volume.series_instance_uid,
         )
         return [wrong], []
-    findings = _outside(plan, volume)
+    altered = other_voxels(plan, volume)
+    findings = [*_outside(plan, volume), *([] if altered is None else [altered])]
     if findings:
         return findings, []
     into_head = [way_into_head(volume, one) for one in plan.trajectories]
@@ -198,7 +210,7 @@ def _driven(
     fiducials_mm: ArrayLike | None,
     arm: ArmSetting,
     sight: StereoSight | None,
-) -> tuple[list[RonnaError], tuple[PreviewedMotion, ...], tuple[tuple[str, float], ...]]:
+) -> _Driven:
     """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
     from procedures.planning.alternatives import advice, alternatives, unreached
     from procedures.planning.best_choice import with_best_chosen
@@ -227,11 +239,12 @@ def _driven(
         unmet: list[RonnaError] = [
             NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
         ]
-        return unmet, (), ()
+        return _Driven(tuple(unmet))
     turns = tuple(turned.turns_rad.items())
     if arm.scene is None:
-        return [], (), turns
-    return [], previews_of(arm, arm.scene, turned.check, turned.axes.targeted), turns
+        return _Driven(turns_rad=turns, paths=turned.check)
+    motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
+    return _Driven((), motions, turns, turned.check)
 
 
 def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-021.
+"""What can be wrong with a plan, PLAN-001 to PLAN-026.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -160,6 +160,34 @@ class PlaceUnfit(PlanError):
 
     code = "PLAN-022"
     action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or take it out of the case folder."
+
+
+class AlteredPlan(PlanError):
+    """A plan does not agree with the seal that the planner put under it."""
+
+    code = "PLAN-023"
+    action = "Open it in the planner, look at it and save it again; take the seal out if the edit is yours."
+
+
+class OtherVoxels(PlanError):
+    """The CT has the number of the plan's series and other voxels."""
+
+    code = "PLAN-024"
+    action = "Find out which CT is the patient's; plan again on the one that is used."
+
+
+class PlanNotSaved(ConfigurationError):
+    """The plan could not be written."""
+
+    code = "PLAN-025"
+    action = "Nothing is lost: the plan stays on this page. Make room or rights, then save again."
+
+
+class PlanInUse(RefusedError):
+    """A case is running on the plan."""
+
+    code = "PLAN-026"
+    action = "Look at it as long as you like; save it when the case has ended, or under another --plan."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

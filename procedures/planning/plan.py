@@ -26,6 +26,8 @@ MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more 
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
 ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
 
+LONGEST_AUTHOR = 60
+DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
 LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # what lies inside the skin, its check refuses by name
 MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
 
@@ -103,6 +105,14 @@ def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajector
     return trajectories
 
 
+class Seal(Strict):
+    """Who saved a plan on which voxels; a plan that was altered since is refused."""
+
+    author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
+    ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
+    plan_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of all the rest of the plan.")
+
+
 class Plan(Strict):
     """A whole plan, as `plan.toml` holds it."""
 
@@ -132,6 +142,9 @@ class Plan(Strict):
     )
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
         description="In the order in which they are meant to be done."
+    )
+    seal: Seal | None = Field(
+        default=None, description="What the planner puts under a plan; take it away to edit the file by hand."
     )
 
     @model_validator(mode="after")

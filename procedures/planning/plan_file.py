@@ -1,10 +1,10 @@
-"""Reads `plan.toml`. All mistakes of a file are reported at once."""
+"""Reads and writes `plan.toml`. All mistakes of a file are reported at once."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +15,16 @@ from procedures.planning.errors import (
     DuplicateTrajectory,
     PlanError,
     PlanMistakes,
+    PlanNotSaved,
     PlanUnreadable,
     raise_together,
 )
 from procedures.planning.plan import Plan
+from procedures.planning.seal import require_unaltered
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+from ronna_hw.text.printable import printable
 
 # What plans of earlier versions do not have, and what to write.
 ADDED = {
@@ -30,18 +34,21 @@ ADDED = {
 }
 
 
-def read_plan(path: Path) -> Plan:
-    """Read and check a plan. Raises PLAN-001, PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
+def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
+    """Read and check a plan. Raises PLAN-001 and what `parse_plan` raises, with every mistake in it."""
     path = Path(path)
     try:
         content = read_toml(path, PlanUnreadable)
     except OSError as error:
         raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
-    return parse_plan(content, path.name)
+    return parse_plan(content, path.name, sealed_only=sealed_only)
 
 
-def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
-    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005 with every mistake in it."""
+def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
+    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023 with every mistake in it.
+
+    Without `sealed_only` one that was altered under its seal is read all the same, to be looked at.
+    """
     found: list[PlanError] = []
     plan: Plan | None = None
     try:
@@ -63,7 +70,21 @@ def parse_plan(content: dict[str, Any], name: str = "the plan") -> Plan:
     raise_together(found, name)
     if plan is None:
         raise PlanMistakes(f"{name} is not a plan")
+    if sealed_only:
+        require_unaltered(plan, name)
     return plan
+
+
+def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
+    """Write a plan whole or not at all, `notes` as comments above it. Raises PLAN-025."""
+    import tomli_w
+
+    head = "".join(f"# {printable(line)}\n" for line in notes)
+    content = plan.model_dump(mode="json", by_alias=True, exclude_none=True)
+    try:
+        write_whole(path, (head + tomli_w.dumps(content)).encode())
+    except OSError as error:
+        raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
 
 
 def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:

@@ -32,7 +32,7 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.config import Calibrations
+from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
@@ -41,7 +41,6 @@ from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
 
 D = TypeVar("D")
-MASTER = "master"  # the arm that carries stereo head and guide
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
 TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes

@@ -157,30 +157,42 @@ def opened_engine(
                 engine.close(outcome, ended_by)
 
 
+@contextlib.contextmanager
 def opened_case(
     request: CaseRequest, folder: Path, watcher: Watcher, resumption: Resumption | None = None
-) -> AbstractContextManager[Engine]:
-    """The engine of a clinical case, as `opened_engine`."""
+) -> Iterator[Engine]:
+    """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
+    from procedures.planning.plan_lock import held_plan
+    from ronna_hw.records import write_whole
+
     case = case_folder(request, folder)
+    held = contextlib.ExitStack()
 
     def procedure(_theatre: Theatre) -> Procedure:
+        if request.plan is not None and (resumption is None or resumption.left.untouched):
+            write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
         order = order_of_case(request, folder)
         if request.answers is not None:
             request.answers.check_trajectories(order.trajectories)
+        held.enter_context(held_plan(case / "plan.toml"))
         return Procedure(order, clinical=clinical_input(request, folder))
 
     complete = request.case is None and (case / "plan.toml").exists()  # the phantom's last file
     if resumption is not None and request.case is None and not complete:
         shutil.rmtree(case, ignore_errors=True)  # half of a simulated patient
-    return opened_engine(
-        request,
-        folder,
-        procedure,
-        watcher,
-        phantom=None if complete else case,
-        answers=request.answers,
-        resumption=resumption,
-    )
+    with (
+        held,
+        opened_engine(
+            request,
+            folder,
+            procedure,
+            watcher,
+            phantom=None if complete else case,
+            answers=request.answers,
+            resumption=resumption,
+        ) as engine,
+    ):
+        yield engine
 
 
 def operator_of(

@@ -46,6 +46,7 @@ class CaseRequest(TheatreRequest):
     out: Path
     strategy: str = "ocs"
     case: Path | None = None  # folder with ct/ and plan.toml, with `config`
+    plan: Path | None = None  # for the simulated patient, instead of the one that it brings
     answers: Answers | None = None  # of a scripted operator
     keep_raw: bool = False  # pictures and frames as files
 
@@ -74,6 +75,12 @@ def check_request(request: CaseRequest) -> None:
 
             plan = read_plan((request.case or Path()) / "plan.toml")
             request.answers.check_trajectories([one.id for one in plan.trajectories])
+    if request.plan is not None:
+        from procedures.planning.plan_file import read_plan
+
+        planned = [one.id for one in read_plan(request.plan).trajectories]
+        if request.answers is not None:
+            request.answers.check_trajectories(planned)
     if request.faults is not None:
         from procedures.cli.case.fault_script import check_fault_script
         from procedures.steps.catalogue import clinical_steps

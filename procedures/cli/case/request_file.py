@@ -44,6 +44,7 @@ class RequestFile(BaseModel):
     faults: Path | None = None
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
+    plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
 
 
 def write_request(request: CaseRequest, folder: Path) -> None:
@@ -66,6 +67,7 @@ def write_request(request: CaseRequest, folder: Path) -> None:
         faults=request.faults and request.faults.resolve(),
         config=request.config and request.config.resolve(),
         case=request.case and request.case.resolve(),
+        plan=request.plan and request.plan.resolve(),
     )
     write_whole(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
     for place in (folder, folder.parent):  # a name is on disk only when its folder is
@@ -110,4 +112,5 @@ def read_request(folder: Path) -> CaseRequest:
         faults=content.faults,
         config=content.config,
         case=content.case,
+        plan=content.plan,
     )

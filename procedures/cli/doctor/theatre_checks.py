@@ -6,8 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from procedures.guards.disk_space import DiskSpace
-from procedures.workcell.workcell import MASTER
-from ronna_hw.config import TheatreFile
+from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.open_files import require_open_files

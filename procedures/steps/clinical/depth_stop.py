@@ -15,7 +15,6 @@ from ronna_hw.wire.room_tasks import DEPTH_STOP
 
 # A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
 STOP_LIMIT_MM = 0.1
-SET_BY_HAND_MM = 0.03  # how exactly hands set it, one standard deviation; the prediction counts it
 
 
 class DepthStop(Values):

@@ -17,6 +17,12 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.operator import Topic
 from procedures.engine.result import FramedPose, StepResult, Values
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.planning.instrument_error import (
+    DIRECTION,
+    INSTRUMENT,
+    direction_covariance_mm2,
+    instrument_covariance_mm2,
+)
 from procedures.planning.plan import PlannedTrajectory
 from procedures.registration import (
     Registration,
@@ -34,12 +40,6 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.instrument_error import (
-    DIRECTION,
-    INSTRUMENT,
-    direction_covariance_mm2,
-    instrument_covariance_mm2,
-)
 from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan

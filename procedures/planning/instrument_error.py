@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from procedures.planning.guide_hold import held_trajectory
 from procedures.planning.plan import Plan, PlannedTrajectory
-from procedures.steps.clinical.depth_stop import SET_BY_HAND_MM
 from ronna_hw.tool_record import GuideBore
 
 Array = NDArray[np.float64]
 INSTRUMENT, DIRECTION = "instrument", "guide direction"
+SET_BY_HAND_MM = 0.03  # how exactly hands set a depth stop, one standard deviation
 
 
 def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: GuideBore, held: Array) -> Array:

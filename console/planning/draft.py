@@ -1,0 +1,210 @@
+"""A plan as far as it is drawn: what may still be missing in it, each change a new value, and undo."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from procedures.imaging.markers import Marker
+from procedures.planning.plan import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory
+from procedures.strategies.trajectory import Point
+
+USUAL_MARGIN_MM = 2.0
+USUAL_STANDOFF_MM = 30.0
+MOST_STEPS_BACK = 200
+
+
+@dataclass(frozen=True)
+class Way:
+    """One trajectory, LPS; an end that has not been chosen yet is None."""
+
+    identifier: str
+    entry_mm: Point | None = None
+    target_mm: Point | None = None
+    free_angle_deg: float = 0.0
+    margin_mm: float = USUAL_MARGIN_MM
+
+    @property
+    def ends(self) -> tuple[Point, Point] | None:
+        """Entry and target, when both are chosen."""
+        if self.entry_mm is None or self.target_mm is None:
+            return None
+        return self.entry_mm, self.target_mm
+
+    @property
+    def depth_mm(self) -> float | None:
+        """From the entry to the target."""
+        return None if self.ends is None else math.dist(*self.ends)
+
+
+@dataclass(frozen=True)
+class Draft:
+    """What `plan.toml` will say, and the spheres that count as markers."""
+
+    patient_orientation: str
+    implanted: int
+    fiducials: FiducialKind = FiducialKind.FREE
+    template_mm: tuple[Point, ...] | None = None
+    tool: str = "guide"
+    standoff_mm: float = USUAL_STANDOFF_MM
+    instrument_length_mm: float | None = None  # nobody but its packing says it
+    ways: tuple[Way, ...] = (Way("T1"),)
+    markers: tuple[Marker, ...] = ()
+
+    @classmethod
+    def of(cls, plan: Plan) -> Draft:
+        """Of a plan that was read; its spheres are those that the CT will show."""
+        return cls(
+            patient_orientation=plan.patient_orientation.value,
+            implanted=plan.implanted,
+            fiducials=plan.fiducials,
+            template_mm=plan.template_mm,
+            tool=plan.tool,
+            standoff_mm=plan.standoff_mm,
+            instrument_length_mm=plan.instrument_length_mm,
+            ways=tuple(_way(one) for one in plan.trajectories),
+        )
+
+    def way(self, identifier: str) -> Way:
+        """The trajectory of that name; raises KeyError."""
+        for one in self.ways:
+            if one.identifier == identifier:
+                return one
+        raise KeyError(identifier)
+
+    def with_way(self, identifier: str, way: Way) -> Draft:
+        """With another trajectory in the place of one."""
+        return replace(self, ways=tuple(way if one.identifier == identifier else one for one in self.ways))
+
+    def with_new_way(self) -> tuple[Draft, str]:
+        """With one more trajectory, and its name."""
+        taken = {one.identifier for one in self.ways}
+        name = next(name for k in range(1, len(taken) + 2) if (name := f"T{k}") not in taken)
+        return replace(self, ways=(*self.ways, Way(name))), name
+
+    def without_way(self, identifier: str) -> Draft:
+        """Without a trajectory; the last one is emptied instead."""
+        left = tuple(one for one in self.ways if one.identifier != identifier)
+        return replace(self, ways=left or (Way("T1"),))
+
+    def content(self, series_instance_uid: str) -> dict[str, Any]:
+        """As a plan file has it, with the trajectories whose ends are both chosen."""
+        content: dict[str, Any] = {
+            "schema": SCHEMA_VERSION,
+            "series_instance_uid": series_instance_uid,
+            "patient_orientation": self.patient_orientation,
+            "implanted": self.implanted,
+            "fiducials": self.fiducials.value,
+            "tool": self.tool,
+            "standoff_mm": self.standoff_mm,
+            "trajectories": [
+                {
+                    "id": one.identifier,
+                    "entry_mm": list(one.ends[0]),
+                    "target_mm": list(one.ends[1]),
+                    "free_angle_deg": one.free_angle_deg,
+                    "margin_mm": one.margin_mm,
+                }
+                for one in self.ways
+                if one.ends is not None
+            ],
+        }
+        if self.instrument_length_mm is not None:
+            content["instrument_length_mm"] = self.instrument_length_mm
+        if self.template_mm is not None:
+            content["template_mm"] = [list(one) for one in self.template_mm]
+        return content
+
+
+def _way(planned: PlannedTrajectory) -> Way:
+    return Way(planned.id, planned.entry_mm, planned.target_mm, planned.free_angle_deg, planned.margin_mm)
+
+
+class History:
+    """The draft as it stands, with the way back and forth."""
+
+    def __init__(self, draft: Draft) -> None:
+        self._past: list[Draft] = []
+        self._future: list[Draft] = []
+        self.now = draft
+
+    def change(self, draft: Draft, *, goes_on: bool = False) -> None:
+        """Take a change. One that `goes_on`, as while something is dragged, is undone with the one before."""
+        if draft == self.now:
+            return
+        if not goes_on or not self._past:
+            self._past = [*self._past, self.now][-MOST_STEPS_BACK:]
+        self._future = []
+        self.now = draft
+
+    def undo(self) -> None:
+        """Take back the last change."""
+        if self._past:
+            self._future.append(self.now)
+            self.now = self._past.pop()
+
+    def redo(self) -> None:
+        """Make it again."""
+        if self._future:
+            self._past.append(self.now)
+            self.now = self._future.pop()
+
+    def replace_all(self, by: Callable[[Draft], Draft]) -> None:
+        """Let every draft have what was not known before."""
+        self._past = [by(one) for one in self._past]
+        self._future = [by(one) for one in self._future]
+        self.now = by(self.now)
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether anything has been changed."""
+        return bool(self._past)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether anything was taken back."""
+        return bool(self._future)
+
+
+# The number as people type it: a comma or a point before the decimals.
+_NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
+
+
+def typed_number(words: str) -> float:
+    """A typed number. Raises ValueError with what is wrong."""
+    given = words.strip().replace("\N{MINUS SIGN}", "-")
+    if not _NUMBER.fullmatch(given):
+        raise ValueError(f"expected a number such as -12.5, got {words.strip()[:20]!r}")
+    return float(given.replace(",", "."))
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Direction from the target out to the entry, in degrees: what is typed where a ring and arc are used.
+
+    `azimuth_deg` in the axial plane, 0 to the patient's left, 90 to the back; `elevation_deg` above it, up to
+    the crown.
+    """
+
+    azimuth_deg: float
+    elevation_deg: float
+
+    @classmethod
+    def of(cls, entry_mm: Sequence[float], target_mm: Sequence[float]) -> Axis:
+        """Of a trajectory."""
+        left, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
+        return cls(math.degrees(math.atan2(back, left)), math.degrees(math.atan2(up, math.hypot(left, back))))
+
+    def entry_mm(self, target_mm: Point, depth_mm: float) -> Point:
+        """The entry at that depth above the target."""
+        azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
+        along = (
+            math.cos(elevation) * math.cos(azimuth),
+            math.cos(elevation) * math.sin(azimuth),
+            math.sin(elevation),
+        )
+        x, y, z = (t + depth_mm * a for t, a in zip(target_mm, along, strict=True))
+        return x, y, z

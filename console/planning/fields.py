@@ -1,0 +1,50 @@
+"""A number that is typed: taken on Enter or when it is left, refused with a reason beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from nicegui import ui
+
+from console.planning.draft import typed_number
+
+
+class NumberField:
+    """Shows a number with so many decimals; `take` is told what was typed."""
+
+    def __init__(self, label: str, name: str, take: Callable[[float], None], decimals: int = 1) -> None:
+        self._take, self._decimals = take, decimals
+        self._shown = ""
+        self._field = (
+            ui.input()
+            .classes("number")
+            .props(f'dense outlined hide-bottom-space autocomplete=off maxlength=20 prefix="{label}"')
+            .props(f'inputmode=decimal data-field="{name}" aria-label="{name}"')
+        )
+        self._field.on("blur", self._typed)
+        self._field.on("keydown.enter", self._typed)
+
+    def show(self, value: float | None) -> None:
+        """Show what holds now; what is being typed stays as long as nothing else changes."""
+        words = "" if value is None else f"{value:.{self._decimals}f}"
+        if words != self._shown:
+            self._shown = words
+            self._field.set_value(words)
+            self._field.props(remove="error error-message")
+
+    def enable(self, enabled: bool) -> None:
+        """Whether it can be typed into."""
+        self._field.set_enabled(enabled)
+
+    def _typed(self) -> None:
+        words = str(self._field.value or "")
+        if words == self._shown or not words:
+            return
+        try:
+            value = typed_number(words)
+        except ValueError as mistake:
+            self._field.props("error").props(f'error-message="{str(mistake).replace(chr(34), chr(39))}"')
+            return
+        self._field.props(remove="error error-message")
+        self._shown = words
+        self._take(value)

@@ -1,0 +1,162 @@
+"""What can be said of a draft: mistakes, reach, clearance, and the error to expect at each target.
+
+Twice: at once without clearance, and then as `ronna-plan check` judges it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from console.planning.draft import Draft
+from procedures.imaging.volume import Volume
+from procedures.planning.check import PlanCheck, check_plan
+from procedures.planning.errors import PlanMistakes
+from procedures.planning.guide_hold import held_trajectories
+from procedures.planning.plan import MOST_INSTRUMENT_MM, Plan
+from procedures.planning.plan_file import parse_plan
+from procedures.planning.predicted_error import predicted_by_markers, predicted_with_arm
+from procedures.planning.reach import check_paths
+from procedures.planning.theatre_arm import TheatreArm
+from procedures.planning.visits import PathCheck
+from procedures.registration.points import FEWEST_PAIRS
+from procedures.registration.target_prediction import TargetPrediction
+from ronna_hw.errors import RonnaError
+
+
+@dataclass(frozen=True)
+class Expected:
+    """The error to expect at one target; the squares of the shares add up to that of `rms_mm`."""
+
+    rms_mm: float
+    limit_mm: float  # that holds it with 95 %
+    shares_mm: tuple[tuple[str, float], ...]
+    with_arm: bool  # else of the markers alone
+
+
+@dataclass(frozen=True)
+class Judged:
+    """Of one draft. `thorough` is that of `ronna-plan check`; before it clearance is not known."""
+
+    draft: Draft
+    thorough: bool = False
+    findings: tuple[RonnaError, ...] = ()
+    warnings: tuple[str, ...] = ()
+    expected: dict[str, Expected] = field(default_factory=dict)
+    reached: tuple[str, ...] = ()  # in words, by the arm
+    arm_known: bool = False
+    complete: bool = False  # there is a trajectory with both ends, so that there is something to judge
+
+
+def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judged:
+    """Judge the trajectories whose ends are chosen. Never raises for what is wrong with a draft."""
+    judged = Judged(draft, thorough=thorough or theatre is None, arm_known=theatre is not None)
+    if not any(one.ends for one in draft.ways):
+        return judged
+    judged = replace(judged, complete=True)
+    missing: tuple[RonnaError, ...] = ()
+    if draft.instrument_length_mm is None:  # all else can be judged with whatever length
+        missing = (
+            PlanMistakes("the length of the instrument is missing", action="Type it, as its packing says."),
+        )
+        draft = replace(draft, instrument_length_mm=MOST_INSTRUMENT_MM)
+    try:
+        plan = parse_plan(draft.content(volume.series_instance_uid))
+    except RonnaError as mistake:
+        return replace(judged, findings=(*missing, mistake))
+    markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
+    covariances_mm2 = np.array([one.covariance_mm2 for one in draft.markers]).reshape(-1, 3, 3)
+    check, paths = _checked(plan, volume, markers_mm, theatre, thorough)
+    findings = (*missing, *check.findings)
+    if not thorough and theatre is not None and not check.findings and paths is not None and not paths.passed:
+        return replace(
+            judged,
+            findings=missing,
+            warnings=tuple(f"{one.pose}: {one.reason}" for one in paths.unmet) + check.warnings,
+        )
+    return replace(
+        judged,
+        findings=findings,
+        warnings=check.warnings,
+        expected=_expected(plan, markers_mm, covariances_mm2, theatre, paths),
+        reached=_in_words(check),
+    )
+
+
+def _checked(
+    plan: Plan,
+    volume: Volume,
+    markers_mm: NDArray[np.float64],
+    theatre: TheatreArm | None,
+    thorough: bool,
+) -> tuple[PlanCheck, PathCheck | None]:
+    enough = len(markers_mm) >= FEWEST_PAIRS
+    if theatre is None:
+        return check_plan(plan, volume, fiducials_mm=markers_mm), None
+    if not thorough:
+        check = check_plan(plan, volume, fiducials_mm=markers_mm, bore=theatre.bore)
+        if check.findings or not enough:
+            return check, None
+        return check, check_paths(theatre.arm, held_trajectories(plan, theatre.bore), markers_mm)
+    spheres = tuple((float(x), float(y), float(z)) for x, y, z in markers_mm)
+    check = check_plan(
+        plan,
+        volume,
+        fiducials_mm=markers_mm,
+        to_fiducials=enough,
+        arm=theatre.in_its_scene(volume, plan.fiducials, spheres),
+        sight=theatre.sight,
+        bore=theatre.bore,
+    )
+    return check, check.paths
+
+
+def _expected(
+    plan: Plan,
+    markers_mm: NDArray[np.float64],
+    covariances_mm2: NDArray[np.float64],
+    theatre: TheatreArm | None,
+    paths: PathCheck | None,
+) -> dict[str, Expected]:
+    if len(markers_mm) < FEWEST_PAIRS:
+        return {}
+    found = {}
+    for one in plan.trajectories:
+        try:
+            if theatre is not None and paths is not None and paths.passed:
+                predicted = predicted_with_arm(theatre, plan, covariances_mm2, paths, one.id)
+                found[one.id] = _told(predicted, with_arm=True)
+            else:
+                predicted = predicted_by_markers(markers_mm, covariances_mm2, one.target_mm)
+                found[one.id] = _told(predicted, with_arm=False)
+        except (RonnaError, np.linalg.LinAlgError):  # markers on a line; the check says so
+            continue
+    return found
+
+
+def _told(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
+    shares = sorted(predicted.budget_mm.items(), key=lambda one: -one[1])
+    return Expected(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
+
+
+def _in_words(check: PlanCheck) -> tuple[str, ...]:
+    """What a check of the arm found, where it passed."""
+    if check.paths is None:
+        return ()
+    lines = [f"every pose is reached, {len(check.paths.reached)} of them in one branch"]
+    closest = [one.preview.closest for one in check.motions if one.preview.closest is not None]
+    if closest:
+        least = min(closest, key=lambda one: one.distance_mm)
+        lines.append(
+            f"every motion is clear, by {least.distance_mm:.0f} mm at least ({least.first}, {least.second})"
+        )
+    lines += [
+        f"{name} is turned by {_degrees(turn):+.0f}° about its axis" for name, turn in check.turns_rad if turn
+    ]
+    return tuple(lines)
+
+
+def _degrees(angle_rad: float) -> float:
+    return float(np.degrees(angle_rad))

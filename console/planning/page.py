@@ -1,0 +1,247 @@
+"""The planner's page: its places, what a click in them does, and the loop that keeps them fresh."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Any
+
+from fastapi import FastAPI, Request
+from nicegui import ui
+
+from console.guard import SESSION
+from console.panels.html import tag, text
+from console.pictures.cuts import WINDOWS_HU, Plane
+from console.planning.desk import PlanDesk
+from console.planning.head_stage import HeadStage
+from console.planning.look import Look
+from console.planning.marker_panel import MarkerPanel
+from console.planning.routes import add_pictures
+from console.planning.slice_panel import SlicePanel
+from console.planning.verdict import expected, verdict
+from console.planning.way_panel import WayPanel
+from console.sessions import Role, Session
+from console.web.changes import changed_within
+from console.web.library import page_head, use_library
+from console.web.sockets import own_page
+from procedures.planning.plan import LONGEST_AUTHOR
+from procedures.strategies.trajectory import Point
+from ronna_hw.errors import RonnaError
+
+TITLE = "RONNA planner"  # of every patient alike
+BEAT_S = 0.4  # host time between two updates when nothing happens
+LOOK, ENTRY, TARGET, SPHERE = "look", "entry", "target", "sphere"
+DOES = {LOOK: "look there", ENTRY: "set the entry", TARGET: "set the target", SPHERE: "pick a sphere"}
+
+
+def add_planner(app: FastAPI, desk: PlanDesk) -> None:
+    """Serve the planner at `/` of an application."""
+    add_pictures(app, desk)
+    head = page_head()
+
+    @ui.page("/")
+    async def page(request: Request) -> None:
+        ui.add_head_html(head)
+        session: Session = request.scope[SESSION]
+        own_page(ui.context.client, session.identifier)
+        PlannerPage(desk, session, low="low" in request.query_params).build()
+
+    use_library(app, TITLE)
+
+
+class PlannerPage:
+    """One open page of one session. Viewers look at the same draft and change nothing."""
+
+    def __init__(self, desk: PlanDesk, session: Session, *, low: bool) -> None:
+        self._desk, self._low = desk, low
+        self._may_edit = session.role is Role.OPERATOR and desk.read_only is None
+        self._look = Look(desk.volume.geometry)
+        self._beat = 0
+        self._looked_event = asyncio.Event()
+
+    def build(self) -> None:
+        """Make the places and begin to fill them."""
+        desk, look = self._desk, self._look
+        with ui.element("header").classes("head"):
+            ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
+            self._case = ui.html("", sanitize=False)
+            self._clock = ui.html("", sanitize=False)
+            self._file_buttons()
+        ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
+        self._notice = ui.html("", sanitize=False).classes("words")
+        self._words = ui.html("", sanitize=False).classes("words")
+        with ui.element("main").classes("places planner"):
+            with ui.element("div").classes("middle"):
+                self._picture_bar()
+                with ui.element("div").classes("cuts"):
+                    self._slices = [
+                        SlicePanel(
+                            plane,
+                            look,
+                            act=self._clicked,
+                            drag=self._dragged,
+                            key=self._keyed,
+                            looked=self._looked,
+                        )
+                        for plane in Plane
+                    ]
+            with ui.element("div").classes("left"):
+                self._ways = WayPanel(desk, look, self._looked, may_edit=self._may_edit)
+                self._verdict = self._section("Check", "verdictbox")
+                self._expected = self._section("Expected error", "accuracy")
+            with ui.element("div").classes("right"):
+                self._stage = HeadStage(desk, look, low=self._low)
+                self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
+        client = ui.context.client
+        changed = desk.subscribe()
+        task = asyncio.create_task(self._keep_fresh(client, changed))
+
+        def gone() -> None:
+            desk.unsubscribe(changed)
+            task.cancel()
+
+        client.on_delete(gone)
+
+    def _file_buttons(self) -> None:
+        self._undo = self._button("Undo", self._step_back, "undo")
+        self._redo = self._button("Redo", self._step_forth, "redo")
+        self._author = ui.input("Your name").classes("name")
+        self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
+        self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
+        for one in (self._undo, self._redo, self._author, self._save):
+            one.set_visibility(self._may_edit)
+
+    def _picture_bar(self) -> None:
+        with ui.element("div").classes("orders").props('role=toolbar aria-label="Pictures"'):
+            does = DOES if self._may_edit else {LOOK: DOES[LOOK]}
+            ui.label("A click is to")
+            self._mode = ui.toggle(does, value=LOOK).props('no-caps unelevated aria-label="A click is to"')
+            window = ui.select(list(WINDOWS_HU), value=self._look.window, label="grey window")
+            window.props("dense outlined options-dense").classes("window")
+            window.on_value_change(lambda event: self._set_window(str(event.value)))
+            self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
+            self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
+            self._at = ui.label("").classes("num")
+
+    def _section(self, title: str, name: str) -> ui.html:
+        with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
+            ui.html(f"<h2>{title}</h2>", sanitize=False)
+            return ui.html("", sanitize=False).classes("body")
+
+    def _button(self, words: str, act: Callable[[], Any], name: str) -> ui.button:
+        button = ui.button(words, on_click=act, color=None).classes("plain")
+        return button.props(f"no-caps unelevated data-do={name}")
+
+    # What a person does
+
+    async def _clicked(self, place_mm: Point) -> None:
+        mode = str(self._mode.value)
+        self._look.go_to(place_mm)
+        if mode in (ENTRY, TARGET):
+            self._ways.place(mode, place_mm)
+            self._mode.set_value(LOOK)
+        elif mode == SPHERE:
+            self._mode.set_value(LOOK)
+            await self._pick(place_mm)
+        self._looked()
+
+    def _dragged(self, end: str, place_mm: Point, begins: bool) -> None:
+        self._ways.place(end, place_mm, goes_on=not begins)
+        self._looked()
+
+    def _keyed(self, key: str) -> None:
+        if self._may_edit:
+            self._ways.place(ENTRY if key == "e" else TARGET, self._look.place_mm)
+
+    async def _pick(self, place_mm: Point) -> None:
+        try:
+            await self._desk.add_marker(place_mm)
+        except RonnaError as refused:
+            self._say(refused)
+        else:
+            self._say(None)
+
+    async def _save_plan(self) -> None:
+        try:
+            await self._desk.save(str(self._author.value or ""))
+        except RonnaError as refused:
+            self._say(refused)
+        else:
+            self._say(None)
+
+    def _step_back(self) -> None:
+        self._desk.history.undo()
+        self._desk.altered()
+
+    def _step_forth(self) -> None:
+        self._desk.history.redo()
+        self._desk.altered()
+
+    def _go(self, place_mm: Point) -> None:
+        self._look.go_to(place_mm)
+        self._looked()
+
+    def _set_window(self, name: str) -> None:
+        self._look.window = name
+        self._looked()
+
+    def _magnify(self, steps: int) -> None:
+        self._look.magnify(steps)
+        self._looked()
+
+    def _looked(self) -> None:
+        """Show at once where this page looks now; the others are not concerned."""
+        draft = self._desk.draft
+        for one in self._slices:
+            one.show(draft)
+        self._stage.show()
+        self._ways.show()
+        self._at.set_text(self._place_in_words())
+
+    def _place_in_words(self) -> str:
+        place = ", ".join(f"{value:.1f}" for value in self._look.place_mm)
+        return f"crosshair LPS {place} mm, {self._desk.hu_at(self._look.place_mm)}"
+
+    def _say(self, problem: RonnaError | None) -> None:
+        self._words.set_content("" if problem is None else _told(problem))
+
+    # What is shown
+
+    async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
+        while True:
+            if client.has_socket_connection:
+                with client:
+                    self._show()
+            await changed_within(changed, BEAT_S)
+
+    def _show(self) -> None:
+        desk = self._desk
+        self._case.set_content(_case_line(desk))
+        notice = desk.read_only or desk.notice
+        self._notice.set_content("" if notice is None else _told(notice))
+        self._undo.set_enabled(desk.history.can_undo)
+        self._redo.set_enabled(desk.history.can_redo)
+        self._save.set_enabled(desk.read_only is None)
+        self._looked()
+        self._markers.show()
+        self._verdict.set_content(verdict(desk.judged, desk.draft))
+        self._expected.set_content(expected(desk.judged, desk.draft))
+        self._beat += 1
+        self._clock.set_content(tag("div", "", id="clock", data_beat=str(self._beat)))
+
+
+def _case_line(desk: PlanDesk) -> str:
+    shape = " × ".join(map(str, desk.volume.geometry.shape))
+    position = desk.volume.patient_position or "position not said"
+    state, kind = ("saved", "ok") if desk.is_saved else ("not saved", "warn")
+    file = tag("b", text(desk.file.name)) + " " + tag("span", state, class_=kind, data_saved=state)
+    return tag(
+        "div", file + tag("div", text(f"CT of {shape} voxels, {position}"), class_="dim"), class_="case"
+    )
+
+
+def _told(problem: RonnaError) -> str:
+    words = (
+        text(f"{problem.code}: {problem.summary}.") + " " + tag("span", text(problem.advice), class_="advice")
+    )
+    return tag("div", words, class_="said", role="alert", data_code=problem.code)

@@ -1,0 +1,23 @@
+"""What the planner was asked to open, as the command line hands it over."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict
+
+SixNumbers = tuple[float, float, float, float, float, float]
+
+
+class PlannerRequest(BaseModel):
+    """A CT, the plan on it, and the arm that is to follow it, where one is known."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series: Path
+    plan: Path
+    port: int = 0
+    config: Path | None = None
+    strategy: str = "ocs"
+    robot_from_ct: SixNumbers | None = None
+    home_deg: SixNumbers | None = None

@@ -1,0 +1,48 @@
+"""`python -m console.planning.serving REQUEST`: what `ronna-plan open` becomes, until Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from ronna_hw.command_line import console
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def open_planner(
+    request: Annotated[str, typer.Argument(help="What is to be opened, as JSON.")],
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Read the CT and serve the planner."""
+    console.set_up_logging(verbose)
+    from console.app import serve_pages
+    from console.planning.desk import PlanDesk
+    from console.planning.page import add_planner
+    from console.planning.request import PlannerRequest
+    from procedures.imaging import read_series
+    from procedures.planning.theatre_arm import theatre_arm
+    from procedures.strategies.catalogue import strategy_named
+
+    asked = PlannerRequest.model_validate_json(request)
+    theatre = None
+    if asked.config is not None and asked.robot_from_ct is not None:
+        strategy = strategy_named(asked.strategy)
+        theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
+    with console.progress_bar("reading the series") as advance:
+        volume = read_series(asked.series, progress=advance)
+    desk = PlanDesk(volume, asked.plan, theatre)
+    serve_pages(
+        lambda application: add_planner(application, desk),
+        asked.port,
+        desk.work,
+        lambda ready: console.tell(f"CONSOLE {json.dumps(ready)}"),
+    )
+
+
+if __name__ == "__main__":
+    console.run(app)

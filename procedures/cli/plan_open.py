@@ -1,0 +1,74 @@
+"""`ronna-plan open`."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from procedures.cli.planning_inputs import SixNumbers, require_theatre_options
+from ronna_hw.command_line import console
+from ronna_hw.command_line.errors import PathProblem
+
+MODULE = "console.planning.serving"
+
+
+def open_plan(
+    series_dir: Annotated[Path, typer.Argument(metavar="CT_DIR", help="Folder of the CT series.")],
+    plan_file: Annotated[
+        Path | None,
+        typer.Option(
+            "--plan", metavar="FILE", help="The plan, new or begun [default: plan.toml beside CT_DIR]."
+        ),
+    ] = None,
+    config: Annotated[
+        Path | None,
+        typer.Option("--config", metavar="FILE", help="Theatre file: its arm is checked while you plan."),
+    ] = None,
+    strategy: Annotated[
+        str,
+        typer.Option(
+            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+            help="How the stereo head is held at the markers; with --config.",
+        ),
+    ] = "ocs",
+    robot_from_ct: Annotated[
+        SixNumbers | None,
+        typer.Option(
+            metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."
+        ),
+    ] = None,
+    home: Annotated[
+        SixNumbers | None,
+        typer.Option(metavar="A1 .. A6", help="Joint angles at which the arm starts, deg; with --config."),
+    ] = None,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    verbose: console.VerboseOption = False,
+    log_level: console.LogLevelOption = None,
+) -> None:
+    """Plan in the browser: slices, markers, trajectories, judged while they are drawn. Until Ctrl-C.
+
+    The page's address stands on standard error and holds a key.
+    """
+    from procedures.cli.console.attaching import check_console
+
+    console.set_up_logging(verbose)
+    require_theatre_options(config, robot_from_ct, home, strategy)
+    check_console()
+    if not series_dir.is_dir():
+        raise PathProblem(f"{series_dir} does not exist", expected="the folder of a CT series")
+    request = {
+        "series": str(series_dir.resolve()),
+        "plan": str((plan_file or series_dir.resolve().parent / "plan.toml").resolve()),
+        "port": port,
+        "config": config and str(config.resolve()),
+        "strategy": strategy,
+        "robot_from_ct": robot_from_ct,
+        "home_deg": home,
+    }
+    more = ["--verbose"] if verbose else []
+    os.execv(sys.executable, [sys.executable, "-P", "-m", MODULE, json.dumps(request), *more])

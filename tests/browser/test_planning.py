@@ -1,0 +1,94 @@
+"""A plan drawn in the planner's page, checked and followed by a case."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import pytest
+from open_planner import (
+    await_judged,
+    click_picture,
+    command,
+    enter_planner,
+    make_phantom,
+    open_planner,
+    type_number,
+    type_place,
+)
+
+ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
+Open = Callable[..., dict[str, str]]
+
+
+@pytest.fixture(scope="module")
+def patient(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return make_phantom(tmp_path_factory.mktemp("patient") / "case")
+
+
+@pytest.fixture
+def opened(tmp_path: Path, patient: Path) -> Iterator[Open]:
+    """Open the planner on the patient's CT, or another one, with a plan of its own."""
+    with ExitStack() as stack:
+
+        def start(*options: object, series: Path = patient / "ct") -> dict[str, str]:
+            return stack.enter_context(open_planner(tmp_path, series, *options))
+
+        yield start
+
+
+def said(page: Any, code: str) -> str:
+    page.wait_for_selector(f".said[data-code={code}]")
+    return str(page.locator(f".said[data-code={code}]").inner_text())
+
+
+def save(page: Any, name: str = "Dr Test") -> None:
+    page.get_by_label("Your name").fill(name)
+    page.locator("[data-do=save]").click()
+
+
+def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_its_target(
+    opened: Open, page: Any, patient: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    addresses = opened("--plan", file)
+    enter_planner(page, addresses["url"])
+    assert page.locator("[data-found]").get_attribute("data-found") == "3"
+    page.get_by_role("button", name="set the target").click()
+    click_picture(page, "axial", 0.5, 0.4)
+    page.get_by_role("button", name="set the entry").click()
+    click_picture(page, "axial", 0.5, 0.3)
+    page.wait_for_function("document.querySelector('[data-field=\"entry L\"]').value !== ''")
+    type_place(page, "target", TARGET)
+    type_place(page, "entry", ENTRY)
+    assert "length of the instrument" in await_judged(page)
+    type_number(page, "instrument length", "250")
+    page.wait_for_selector("text=would be accepted")
+    assert page.locator("[data-expected=T1]").count() == 1
+    save(page)
+    page.wait_for_selector("[data-saved=saved]")
+
+    plan = tomllib.loads(file.read_text())
+    assert plan["trajectories"][0]["entry_mm"] == [8.4, -112.7, 871.8]
+    assert plan["seal"]["author"] == "Dr Test"
+    subprocess.run(
+        command("procedures.cli.plan", "check", file, "--ct", patient / "ct", "--markers"), check=True
+    )
+    case = ("run", "--sim", "--scene", "mini", "--seed", "3", "--plan", file, "--out", tmp_path / "runs")
+    done = subprocess.run(
+        command("procedures.cli.procedure", *case, "--json"), check=True, capture_output=True, text=True
+    )
+    (target,) = json.loads(done.stdout)["targets"]
+    assert target["depth_mm"] == pytest.approx(67.32, abs=0.01)
+    assert target["application_error_mm"] < 1.0
+    host = urlsplit(addresses["url"]).netloc
+    assert {urlsplit(url).netloc for url in page.requested if not url.startswith(("data:", "blob:"))} == {
+        host
+    }
+    assert page.complaints == []

@@ -1,0 +1,82 @@
+"""A plan while it is drawn: what is typed, changed and taken back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from console.planning.draft import Axis, Draft, History, typed_number
+from procedures.planning.plan_file import parse_plan
+
+ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
+
+
+def drawn() -> Draft:
+    draft = Draft("HFS", 4, instrument_length_mm=250.0)
+    return draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET))
+
+
+@pytest.mark.parametrize(
+    ("words", "number"),
+    [("-12.5", -12.5), ("8,4", 8.4), (" +3 ", 3.0), ("−7", -7.0), (".5", 0.5), ("12.", 12.0)],
+)
+def test_a_number_is_read_as_people_type_it(words: str, number: float) -> None:
+    assert typed_number(words) == number
+
+
+@pytest.mark.parametrize("words", ["", "1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5"])
+def test_what_is_no_number_is_refused_with_an_example(words: str) -> None:
+    with pytest.raises(ValueError, match=r"such as -12\.5"):
+        typed_number(words)
+
+
+def test_a_draft_is_a_plan_with_the_trajectories_that_are_whole() -> None:
+    draft, name = drawn().with_new_way()
+    assert name == "T2"
+    plan = parse_plan(draft.content("1.2.3"))
+    assert [one.id for one in plan.trajectories] == ["T1"]
+    assert Draft.of(plan).ways == drawn().ways
+
+
+def test_undo_takes_back_step_by_step_and_redo_makes_it_again() -> None:
+    history = History(drawn())
+    first, second = replace(drawn(), standoff_mm=31.0), replace(drawn(), standoff_mm=32.0)
+    history.change(first)
+    history.change(second)
+    history.undo()
+    assert history.now == first
+    history.redo()
+    assert history.now == second
+    history.undo()
+    history.undo()
+    history.undo()
+    assert history.now == drawn()
+    assert not history.can_undo
+    history.change(second)
+    assert not history.can_redo
+
+
+def test_a_drag_is_taken_back_as_one_step() -> None:
+    history = History(drawn())
+    for step, standoff_mm in enumerate((31.0, 32.0, 33.0)):
+        history.change(replace(drawn(), standoff_mm=standoff_mm), goes_on=step > 0)
+    history.undo()
+    assert history.now == drawn()
+
+
+def test_axis_and_depth_give_the_entry_that_they_were_read_from() -> None:
+    axis = Axis.of(ENTRY, TARGET)
+    assert axis.entry_mm(TARGET, math.dist(ENTRY, TARGET)) == pytest.approx(ENTRY)
+    assert Axis.of((9.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == Axis(0.0, 0.0)
+    assert Axis.of((0.0, 9.0, 9.0), (0.0, 0.0, 0.0)) == Axis(pytest.approx(90.0), pytest.approx(45.0))
+
+
+def test_names_of_trajectories_are_not_used_twice_and_one_always_stands() -> None:
+    draft, _ = drawn().with_new_way()
+    draft = draft.without_way("T1")
+    assert [one.identifier for one in draft.ways] == ["T2"]
+    draft, name = draft.with_new_way()
+    assert name == "T1"
+    assert [one.ends for one in draft.without_way("T1").without_way("T2").ways] == [None]

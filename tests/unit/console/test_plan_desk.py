@@ -1,0 +1,194 @@
+"""The desk of the planner: opened on a file, saved, and refused with nothing lost."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from console.planning.desk import PlanDesk
+from console.planning.draft import Draft
+from console.planning.judging import judge
+from procedures.imaging.errors import PickRefused
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
+from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_lock import held_plan
+from ronna_hw.errors import RonnaError
+
+SERIES = "1.2.826.0.1.3680043.8.498.7"
+ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
+
+
+def scan(series: str = SERIES) -> Volume:
+    """Tissue below a slanting plane, air above it; no sphere."""
+    geometry = VoxelGeometry(
+        (50, 50, 50),
+        np.full(3, -98.0),
+        np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        np.full(3, 4.0),
+    )
+    z, y, _ = np.meshgrid(*[np.arange(-98.0, 100.0, 4.0)] * 3, indexing="ij")
+    return Volume(
+        np.where(0.8 * z - 0.6 * y < 79.0, 40, -1000).astype(np.int16), geometry, series, "1.2.3", "HFS"
+    )
+
+
+def draw(desk: PlanDesk, standoff_mm: float = 30.0) -> None:
+    draft = replace(desk.draft, instrument_length_mm=250.0, standoff_mm=standoff_mm)
+    desk.change(draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET)))
+
+
+def save(desk: PlanDesk, author: str = "Dr Test") -> None:
+    asyncio.run(desk.save(author))
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "plan.toml"
+
+
+@pytest.fixture
+def desk(file: Path) -> PlanDesk:
+    return PlanDesk(scan(), file, None)
+
+
+def test_a_plan_that_was_saved_is_opened_as_it_stood(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    assert not desk.is_saved
+    save(desk)
+    assert desk.is_saved
+    again = PlanDesk(scan(), file, None)
+    assert again.draft.ways == desk.draft.ways
+    assert again.is_saved
+    seal = read_plan(file).seal
+    assert seal is not None
+    assert seal.author == "Dr Test"
+
+
+@pytest.mark.parametrize("author", ["", "   "])
+def test_a_plan_without_an_author_is_not_saved(desk: PlanDesk, file: Path, author: str) -> None:
+    draw(desk)
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*somebody"):
+        save(desk, author)
+    assert not file.exists()
+
+
+def test_a_trajectory_without_its_target_is_not_saved(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    draft, name = desk.draft.with_new_way()
+    desk.change(draft.with_way(name, replace(draft.way(name), entry_mm=ENTRY)))
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*T2"):
+        save(desk)
+    assert not file.exists()
+    assert desk.draft.way("T2").entry_mm == ENTRY
+
+
+def test_a_plan_of_another_ct_is_told_and_never_overwritten(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    before = file.read_bytes()
+    other = PlanDesk(scan("1.2.3.4"), file, None)
+    assert other.read_only is not None
+    assert other.read_only.code == "PLAN-003"
+    draw(other)
+    with pytest.raises(RonnaError, match="PLAN-003"):
+        save(other)
+    assert file.read_bytes() == before
+
+
+def test_a_file_that_is_no_plan_is_told_and_left(file: Path) -> None:
+    file.write_text("not = [toml")
+    desk = PlanDesk(scan(), file, None)
+    assert desk.read_only is not None
+    assert desk.read_only.code == "PLAN-001"
+    assert file.read_text() == "not = [toml"
+
+
+def test_an_altered_plan_is_opened_with_a_warning_and_sealed_again(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    file.write_text(file.read_text().replace("30.0", "29.0", 1))
+    altered = PlanDesk(scan(), file, None)
+    assert altered.notice is not None
+    assert altered.notice.code == "PLAN-023"
+    assert altered.draft.standoff_mm == 29.0
+    save(altered)
+    assert altered.notice is None
+    assert read_plan(file).standoff_mm == 29.0
+
+
+def test_a_plan_that_another_program_changed_meanwhile_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    file.write_text("theirs")
+    draw(desk, standoff_mm=31.0)
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*another program"):
+        save(desk)
+    assert file.read_text() == "theirs"
+    assert desk.draft.standoff_mm == 31.0
+
+
+def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    before, draft = file.read_bytes(), desk.draft
+    with held_plan(file):
+        draw(desk, standoff_mm=31.0)
+        assert desk.draft is draft
+        with pytest.raises(PlanInUse, match="PLAN-026"):
+            save(desk)
+    assert file.read_bytes() == before
+    draw(desk, standoff_mm=31.0)
+    save(desk)
+    assert read_plan(file).standoff_mm == 31.0
+
+
+def test_a_place_without_a_sphere_is_refused_and_no_marker(desk: PlanDesk) -> None:
+    with pytest.raises(PickRefused, match="CT-0"):
+        asyncio.run(desk.add_marker((0.0, 0.0, 0.0)))
+    assert desk.draft.markers == ()
+
+
+def test_a_ct_without_spheres_is_told_with_what_to_do(desk: PlanDesk) -> None:
+    async def searched() -> None:
+        work = asyncio.create_task(desk.work())
+        heard = desk.subscribe()
+        while desk.searching:
+            await heard.wait()
+            heard.clear()
+        work.cancel()
+
+    asyncio.run(searched())
+    assert desk.notice is not None
+    assert desk.notice.code.startswith("CT-0")
+    assert desk.head
+
+
+@pytest.mark.parametrize(
+    ("target_mm", "code"),
+    [((5.0, -20.0, 520.0), "PLAN-004"), ((5.0, -20.0, -105.0), "PLAN-004"), ((5.0, 90.0, 99.9), "PLAN-011")],
+)
+def test_what_is_wrong_with_a_drawn_trajectory_is_said_with_its_code(
+    desk: PlanDesk, target_mm: tuple[float, float, float], code: str
+) -> None:
+    draw(desk)
+    draft: Draft = desk.draft.with_way("T1", replace(desk.draft.way("T1"), target_mm=target_mm))
+    judged = judge(draft, scan(), None, thorough=True)
+    assert code in [one.code for one in judged.findings]
+
+
+def test_a_place_outside_the_scan_is_said(desk: PlanDesk) -> None:
+    draw(desk)
+    draft = desk.draft.with_way("T1", replace(desk.draft.way("T1"), target_mm=(105.0, -50.0, 60.0)))
+    assert "PLAN-006" in [one.code for one in judge(draft, scan(), None, thorough=True).findings]
+
+
+def test_the_length_of_the_instrument_is_asked_for_and_all_else_is_judged(desk: PlanDesk) -> None:
+    draw(desk)
+    judged = judge(replace(desk.draft, instrument_length_mm=None), scan(), None, thorough=True)
+    assert "length of the instrument" in judged.findings[0].what
+    assert [one.code for one in judged.findings] == ["PLAN-002", "PLAN-008"]

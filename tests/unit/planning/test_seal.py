@@ -1,0 +1,99 @@
+"""A plan that was saved in the planner: by whom, on which voxels, and not altered since."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from procedures.imaging.volume import Volume
+from procedures.planning.check import check_plan
+from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanNotSaved
+from procedures.planning.plan import Plan
+from procedures.planning.plan_file import read_plan, write_plan
+from procedures.planning.plan_lock import held_plan, plan_in_use
+from procedures.planning.seal import sealed
+
+
+@pytest.fixture
+def saved(plan_text: str, plan_path: Callable[[str], Path], make_volume: Callable[..., Volume]) -> Path:
+    path = plan_path(plan_text)
+    write_plan(path, sealed(read_plan(path), "Dr Test", make_volume()), ("a note\nin one line",))
+    return path
+
+
+def test_a_sealed_plan_is_read_as_it_was_saved(saved: Path, make_volume: Callable[..., Volume]) -> None:
+    plan = read_plan(saved)
+    assert plan.seal is not None
+    assert plan.seal.author == "Dr Test"
+    assert check_plan(plan, make_volume()).passed
+    assert saved.read_text().startswith("# a note in one line\n")
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("60.0", "61.0"),
+        ('"T2"', '"T3"'),
+        ("Dr Test", "Dr Other"),
+        ("standoff_mm = 30.0", "standoff_mm = 29.0"),
+    ],
+)
+def test_a_plan_that_was_altered_under_its_seal_is_refused(saved: Path, before: str, after: str) -> None:
+    text = saved.read_text()
+    assert before in text
+    saved.write_text(text.replace(before, after, 1))
+    with pytest.raises(AlteredPlan, match=r"PLAN-023.*plan\.toml was altered"):
+        read_plan(saved)
+    assert read_plan(saved, sealed_only=False).seal is not None  # to be looked at
+
+
+def test_a_plan_without_a_seal_is_anybodys(saved: Path) -> None:
+    saved.write_text(saved.read_text().partition("[seal]")[0].replace("60.0", "61.0", 1))
+    assert read_plan(saved).seal is None
+
+
+def test_another_ct_with_the_number_of_the_series_is_refused(
+    saved: Path, make_volume: Callable[..., Volume]
+) -> None:
+    voxels = make_volume().voxels.copy()
+    voxels[3, 4, 5] += 1
+    with pytest.raises(OtherVoxels, match="PLAN-024"):
+        check_plan(read_plan(saved), make_volume(voxels=voxels)).require()
+    moved = make_volume().geometry
+    moved = type(moved)(
+        moved.shape, moved.origin_mm + np.array([0.0, 0.0, 1.0]), moved.axes, moved.spacing_mm
+    )
+    assert [one.code for one in check_plan(read_plan(saved), make_volume(geometry=moved)).findings] == [
+        "PLAN-024"
+    ]
+
+
+def test_a_full_disk_leaves_the_plan_that_stood_there(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before, plan = saved.read_bytes(), read_plan(saved)
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*No space left"):
+        write_plan(saved, plan)
+    assert saved.read_bytes() == before
+    assert [one.name for one in saved.parent.iterdir()] == ["plan.toml"]
+
+
+def test_a_plan_that_a_case_holds_is_in_use_until_the_case_has_ended(saved: Path) -> None:
+    assert not plan_in_use(saved)
+    with held_plan(saved), held_plan(saved):
+        assert plan_in_use(saved)
+    assert not plan_in_use(saved)
+    assert not plan_in_use(saved.with_name("none"))
+
+
+def test_the_seal_does_not_depend_on_how_numbers_are_written(saved: Path) -> None:
+    text = saved.read_text()
+    saved.write_text(text.replace("-20.0,", "-20,").replace("30.0", "3e1"))
+    assert isinstance(read_plan(saved), Plan)
