@@ -36,10 +36,14 @@ class MarkerPanel:
             ui.html("<h2>Markers</h2>", sanitize=False)
             self._words = ui.html("", sanitize=False)
             self._list = ui.element("div").classes("rows")
-            with ui.element("div").classes("row").props('role=group aria-label="On the patient"'):
-                self._implanted = NumberField("implanted", "implanted", self._set_implanted, 0)
-                self._standoff = NumberField("stand-off mm", "stand-off", self._set_standoff)
-                self._length = NumberField("instrument mm", "instrument length", self._set_length)
+            with (
+                ui.element("div").classes("numbers wideones").props('role=group aria-label="On the patient"')
+            ):
+                self._implanted = NumberField("spheres implanted", "implanted", self._set_implanted, 0)
+                self._standoff = NumberField("stand-off of the guide, mm", "stand-off", self._set_standoff)
+                self._length = NumberField(
+                    "length of the instrument, mm", "instrument length", self._set_length
+                )
             self._position = ui.select(
                 [one.value for one in PatientPosition], label="patient lay", on_change=self._set_position
             )

@@ -30,6 +30,7 @@ from ronna_hw.errors import RonnaError
 
 TITLE = "RONNA planner"  # of every patient alike
 BEAT_S = 0.4  # host time between two updates when nothing happens
+RECONNECT_S = 30.0  # a page that a busy computer holds up keeps where it looks
 LOOK, ENTRY, TARGET, SPHERE = "look", "entry", "target", "sphere"
 DOES = {LOOK: "look there", ENTRY: "set the entry", TARGET: "set the target", SPHERE: "pick a sphere"}
 
@@ -46,7 +47,7 @@ def add_planner(app: FastAPI, desk: PlanDesk) -> None:
         own_page(ui.context.client, session.identifier)
         PlannerPage(desk, session, low="low" in request.query_params).build()
 
-    use_library(app, TITLE)
+    use_library(app, TITLE, RECONNECT_S)
 
 
 class PlannerPage:

@@ -28,11 +28,11 @@ class WayPanel:
             ui.html("<h2>Trajectories</h2>", sanitize=False)
             self._tabs = ui.element("div").classes("views").props('role=group aria-label="Trajectories"')
             for end, title in ENDS:
-                with ui.element("div").classes("row").props(f'role=group aria-label="{title}"'):
+                with ui.element("div").classes("numbers").props(f'role=group aria-label="{title}"'):
                     ui.label(title).classes("rowname")
                     for axis, letter in enumerate("LPS"):
                         self._field(f"{end} {letter}", letter, self._set_end(end, axis))
-                with ui.element("div").classes("row under"):
+                with ui.element("div").classes("under"):
                     if self._may_edit:
                         self._button(
                             f"{title} here",
@@ -40,12 +40,12 @@ class WayPanel:
                             f"{end} at the crosshair",
                         )
                     self._button("look there", partial(self._go, end), f"crosshair to the {end}")
-            with ui.element("div").classes("row").props('role=group aria-label="Axis"'):
+            with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):
                 ui.label("Axis").classes("rowname")
                 self._field("azimuth", "az. °", self._set_azimuth)
                 self._field("elevation", "elev. °", self._set_elevation)
                 self._field("depth", "mm", self._set_depth)
-            with ui.element("div").classes("row").props('role=group aria-label="Guide"'):
+            with ui.element("div").classes("numbers").props('role=group aria-label="Guide"'):
                 ui.label("Guide").classes("rowname")
                 self._field("free angle", "angle °", self._set_free_angle)
                 self._field("margin", "margin mm", self._set_margin, 2)

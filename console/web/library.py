@@ -15,15 +15,18 @@ RECONNECT_S = 3.0
 RESENT_MESSAGES = 50  # after a short break; a longer one reloads the page
 
 
-def use_library(app: FastAPI, title: str) -> None:
-    """Serve the pages that were added by an application. `title` is the same for every patient."""
+def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:
+    """Serve the pages that were added by an application. `title` is the same for every patient.
+
+    A page that was not heard of for `reconnect_s` of host time is built anew.
+    """
     ui.run_with(
         app,
         title=title,
         dark=None,
         tailwind=False,
         favicon=str(HERE / "icon.svg"),
-        reconnect_timeout=RECONNECT_S,
+        reconnect_timeout=reconnect_s,
         message_history_length=RESENT_MESSAGES,
         show_welcome_message=False,
         gzip_middleware_factory=None,
