@@ -15,10 +15,11 @@ from procedures.imaging.volume import Volume
 from procedures.planning.check import PlanCheck, check_plan
 from procedures.planning.errors import PlanMistakes
 from procedures.planning.guide_hold import held_trajectories
-from procedures.planning.plan import MOST_INSTRUMENT_MM, Plan
+from procedures.planning.plan import MOST_INSTRUMENT_MM, Plan, PlannedTrajectory
 from procedures.planning.plan_file import parse_plan
 from procedures.planning.predicted_error import predicted_by_markers, predicted_with_arm
 from procedures.planning.reach import check_paths
+from procedures.planning.skull_angle import skull_angle_rad
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck
 from procedures.registration.points import FEWEST_PAIRS
@@ -46,6 +47,7 @@ class Judged:
     warnings: tuple[str, ...] = ()
     expected: dict[str, Expected] = field(default_factory=dict)
     reached: tuple[str, ...] = ()  # in words, by the arm
+    angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is straight
     arm_known: bool = False
     complete: bool = False  # there is a trajectory with both ends, so that there is something to judge
 
@@ -66,6 +68,7 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         plan = parse_plan(draft.content(volume.series_instance_uid))
     except RonnaError as mistake:
         return replace(judged, findings=(*missing, mistake))
+    judged = replace(judged, angles_deg={one.id: _angle_deg(volume, one) for one in plan.trajectories})
     markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
     covariances_mm2 = np.array([one.covariance_mm2 for one in draft.markers]).reshape(-1, 3, 3)
     check, paths = _checked(plan, volume, markers_mm, theatre, thorough)
@@ -83,6 +86,11 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         expected=_expected(plan, markers_mm, covariances_mm2, theatre, paths),
         reached=_in_words(check),
     )
+
+
+def _angle_deg(volume: Volume, planned: PlannedTrajectory) -> float | None:
+    angle_rad = skull_angle_rad(volume, planned.trajectory)
+    return None if angle_rad is None else _degrees(angle_rad)
 
 
 def _checked(

@@ -16,6 +16,7 @@ from console.planning.desk import PlanDesk
 from console.planning.head_stage import HeadStage
 from console.planning.look import Look
 from console.planning.marker_panel import MarkerPanel
+from console.planning.proposal_panel import ProposalPanel
 from console.planning.routes import add_pictures
 from console.planning.slice_panel import SlicePanel
 from console.planning.verdict import expected, verdict
@@ -93,6 +94,7 @@ class PlannerPage:
             with ui.element("div").classes("right"):
                 self._stage = HeadStage(desk, look, low=self._low)
                 self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
+                ProposalPanel(desk, self._go)
         client = ui.context.client
         changed = desk.subscribe()
         task = asyncio.create_task(self._keep_fresh(client, changed))

@@ -25,6 +25,7 @@ def verdict(judged: Judged, draft: Draft) -> str:
         for one in judged.findings
     ]
     parts += [tag("li", text(one), class_="warn") for one in judged.warnings]
+    parts += [tag("li", text(_to_skull(name, angle))) for name, angle in judged.angles_deg.items()]
     parts += [tag("li", text(one), class_="ok") for one in judged.reached]
     more = tag("ul", "".join(parts[1:]), class_="findings") if parts[1:] else ""
     state = "judging" if late else "judged"
@@ -55,6 +56,12 @@ def _outcome(judged: Judged) -> str:
     if not judged.arm_known:
         words += " The arm is not known: open with --config and --robot-from-ct to check reach and clearance."
     return tag("p", words, class_="ok")
+
+
+def _to_skull(name: str, angle_deg: float | None) -> str:
+    if angle_deg is None:
+        return f"{name} meets no bone that the CT shows"
+    return f"{name} meets the skull at {angle_deg:.0f}° (90° is straight)"
 
 
 def _target(name: str, one: Expected, margin_mm: float) -> str:

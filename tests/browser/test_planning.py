@@ -17,6 +17,7 @@ from open_planner import (
     click_picture,
     command,
     enter_planner,
+    field_value,
     make_phantom,
     open_planner,
     type_number,
@@ -92,3 +93,38 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_it
         host
     }
     assert page.complaints == []
+
+
+def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(opened: Open, page: Any) -> None:
+    enter_planner(page, opened()["url"])  # the phantom's own plan, beside its CT
+    assert field_value(page, "target L") == "-2.2"
+    page.get_by_label("reject 3").click()
+    page.wait_for_selector("[data-found='2']")
+    page.wait_for_selector(".verdictbox >> text=PLAN-008")
+    page.locator("[data-do=undo]").click()
+    page.wait_for_selector("[data-found='3']")
+    page.get_by_role("button", name="pick a sphere").click()
+    click_picture(page, "axial", 0.5, 0.5)
+    assert "no surface" in said(page, "CT-019")
+    page.locator("[data-do=propose]").click()
+    page.wait_for_selector("[data-proposed='5']", timeout=60_000)
+    type_number(page, "depth", "200")
+    page.wait_for_selector(".verdictbox >> text=PLAN-004")
+    type_number(page, "depth", "many")
+    page.wait_for_selector("text=expected a number such as")
+    assert page.complaints == []
+
+
+def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any) -> None:
+    enter_planner(page, opened()["viewer_url"])
+    assert page.locator("[data-do=save]:visible").count() == 0
+    assert page.get_by_role("button", name="set the entry").count() == 0
+    assert page.locator('[data-field="target L"]').is_disabled()
+    picture = page.locator("[data-plane=axial]")
+    picture.focus()
+    before = page.locator(".slice >> nth=0").inner_text()
+    picture.press("PageDown")
+    page.wait_for_function("before => document.querySelector('.slice').innerText !== before", arg=before)
+    picture.press("e")
+    page.wait_for_timeout(500)
+    assert field_value(page, "entry L") == "8.4"
