@@ -23,6 +23,7 @@ REPEATABILITY_MM = 0.015  # per axis, at rest
 SERVO_MM = 0.03  # 3-D rms of what the servo leaves
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
 HARMONIC_COLUMNS = slice(1, 5)
+EVEN_PHASE = 0.5**0.5  # what the sine and the cosine have each of a harmonic whose phase may be any
 SAGGING = (1, 2)  # joints, counted from 0
 
 
@@ -100,7 +101,7 @@ def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Erro
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD
     links = np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(columns), 3, -1)
-    harmonics = by_joint[..., HARMONIC_COLUMNS].reshape(len(columns), 3, -1)
+    harmonics = EVEN_PHASE * by_joint[..., HARMONIC_COLUMNS].reshape(len(columns), 3, -1)
     levers = gravity_levers(chain, joints_rad)
     sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
     return Displacements(sizes.links * links, sizes.joints * np.concatenate([harmonics, sag], axis=2), swings)

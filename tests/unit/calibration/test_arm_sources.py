@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.calibration.arm_sources import REPEATABILITY_MM, ArmPoses, ErrorSizes, arm_sources
+from procedures.calibration.arm_geometry import HARMONIC_RAD
+from procedures.calibration.arm_sources import (
+    REPEATABILITY_MM,
+    ArmPoses,
+    ErrorSizes,
+    arm_sources,
+    displacements,
+)
 from procedures.registration.target_prediction import predict_target_error
 from ronna_hw.arm.angles import radians6
+from ronna_hw.arm.deviations import ArmDeviations, joint_errors
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 
 KR6 = kr6_r900(ArmVariant.SIXX)
@@ -37,6 +47,27 @@ def test_of_a_calibrated_arm_the_whole_backlash_counts_where_nobody_knows_the_si
     assert known[CALIBRATED] == pytest.approx(0.1 * known[ErrorSizes()])
     unknown = {sizes: budget_mm(sizes, None)["backlash"] for sizes in (ErrorSizes(), CALIBRATED)}
     assert known[ErrorSizes()] < 0.9 * unknown[CALIBRATED] < unknown[ErrorSizes()]
+
+
+def test_harmonics_displace_as_those_of_random_arms_whose_phase_may_be_any() -> None:
+    generator, flat = np.random.default_rng(1), []
+    sizes_rad = np.array(HARMONIC_RAD)
+    for _ in range(2000):
+        amplitude = generator.normal(0.0, sizes_rad, (6, 2))
+        phase = generator.uniform(0.0, 2.0 * np.pi, (6, 2))
+        drawn = replace(
+            ArmDeviations.none(6), sine_rad=amplitude * np.cos(phase), cosine_rad=amplitude * np.sin(phase)
+        )
+        flat.append(joint_errors(KR6.chain, drawn, LOOKS[-1:], 0.0)[0])
+    drawn_mm2 = np.square(np.array(flat) @ swings_mm().T).sum(axis=1).mean()
+    moved = displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes())
+    harmonics_mm = moved.joints_mm[0, :, :-2]  # without sag
+    assert np.sum(harmonics_mm**2) == pytest.approx(drawn_mm2, rel=0.1)
+
+
+def swings_mm() -> NDArray[np.float64]:
+    """How each joint swings the tool in the last pose, (3, 6) mm per rad."""
+    return displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes()).swings_mm[0]
 
 
 def test_what_the_servo_leaves_does_not_count_where_it_is_measured() -> None:
