@@ -67,7 +67,7 @@ def test_harmonics_displace_as_those_of_random_arms_whose_phase_may_be_any() -> 
 
 def swings_mm() -> NDArray[np.float64]:
     """How each joint swings the tool in the last pose, (3, 6) mm per rad."""
-    return displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes()).swings_mm[0]
+    return np.asarray(displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes()).swings_mm[0])
 
 
 def test_what_the_servo_leaves_does_not_count_where_it_is_measured() -> None:
