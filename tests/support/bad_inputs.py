@@ -139,6 +139,7 @@ def _files() -> dict[str, str | bytes]:
         "schema.toml": 'schema = 2\ntheatre = "lab"\n',
         "nothing.toml": "",
         "focal_record.toml": THEATRE + STEREO_HEAD,
+        "metres_record.toml": THEATRE + STEREO_HEAD.replace("300.0", "0.3").replace("250.0", "0.25"),
         "tracker.toml": THEATRE + TRACKER,
         "lab.toml": THEATRE + TRACKER.replace("127.0.0.1", "192.168.1.7"),
         "unknown.toml": THEATRE + TRACKER.replace("ndi_polaris", "ndi_polariss"),

@@ -11,6 +11,8 @@ import api_pages
 import pytest
 import typer
 
+from ronna_hw.command_line.common_options import with_common_options
+
 COMMANDS = sorted(one.name for one in entry_points(group="console_scripts") if one.name.startswith("ronna-"))
 
 
@@ -24,13 +26,24 @@ def commands_below(command: Any, path: str) -> Iterator[tuple[str, Any]]:
 def test_every_option_and_command_says_what_it_is_for(name: str) -> None:
     (script,) = entry_points(group="console_scripts", name=name)
     application = import_module(script.module).app
+    whole = with_common_options(typer.main.get_command(application))
     silent = [
         f"{path} {' '.join(one.opts) if one is not command else ''}"
-        for path, command in commands_below(typer.main.get_command(application), name)
+        for path, command in commands_below(whole, name)
         for one in (command, *command.params)
         if not (one.help or "").strip()
     ]
     assert silent == []
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_verbose_and_version_are_offered_wherever_a_message_may_name_them(name: str) -> None:
+    (script,) = entry_points(group="console_scripts", name=name)
+    whole = with_common_options(typer.main.get_command(import_module(script.module).app))
+    for path, command in commands_below(whole, name):
+        offered = {word for one in command.params for word in one.opts}
+        wanted = {"--version"} if getattr(command, "commands", {}) else {"--verbose", "--version"}
+        assert wanted <= offered, path
 
 
 @pytest.mark.parametrize("page", [api_pages.numerics, api_pages.devices], ids=["numerics", "devices"])
