@@ -63,6 +63,7 @@ def bars(
     figure, axes = _figure()
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     width = 0.8 / max(1, len(names))
+    none_counted = False
     for place, name in enumerate(names):
         middles = [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))]
         values = [_bounded(group.get(name, 0.0)) for group in groups.values()]
@@ -71,6 +72,7 @@ def bars(
         for middle, one in zip(middles, values, strict=True):
             low, high = _ends(one)
             if one.low is None and one.high is not None:
+                none_counted = True
                 axes.plot([middle], [high], marker="v", markersize=4, color=colour)
             elif high > low:
                 axes.errorbar(
@@ -81,6 +83,8 @@ def bars(
                     capsize=CAP_POINTS,
                     lw=0.7,
                 )
+    if none_counted:
+        axes.plot([], [], "v", markersize=4, color="grey", label="none counted: at most")
     axes.set_xticks(range(len(groups)), list(groups))
     axes.set_title(title)
     axes.set_ylabel(y_label)

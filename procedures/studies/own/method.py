@@ -48,9 +48,10 @@ class OwnMethod:
     def source(self) -> Path | None:
         """The file to be sent to workers elsewhere; None for what is installed, or part of a package."""
         module = sys.modules[self.reference.partition(":")[0]]
-        file = Path(module.__file__ or "")
-        installed = {"site-packages", "dist-packages"} & set(file.parts)
-        return None if installed or "." in module.__name__ or module.__spec__ is None else file
+        if module.__file__ is None or "." in module.__name__:
+            return None
+        file = Path(module.__file__)
+        return None if {"site-packages", "dist-packages"} & set(file.parts) else file
 
 
 def own_method(kind: MethodKind, text: str) -> OwnMethod:

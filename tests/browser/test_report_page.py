@@ -1,0 +1,79 @@
+"""The report on a phone and on paper, as a browser lays it out: nothing is cut."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from clinical_case import (
+    FIRST,
+    ClinicalCell,
+    checked_paths,
+    mounted_guide,
+    relocalization,
+    up_to_correspondence,
+)
+
+from procedures.engine.journal import Entry
+from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.reporting.report import write_report
+from procedures.steps.clinical import registration
+from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
+from procedures.workcell import MountedTool
+
+PHONE_PX = 390
+A4_PX = 688  # 210 mm without the page's margins of 14 mm, at 96 pixels per inch
+# The beginnings of what reaches beyond the page; on a screen it scrolls inside its frame.
+BEYOND = (
+    "[...document.querySelectorAll('table, svg, img')]"
+    ".filter(one => one.getBoundingClientRect().right > innerWidth + 1)"
+    ".map(one => one.textContent.slice(0, 60))"
+)
+TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
+
+
+@pytest.fixture
+def report(tmp_path: Path) -> Path:
+    """Of a case that goes as far as the registration, with a budget and the clearance of its motions."""
+    cell = ClinicalCell(tmp_path / "20261121T000000-s3-abcd")
+    cell.journal.write(Entry.OPENED, 0.0, theatre="mini scene, seed 3", banner="SIMULATED THEATRE")
+    cell.carrying(MountedTool.STEREO_HEAD)
+    closest = ClosestApproach(first="tube of the guide", second="stereo head", distance_mm=16.2, at=1.0)
+    motions = tuple(
+        MotionPreview(
+            start="home",
+            end=f"{FIRST}/fiducial {number}",
+            kind="move",
+            duration_s=1.0,
+            clear=True,
+            closest=closest,
+            largest_joint_speed_share=0.5,
+            largest_speed_mm_s=100.0,
+            nearest_to_head_mm=50.0 * number,
+        )
+        for number in range(6)
+    )
+    paths = checked_paths(cell).model_copy(update={"motions": motions})
+    steps = (*up_to_correspondence(cell), paths, relocalization(), registration.STEP, mounted_guide())
+    engine = cell.begin(*steps)
+    engine.run_to()
+    engine.close("left")
+    return write_report(cell.folder, truth=TRUTH)
+
+
+def test_on_a_phone_the_page_is_as_wide_as_the_screen(page: Any, report: Path) -> None:
+    page.set_viewport_size({"width": PHONE_PX, "height": 800})
+    page.goto(report.as_uri())
+    assert page.evaluate("document.documentElement.scrollWidth") == PHONE_PX
+    framed = "[...document.querySelectorAll('table')].every(one => one.closest('.wide'))"
+    assert page.evaluate(framed)
+    assert page.requested == [report.as_uri()]
+
+
+def test_on_a4_paper_no_table_and_no_picture_is_cut(page: Any, report: Path) -> None:
+    page.set_viewport_size({"width": A4_PX, "height": 1000})
+    page.emulate_media(media="print")
+    page.goto(report.as_uri())
+    assert page.evaluate(BEYOND) == []
+    assert page.evaluate("document.documentElement.scrollWidth") == A4_PX
