@@ -164,6 +164,7 @@ def _files() -> dict[str, str | bytes]:
         "twice.toml": PLAN + PLAN[PLAN.index("[[") :],
         "pronate.toml": PLAN.replace('"HFS"', '"HFX"'),
         "count.toml": PLAN.replace("implanted = 4", "implanted = 0"),
+        "nolength.toml": PLAN.replace("instrument_length_mm = 250.0\n", ""),
         "short.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10.0, -50.0]"),
         "tool.toml": TOOL,
         "tool_two.toml": TOOL.replace(", [0.0, 70.0, 0.0]]", "]"),

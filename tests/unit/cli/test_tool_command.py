@@ -73,6 +73,20 @@ def test_a_record_of_another_flange_does_not_fit(theatre: Path) -> None:
     assert "TOOL-003" in " ".join(one_error(done.stderr))
 
 
+@pytest.mark.hazard(47)
+def test_a_record_that_has_expired_is_refused_and_says_what_to_do(theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    content["tools"]["guide"].update(
+        created=datetime(2020, 1, 1, tzinfo=UTC), expires=datetime(2021, 1, 1, tzinfo=UTC)
+    )
+    theatre.write_text(tomli_w.dumps(content))
+    done = in_this_process(app, "check", "--config", theatre)
+    assert done.returncode == 3
+    said = " ".join(one_error(done.stderr))
+    assert "CAL-001: tool record tool-guide-mini-3 expired" in said
+    assert "no motion until then" in said
+
+
 def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
     """What `calibrate tool-tip --write` leaves: the new record, in a new file."""
     old = read_theatre_file(theatre).calibration
