@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.calibration import Dated, Length, Numbers3, Strict
+from ronna_hw.calibration import Dated, Length, Numbers3, PoseRecord, Strict
 from ronna_hw.collision_config import ToolBody
 
 Angles6 = tuple[float, float, float, float, float, float]
@@ -64,6 +64,13 @@ class Gauge(Strict):
     )
 
 
+class ToolFrame(Strict):
+    """A frame of spheres on the tool itself, by which the tracker tells that it is this tool."""
+
+    tool: Annotated[str, Field(min_length=1)] = Field(description="Its name among the tracker's tools.")
+    tip_from_frame: PoseRecord = Field(description="Pose of that frame in the tool's tip frame.")
+
+
 class ToolRecord(Dated):
     """One tool: identity, purpose, what it weighs, what it needs around it, where its tip or bore is."""
 
@@ -82,6 +89,7 @@ class ToolRecord(Dated):
     tip: str | None = Field(default=None, description="Identifier of the calibration record of its tip.")
     bore: GuideBore | None = Field(default=None, description="Of a guide.")
     gauge: Gauge | None = Field(default=None, description="How it is checked after it was mounted.")
+    frame: ToolFrame | None = Field(default=None, description="How the tracker sees it, if it bears spheres.")
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from ronna_hw.calibration import PoseRecord
+from sim.theatre.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.theatre.scene.model import Scene
 
 STEREO_HEAD_KG = 2.1
@@ -46,6 +48,14 @@ def tool_records(
                 "length_mm": guide.bore_mm,
                 "play_mm": guide.play_mm,
             },
+            **_frame(guide.tip_from_frame),
             "gauge": {"joints_deg": [A1 + GAUGE_TURN_DEG, *others], "base_mm": GAUGE_BASE_MM},
         },
     }
+
+
+def _frame(tip_from_frame: PoseRecord | None) -> dict[str, Any]:
+    """How the tracker sees the guide, where it bears a frame."""
+    if tip_from_frame is None:
+        return {}
+    return {"frame": {"tool": GUIDE_FRAME, "tip_from_frame": tip_from_frame.model_dump(mode="json")}}

@@ -32,10 +32,14 @@ class TrueGuide:
 
         `flange` as the arm alone would hold it, by default where it is now.
         """
+        return self.bore_frame(flange) @ self._bent()
+
+    def bore_frame(self, flange: Matrix | None = None) -> Matrix:
+        """The same of a guide that is not bent: what of it sits above the bore."""
         pose = (self._world.arm().robot_from_flange if flange is None else flange).copy()
         pose[:3, 3] += self._room.now().guide_mm
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
-        return pose @ calibrated_tip(self._world) @ self._seated() @ self._bent()
+        return pose @ calibrated_tip(self._world) @ self._seated()
 
     def mandrel(self, flange: Matrix | None = None) -> Matrix:
         """Of the end of the mandrel that is in it."""

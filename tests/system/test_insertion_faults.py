@@ -9,11 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import tomli_w
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
+from sim.theatre.scene.guide_frame import with_guide_frame
+from sim.theatre.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 MINI = ("--sim", "--scene", "mini", "--seed", "3")
@@ -89,3 +92,21 @@ def test_a_live_fault_ends_as_promised(commands: Commands, tmp_path: Path, what:
     stepping.communicate(f"run {step}\nhome\nquit\n", timeout=100)
     (folder,) = (tmp_path / "runs").iterdir()
     judge(promise, list(read_journal(folder / JOURNAL_FILE)), folder)
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize(("seat", "code"), [("1.5 mm 0 deg", "TOOL-006"), ("0.1 mm 0 deg", "TOOL-005")])
+def test_a_guide_with_a_frame_is_looked_at_before_it_goes_to_the_gauge(
+    commands: Commands, tmp_path: Path, seat: str, code: str
+) -> None:
+    scene, faults = tmp_path / "scene.toml", tmp_path / "faults.txt"
+    with_frame = with_guide_frame(named_scene("mini", seed=3))
+    scene.write_text(tomli_w.dumps(with_frame.model_dump(mode="json", by_alias=True, exclude_none=True)))
+    faults.write_text(f"when step == tool_check: room bad seat {seat}\n")
+    options = ("--sim", "--scene", str(scene), "--faults", str(faults), "--out", str(tmp_path / "runs"))
+    ran = commands.run("ronna-procedure", "run", *options, timeout_s=200)
+    assert ran.returncode == EXIT_REFUSED
+    assert code in ran.stderr
+    (folder,) = (tmp_path / "runs").iterdir()
+    lines = [line for line in read_journal(folder / JOURNAL_FILE) if line.get("step") == "tool_check"]
+    assert [line for line in lines if line.get("topic") == "tool_check"] == [] or code == "TOOL-005"

@@ -35,3 +35,11 @@ class ToolBesideGauge(LimitError):
         "Mount the guide and its mandrel again (repeat tool_change), then check it again; else calibrate it."
     )
     exit_code = RefusedError.exit_code
+
+
+class ToolSeenElsewhere(LimitError):
+    """The tracker does not see the frame of the mounted tool where the tool's record says, or not at all."""
+
+    code = "TOOL-006"
+    action = "See that it is the right tool, well seated and in the tracker's sight; repeat tool_change."
+    exit_code = RefusedError.exit_code

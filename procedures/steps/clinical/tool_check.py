@@ -23,6 +23,7 @@ from procedures.steps.clinical.errors import ToolBesideGauge
 from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
 from procedures.steps.clinical.room_check import ROOM_READS, check_room
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_sight import require_seen_in_place
 from procedures.workcell import MountedTool
 from ronna_hw.arm.angles import radians6
 from ronna_hw.calibration import Numbers3
@@ -48,10 +49,16 @@ class CheckedTool(StepResult, kind="tool_check"):
     off_mm: float = Field(description="Length of that offset.")
     tilt_deg: float = Field(description="Of the mandrel beside the record.")
     joints_rad: Numbers6 = Field(description="Measured joints at the gauge.")
+    seen_off_mm: float | None = Field(
+        default=None, description="How far the tracker saw it beside its record; none without a frame on it."
+    )
 
 
 def run(context: StepContext) -> Outcome[CheckedTool]:
-    """Have the mandrel put into the gauge, read and taken out, twice; go home. Raises TOOL-005, PRO-002."""
+    """Have the mandrel put into the gauge, read and taken out, twice; go home.
+
+    Where the guide bears a frame, the tracker looks at it first. Raises TOOL-005, TOOL-006, PRO-002.
+    """
     workcell = context.workcell
     context.result(MountedGuide)
     context.have_instrument_out()  # of an earlier try
@@ -61,6 +68,8 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     tip = workcell.flange_from(MountedTool.GUIDE)
     workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None))
     check_room(context, "before the guide is checked")
+    frame = guide.record.frame
+    seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
     workcell.start()
     gauge_rad = radians6(*guide.gauge.joints_deg)
     there = [workcell.facts(gauge_rad)]
@@ -100,6 +109,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
             off_mm=off_mm,
             tilt_deg=tilt_deg,
             joints_rad=reached.joints_rad,
+            seen_off_mm=seen_off_mm,
         ),
         summary=told,
     )

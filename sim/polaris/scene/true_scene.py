@@ -16,8 +16,12 @@ from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
 from sim.theatre.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
 from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
+from sim.theatre.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
+from sim.theatre.scene.guide_frame import NAME as GUIDE_FRAME_NAME
+from sim.theatre.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
 from sim.theatre.scene.model import TrackerTool
 from sim.theatre.scene.seating import spheres_in_theatre
+from sim.theatre.true_guide import TrueGuide
 from sim.theatre.world import ArmState, World
 
 Vectors = NDArray[np.float64]
@@ -58,6 +62,9 @@ class TrueScene:
         )
         self.fiducials_mm: Vectors = self.fiducials_at(NOTHING_MOVED)
         self._arm_body = ArmBody(scene)
+        on_guide = scene.mount.guide.tip_from_frame
+        self._tip_from_frame = None if on_guide is None else matrix_of(on_guide)
+        self._guide = TrueGuide(world)
         self._head: tuple[Body, ...] = (head_ellipsoid(scene.head, self._tracker_from_robot),)
 
     def arm(self) -> ArmState | None:
@@ -92,6 +99,8 @@ class TrueScene:
         """A loaded tool, whatever definition was loaded for it; None when it is not in the room."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
+        if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
+            return self._frame_on_guide(self._tip_from_frame, arm, disturbance)
         if self.stands_on_head(definition):
             return self._frame_on_head(disturbance)
         if place is None or place >= len(self._places):
@@ -130,6 +139,16 @@ class TrueScene:
         pose = self._tracker_from(disturbance.room) @ flange @ self._tool_from_marker
         names = frozenset({tool.name, tool.part_number})
         return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+
+    def _frame_on_guide(
+        self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
+    ) -> TrueTool | None:
+        """The frame on the guide while that hangs there: badly seated with it, but not bent with its tip."""
+        if arm is None or self.mounted_tool() != self._world.scene.mount.tool_number_guide:
+            return None
+        pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
+        names = frozenset({GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER})
+        return _disturbed(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
         """TRACKER <- ROBOT with the tracker where the room's faults have moved it."""

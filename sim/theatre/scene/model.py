@@ -221,6 +221,10 @@ class Guide(Strict):
         default=(0.0, 0.0), description="Its bore beside its direction, about x and y of the tip frame."
     )
     mass_kg: Positive = Field(default=1.4, description="Of all that hangs below the changer.")
+    tip_from_frame: PoseRecord | None = Field(
+        default=None,
+        description="Pose of the spheres on the guide, the tracker's tool `guide_frame`; none without.",
+    )
 
 
 class Hands(Strict):

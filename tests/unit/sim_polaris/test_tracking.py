@@ -17,8 +17,10 @@ from sim.theatre.rigid import (
     matrix_of,
     quaternion_from_rotation,
 )
+from sim.theatre.scene.guide_frame import with_guide_frame
 from sim.theatre.scene.model import Scene, TrackerTool
 from sim.theatre.scene.named_scenes import frame_on_head, named_scene, robot_frame
+from sim.theatre.true_guide import TrueGuide
 from sim.theatre.world import ArmState
 
 if TYPE_CHECKING:
@@ -267,6 +269,24 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_its_spheres_strays_when
     assert len(strays(answer)) == 0
     crossing = spheres[0] + 35.0 / 96.0 * (spheres[2] - spheres[0])
     assert position(answer, 1) == pytest.approx(crossing, abs=1.0)
+
+
+def test_the_frame_on_the_guide_is_seen_where_the_guide_sits_and_only_while_it_hangs_there(
+    make_bench: Callable[..., Bench],
+) -> None:
+    scene = with_guide_frame(named_scene("mini", seed=3))
+    place = scene.mount.guide.tip_from_frame
+    assert place is not None
+    bench = make_bench(scene)
+    put_arm(bench)
+    bench.send("INIT ")
+    bench.track(robot_frame(), scene.tracker.tools[-1])
+    bench.world.mount_tool(scene.mount.tool_number_stereo)
+    assert "MISSING" in bench.send("TX 0001").split("\n")[1]
+    bench.world.mount_tool(scene.mount.tool_number_guide)
+    tip = TrueGuide(bench.world).tip_frame()
+    truth = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ tip @ matrix_of(place)
+    assert position(bench.send("TX 0001"), 1) == pytest.approx(truth[:3, 3], abs=1.5)
 
 
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
