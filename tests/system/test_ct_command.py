@@ -6,6 +6,7 @@ import json
 import os
 import pty
 import shutil
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -14,10 +15,15 @@ import numpy as np
 import pydicom
 import pytest
 from painted_ct import SERIES_UID, Scan, write_series
-from spoiled_slices import only, setting
+from pydicom.dataelem import RawDataElement
+from pydicom.encaps import encapsulate
+from pydicom.tag import Tag
+from pydicom.uid import JPEGLSLossless
+from spoiled_slices import every, only, setting
 from user_commands import in_this_process
 
 from procedures.cli.ct import app
+from procedures.imaging.dicom.frame_decoder import FrameDecoder, NotDecoded
 
 COMMAND = [sys.executable, "-P", "-c", "from procedures.cli.ct import main; main()"]
 ORIGIN_MM = np.array([10.0, -20.0, 30.0])
@@ -166,14 +172,69 @@ def test_the_patient_is_named_to_who_asks(series: Path, tmp_path: Path) -> None:
     assert told.stderr == "patient: Secret^Name, identifier SECRET-ID\n"
 
 
-def test_bad_input_is_one_clear_message_with_its_code(series: Path, tmp_path: Path) -> None:
+ANOTHER_SERIES = setting(SeriesInstanceUID="1.2.3.4.5")
+SCOUT = setting(ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])
+IN_COLOUR = setting(SamplesPerPixel=3, PhotometricInterpretation="RGB", PlanarConfiguration=0)
+
+
+def as_jpeg_ls(data: pydicom.Dataset) -> None:
+    data.file_meta.TransferSyntaxUID = JPEGLSLossless
+    frame = struct.pack(">HHHBHHB", 0xFFD8, 0xFFF7, 11, 16, data.Rows, data.Columns, 1)  # T.87, annex C
+    data.PixelData = encapsulate([frame])
+    data["PixelData"].VR = "OB"
+    data["PixelData"].is_undefined_length = True
+
+
+def no_decoder(_decoder: FrameDecoder, _path: Path) -> None:
+    raise NotDecoded("no decoder")
+
+
+def not_a_number(data: pydicom.Dataset) -> None:
+    tag = Tag("RescaleSlope")
+    data[tag] = RawDataElement(tag, "DS", 4, b"NaN ", 0, False, True)
+
+
+def test_more_places_than_can_be_listed_are_counted(tmp_path: Path) -> None:
+    voxels = np.full((54, 144, 180), -1000, dtype=np.int16)
+    for z, y, x in np.ndindex(3, 4, 5):  # cubes of 9 mm
+        voxels[5 + 18 * z :, 9 + 36 * y :, 9 + 36 * x :][:9, :18, :18] = 100
+    done = ronna_ct("localize", write_series(tmp_path / "many", voxels), "--expected", 3)
+    assert (done.returncode, done.stdout) == (3, "")
+    assert done.stderr.startswith("CT-016: 0 markers found, 3 expected; candidates: (")
+    assert " and 52 less likely. " in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_bad_input_is_one_clear_message_with_its_code(
+    series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # as without the extra that decodes compressed slices
+    monkeypatch.setattr("procedures.imaging.dicom.slice_pixels._can_decode", lambda syntax: False)
+    monkeypatch.setattr(FrameDecoder, "decode", no_decoder)
     (tmp_path / "empty").mkdir()
     voxels = np.zeros((9, 8, 8), dtype=np.int16)
     truncated = write_series(tmp_path / "truncated", voxels)
     os.truncate(truncated / "0005.dcm", 600)
     mixed = write_series(tmp_path / "mixed", voxels, edit=only(7, setting(SeriesInstanceUID="1.2.3.4.5")))
+    both = write_series(tmp_path / "both", voxels)
+    for path in sorted(write_series(tmp_path / "other", voxels, edit=every(ANOTHER_SERIES)).iterdir()):
+        path.rename(both / f"other-{path.name}")
+    colour = write_series(tmp_path / "colour", voxels, edit=every(IN_COLOUR))
+    compressed = write_series(tmp_path / "compressed", voxels, edit=every(as_jpeg_ls))
+    scout = write_series(
+        tmp_path / "scout", voxels, edit=only(0, setting(ImageType=["ORIGINAL", "LOCALIZER"]))
+    )
+    unscaled = write_series(tmp_path / "unscaled", voxels, edit=only(4, not_a_number))
+    frame = tmp_path / "frame.csv"  # of another frame than the two spheres
+    frame.write_text("0,0,0\n40,0,0\n0,70,0\n25,25,30\n")
     (tmp_path / "file").write_text("x")
     cases = [
+        (["localize", both], 1, "CT-003", "1.2.3.4.5"),
+        (["localize", colour], 1, "CT-014", "colour"),
+        (["localize", compressed], 1, "CT-013", "ronna-hw[compressed]"),
+        (["localize", scout], 1, "CT-021", "0000.dcm"),
+        (["localize", unscaled], 1, "CT-012", "RescaleSlope"),
+        (["localize", series, "--layout", frame], 3, "REG-012", "all 4 spheres of the layout"),
         (["localize", tmp_path / "missing"], 1, "CT-001", "does not exist"),
         (["localize", tmp_path / "file"], 1, "CT-001", "is not a folder"),
         (["localize", tmp_path / "empty"], 1, "CT-002", "no DICOM image"),
