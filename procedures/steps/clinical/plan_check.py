@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -61,6 +62,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     )
     check, spheres = _counted(context, check, localization.markers)
     check.require()
+    _keep_cuts(context, volume, plan)
     _confirm_patient(context, plan)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
@@ -74,6 +76,15 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         ),
         summary="; ".join((summary, *check.warnings)),
     )
+
+
+def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
+    """The planned ways in the CT, for whoever confirms them now or reads the report later."""
+    from procedures.imaging.trajectory_cuts import trajectory_cuts
+
+    ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
+    for name in ways:
+        context.keep_picture(f"plan-{name}.png", trajectory_cuts(volume, ways, name))
 
 
 def _confirm_patient(context: StepContext, plan: Plan) -> None:

@@ -1,0 +1,100 @@
+"""Three cuts of the CT through a target, with the planned ways: for whoever confirms, reports or operates."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+Picture = NDArray[np.uint8]
+
+HALF_WIDTH_MM = 120.0  # of a picture: a head with what stands on it
+STEP_MM = 0.9
+WINDOW_HU = (-300.0, 1300.0)
+UNSCANNED_HU = -1000
+DEPTH_MM = 12.0  # from the plane at which a way has faded to a third
+FAINTEST = 0.12  # of a way's ink, however far it is from the plane
+PIECES = 40  # of a drawn way
+OWN_BGR, OTHER_BGR, TARGET_BGR, LETTER_BGR = (162, 95, 255), (255, 166, 88), (60, 220, 255), (255, 255, 255)
+GAP_PX = 6
+# As radiologists look: name, direction to the right and down in LPS, letters left, right, top, bottom.
+PLANES = (
+    ("axial", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "L", "A", "P")),
+    ("coronal", (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), ("R", "L", "S", "I")),
+    ("sagittal", (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), ("A", "P", "S", "I")),
+)
+Way = tuple[Array, Array]  # entry and target, LPS mm
+
+
+def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes:
+    """PNG of the axial, coronal and sagittal plane through the target of that way.
+
+    `ways` are entry and target, LPS mm, by name; each fades with its distance from the plane.
+    """
+    import cv2
+
+    gap = np.zeros((2 * round(HALF_WIDTH_MM / STEP_MM) + 1, GAP_PX, 3), np.uint8)
+    parts: list[Picture] = []
+    for title, right, down, letters in PLANES:
+        picture = _plane(volume, ways[name][1], np.array(right), np.array(down))
+        for other, way in sorted(ways.items(), key=lambda one: one[0] == name):  # the own one on top
+            _draw_way(picture, way, ways[name][1], np.array([right, down]), own=other == name)
+        _write(picture, f"{name} {title}", letters)
+        parts += [gap, picture]
+    _, content = cv2.imencode(".png", np.hstack(parts[1:]))
+    return content.tobytes()
+
+
+def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
+    """Grey values (n, n, 3) around a place."""
+    offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
+    places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
+    index = np.moveaxis(volume.geometry.to_index(places), -1, 0)
+    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=UNSCANNED_HU)
+    low, high = WINDOW_HU
+    grey = (255.0 * np.clip((values - low) / (high - low), 0.0, 1.0)).astype(np.uint8)
+    return np.repeat(grey[:, :, None], 3, axis=2)
+
+
+def _draw_way(picture: Picture, way: Way, middle_mm: Array, axes: Array, *, own: bool) -> None:
+    """A way from its entry to its target, piece by piece."""
+    import cv2
+
+    entry, target = way
+    across = np.cross(*axes)
+    shares = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
+    places = entry + shares * (target - entry) - middle_mm
+    pixels = places @ axes.T / STEP_MM + picture.shape[0] // 2
+    ink = np.array(OWN_BGR if own else OTHER_BGR, dtype=float)
+    for start, end, place in zip(pixels, pixels[1:], places, strict=False):
+        share = max(FAINTEST, float(np.exp(-abs(place @ across) / DEPTH_MM)))
+        below = picture[_inside(picture, start[1]), _inside(picture, start[0])].astype(float)
+        colour = tuple(float(one) for one in share * ink + (1.0 - share) * below)
+        cv2.line(picture, _spot(start), _spot(end), colour, 2 if own else 1, cv2.LINE_AA)
+    if own:
+        cv2.drawMarker(picture, _spot(pixels[-1]), TARGET_BGR, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
+
+
+def _spot(pixel: Array) -> tuple[int, int]:
+    return round(float(pixel[0])), round(float(pixel[1]))
+
+
+def _inside(picture: Picture, pixel: float) -> int:
+    return int(min(max(pixel, 0), picture.shape[0] - 1))
+
+
+def _write(picture: Picture, title: str, letters: tuple[str, str, str, str]) -> None:
+    """The plane's name, and the patient's sides at the edges."""
+    import cv2
+
+    size = picture.shape[0]
+    left, right, top, bottom = letters
+    middle, low = size // 2, size - 6
+    places = ((left, (5, middle)), (right, (size - 14, middle)), (top, (middle, 14)), (bottom, (middle, low)))
+    for words, place in (*places, (title, (5, 14))):
+        cv2.putText(picture, words, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, LETTER_BGR, 1, cv2.LINE_AA)

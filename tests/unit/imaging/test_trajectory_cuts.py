@@ -1,0 +1,64 @@
+"""Three cuts through a target: the patient's sides stand where radiologists look for them."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from procedures.imaging.trajectory_cuts import GAP_PX, HALF_WIDTH_MM, STEP_MM, trajectory_cuts
+from procedures.imaging.volume import Volume, VoxelGeometry
+
+SIZE = 2 * round(HALF_WIDTH_MM / STEP_MM) + 1
+MIDDLE = SIZE // 2
+BRIGHT_HU, AIR_HU = 3000, -1000
+OFF_MM = 40.0
+
+
+def volume(mark_mm: tuple[float, float, float]) -> Volume:
+    """Air, 2 mm to a voxel, slices upwards, with one bright block at a place (L, P, S)."""
+    geometry = VoxelGeometry(
+        (100, 100, 100),
+        np.array([-99.0, -99.0, -99.0]),
+        np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+        np.array([2.0, 2.0, 2.0]),
+    )
+    voxels = np.full(geometry.shape, AIR_HU, np.int16)
+    s, p, left = np.rint(geometry.to_index(mark_mm)).astype(int)
+    voxels[s - 3 : s + 4, p - 3 : p + 4, left - 3 : left + 4] = BRIGHT_HU
+    return Volume(voxels, geometry, "1.2", "1.3")
+
+
+def planes(mark_mm: tuple[float, float, float]) -> list[np.ndarray]:
+    ways = {"T1": (np.array([0.0, 0.0, 30.0]), np.zeros(3))}
+    whole = cv2.imdecode(np.frombuffer(trajectory_cuts(volume(mark_mm), ways, "T1"), np.uint8), 1)
+    return [whole[:, k * (SIZE + GAP_PX) :][:, :SIZE] for k in range(3)]
+
+
+@pytest.mark.parametrize(
+    ("mark_mm", "plane", "right", "down"),
+    [
+        ((OFF_MM, 0.0, 0.0), 0, +1, 0),  # the patient's left is on the right
+        ((0.0, OFF_MM, 0.0), 0, 0, +1),  # the back below
+        ((OFF_MM, 0.0, 0.0), 1, +1, 0),
+        ((0.0, 0.0, OFF_MM), 1, 0, -1),  # the crown above
+        ((0.0, OFF_MM, 0.0), 2, +1, 0),  # the back on the right
+        ((0.0, 0.0, OFF_MM), 2, 0, -1),
+    ],
+)
+def test_a_mark_stands_on_its_side_of_the_target(
+    mark_mm: tuple[float, float, float], plane: int, right: int, down: int
+) -> None:
+    off = round(OFF_MM / STEP_MM)
+    x, y = MIDDLE + right * off, MIDDLE + down * off
+    picture = planes(mark_mm)[plane]
+    assert picture[y, x].tolist() == [255, 255, 255]
+    assert picture[MIDDLE - down * off, MIDDLE - right * off].max() == 0
+
+
+def test_a_way_is_drawn_full_in_its_plane_and_fades_where_it_leaves_it() -> None:
+    axial, coronal, _ = planes((OFF_MM, OFF_MM, OFF_MM))
+    up = MIDDLE - round(25.0 / STEP_MM)
+    assert coronal[up, MIDDLE].max() > 200  # the way runs upwards in this plane
+    near_target = axial[MIDDLE - 2 : MIDDLE + 3, MIDDLE - 2 : MIDDLE + 3]
+    assert near_target.max() > 200
