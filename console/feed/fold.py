@@ -18,6 +18,7 @@ from procedures.engine.events import (
     Happening,
     JournalLine,
     LinkHealth,
+    MeasuringVolume,
     Order,
     OrderedStep,
     Pose,
@@ -68,6 +69,8 @@ def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
             return {"waiting": what}
         case Bodies():
             return {"bodies": what}
+        case MeasuringVolume():
+            return {"volume": what}
         case LinkHealth():
             return {"link": what}
         case Pose():
@@ -110,11 +113,11 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
 def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
     known = view.devices.get(device)
     if isinstance(what, DeviceState):
-        row = DeviceRow(what, known.age_s if known else None)
+        row = DeviceRow(what, known.age_s, known.validity) if known else DeviceRow(what)
     elif known is None:
         return {}
     else:
-        row = DeviceRow(known.seen, what.age_s)
+        row = DeviceRow(known.seen, what.age_s, what.validity)
     return {"devices": {**view.devices, device: row}}
 
 

@@ -9,6 +9,7 @@ from procedures.engine.events import (
     DeviceState,
     Evidence,
     LinkHealth,
+    MeasuringVolume,
     Pose,
     Questioned,
     Seat,
@@ -37,6 +38,7 @@ class DeviceRow:
 
     seen: DeviceState
     age_s: float | None = None  # of its newest reading, theatre time
+    validity: str = ""  # of that reading
 
 
 @dataclass(frozen=True)
@@ -83,11 +85,18 @@ class CaseView:
     devices: dict[str, DeviceRow] = field(default_factory=dict)
     link: LinkHealth | None = None
     bodies: Bodies | None = None
+    volume: MeasuringVolume | None = None
     pose: StoodPose | None = None
     notices: tuple[Notice, ...] = ()
     journal: tuple[str, ...] = ()
     results: int = 0  # how many results have come to stand, or fallen
     outcome: str = ""  # of a run that was closed
+
+    @property
+    def mode(self) -> str:
+        """Operating mode of the controller, as it last said."""
+        said = (fact for row in self.devices.values() for fact in row.seen.says)
+        return next((fact.found for fact in said if fact.name == "operating mode"), "")
 
     @property
     def upcoming(self) -> str:

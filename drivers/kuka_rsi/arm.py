@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Self
 
 from drivers.kuka_rsi import stream
@@ -19,7 +20,7 @@ from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion_following import MotionFollower
 from drivers.kuka_rsi.motion_planning import MotionPlanner
 from drivers.kuka_rsi.options import read_options
-from drivers.kuka_rsi.readiness import facts_of
+from drivers.kuka_rsi.readiness import facts_of, standing_facts
 from drivers.kuka_rsi.readings import ArmReadings
 from drivers.kuka_rsi.realtime.histogram import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
@@ -107,7 +108,10 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in STREAMING  # unlike `state` this does not look for new faults
-        return self._guard.last_known(self._readings.newest(streaming=streaming))
+        known = self._guard.last_known(self._readings.newest(streaming=streaming))
+        eki = self._connections.open_eki
+        said = None if eki is None else eki.latest
+        return known if said is None else replace(known, says=tuple(standing_facts(said)))
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)

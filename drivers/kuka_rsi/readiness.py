@@ -12,8 +12,8 @@ MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 be
 AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
 
 
-def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
-    """Everything that `activate` looks at. Drives are switched on by it, so that these may be off."""
+def standing_facts(state: ControllerState) -> Iterator[Fact]:
+    """What a person sets and the controller tells unasked. `activate` switches on drives that are off."""
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
@@ -25,6 +25,11 @@ def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
         not state.error, "Remove its cause; acknowledge it at the pendant or by ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")
+
+
+def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
+    """Everything that `activate` looks at."""
+    yield from standing_facts(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi in (RsiState.IDLE, RsiState.FAULT),
         "Another client streams: end it, or reset the program at the pendant.",

@@ -30,7 +30,7 @@ from drivers.ndi_polaris.tools.port_handles import free_handle
 from drivers.ndi_polaris.tracking.tracking import Tracking, TrackingStatistics, stop_tracking
 from drivers.ndi_polaris.unit.identity import check_identity, read_identity
 from drivers.ndi_polaris.unit.measuring_settings import choose_volume, set_illuminator_rate
-from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume
+from drivers.ndi_polaris.unit.measuring_volume import MeasuringVolume, Section
 from drivers.ndi_polaris.unit.system_status import clear_bump, refuse_standing_trouble
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -134,6 +134,11 @@ class PolarisTracker:
     def volume(self) -> MeasuringVolume | None:
         """The measuring volume in use; None before `configure`, or when the unit does not report it."""
         return self._volume
+
+    @property
+    def volume_sections_mm(self) -> tuple[Section, ...]:
+        """As `BoundedTracker`."""
+        return () if self._volume is None else self._volume.sections_mm
 
     @property
     def notices(self) -> tuple[str, ...]:

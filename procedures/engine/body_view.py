@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
+from procedures.engine.camera_view import camera_views
 from procedures.engine.events import Bodies as BodiesEvent
-from procedures.engine.events import Body, EventStream, LinkHealth
+from procedures.engine.events import Body, CameraView, EventStream, LinkHealth, Pose
+from procedures.workcell.mounted_tool import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.live_watch import body_segments
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from procedures.workcell import Workcell
 
 DECIMALS = 1  # of a millimetre: finer than anybody sees
+ROTATION_DECIMALS = 5
 LINK_EVERY = 20  # looks from one report of the link to the next
 
 
@@ -30,17 +33,26 @@ class BodyView:
         self._bodies: Bodies | None = None
         self._published: Bodies | None = None
         self._looks = 0
+        self._cameras: tuple[CameraView, ...] = ()
 
-    def at(self, joints_rad: JointVector) -> tuple[tuple[float, ...], ...]:
-        """Both ends of each moving body's axis, mm in the frame of the robot."""
-        bodies = self._current()
-        return tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
+    def at(self, pose: Pose) -> Pose:
+        """The pose with the place of each moving body, and of the tool where it has cameras."""
+        bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
+        places = tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
+        changes: dict[str, Any] = {"bodies_mm": places}
+        if self._cameras:
+            tool = self._workcell.tool_pose(joints_rad)
+            x, y, z = tool.translation_mm.tolist()
+            rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
+            changes |= {"tool_mm": _rounded((x, y, z)), "tool_rows": tuple(rows)}
+        return pose.model_copy(update=changes)
 
     def publish(self, events: EventStream) -> None:
         """Publish the bodies if they are others than before, and now and then the health of the link."""
         if self._current() is not self._published:
             self._published = self._current()
-            events.publish(_as_event(self._published))
+            told = _as_event(self._published)
+            events.publish(told.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
         if self._looks % LINK_EVERY == 0:
             self._publish_link(events)
@@ -49,6 +61,8 @@ class BodyView:
         told = self._workcell.surroundings
         if self._bodies is None or told is not self._told:
             self._told = told
+            head = self._workcell.tool is MountedTool.STEREO_HEAD
+            self._cameras = camera_views(self._workcell.calibrations.stereo_head) if head else ()
             self._bodies = Bodies(self._workcell.arm.kinematics, told or Surroundings())
         return self._bodies
 

@@ -8,9 +8,18 @@ from types import TracebackType
 from typing import Self
 
 from procedures.engine.body_view import BodyView
-from procedures.engine.events import DeviceAge, DeviceState, EventStream, Fault, Pose
+from procedures.engine.events import (
+    DeviceAge,
+    DeviceFact,
+    DeviceState,
+    EventStream,
+    Fault,
+    MeasuringVolume,
+    Pose,
+)
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.devices.readings import ArmReading, Stamp
+from ronna_hw.devices.tracker import BoundedTracker
 from ronna_hw.errors import RonnaError
 
 PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
@@ -41,6 +50,7 @@ class DeviceWatch:
         self._now_s = now_s
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
+        self._bounded: set[str] = set()  # trackers whose volume was told
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 
@@ -49,22 +59,36 @@ class DeviceWatch:
         for role, device in self._devices.items():
             seen = device.observe()
             state = DeviceState(
-                device=role, state=str(seen.state), fault=None if seen.fault is None else str(seen.fault)
+                device=role,
+                state=str(seen.state),
+                fault=None if seen.fault is None else str(seen.fault),
+                says=tuple(DeviceFact(name=one.name, found=one.found, ready=one.ready) for one in seen.says),
+                notices=device.notices,
             )
             if self._states.get(role) != state:
                 self._states[role] = state
                 self._events.publish(state)
+                self._publish_volume(role, device)
             stamp = getattr(seen.reading, "stamp", None)
             if not isinstance(stamp, Stamp):
                 continue
             age_s = max(0.0, self._now_s() - stamp.theatre_time_s)
-            self._events.publish(DeviceAge(device=role, age_s=age_s))
+            validity = str(getattr(seen.reading, "validity", ""))
+            self._events.publish(DeviceAge(device=role, age_s=age_s, validity=validity))
             if isinstance(seen.reading, ArmReading):
                 joints_rad = seen.reading.joints_rad
-                bodies_mm = () if self._bodies is None else self._bodies.at(joints_rad)
-                self._events.publish(Pose(arm=role, joints_rad=joints_rad, age_s=age_s, bodies_mm=bodies_mm))
+                pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)
+                self._events.publish(pose if self._bodies is None else self._bodies.at(pose))
         if self._bodies is not None:
             self._bodies.publish(self._events)
+
+    def _publish_volume(self, role: str, device: Device) -> None:
+        """Where a tracker measures, once it is known."""
+        if role in self._bounded or not isinstance(device, BoundedTracker):
+            return
+        if sections_mm := device.volume_sections_mm:
+            self._bounded.add(role)
+            self._events.publish(MeasuringVolume(device=role, sections_mm=sections_mm))
 
     def __enter__(self) -> Self:
         self._thread.start()

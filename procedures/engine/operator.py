@@ -14,6 +14,7 @@ from typing import Protocol
 from procedures.engine.events import Evidence
 
 YES, NO = "yes", "no"
+READ, NOBODY = "read", "nobody"  # to a question for readings
 
 
 class Topic(StrEnum):
@@ -52,6 +53,7 @@ class Topic(StrEnum):
     MOVE_FOLLOWED = "move_followed"  # the registration follows a measured move of the head
     HEAD_UNSEEN = "head_unseen"  # a guide is near a head that the tracker has not seen for too long
     REPEAT = "repeat"  # a step that is done: what a new result supersedes
+    READING = "reading"  # what a dial or a gauge shows, typed at a console
     UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
 
 
@@ -112,13 +114,18 @@ def _unsigned(_signature: Signature) -> None:
     """Nobody keeps it."""
 
 
+def _unread(_readings: tuple[float, ...]) -> None:
+    """Nobody wants them."""
+
+
 @dataclass(frozen=True)
 class Question:
     """What is asked. The first of `answers` goes on, the last is what silence means.
 
     `timeout_s` is host time; None stands until somebody answers. The operator calls `misread` each time that
     something else was read back, and `signed` once before it returns an answer that somebody stands for.
-    `number` counts the questions of a run; `evidence` is shown beside the value.
+    `number` counts the questions of a run; `evidence` is shown beside the value. Where `reads` says what is
+    read off, the answer that goes on comes with that many numbers, which `read` is called with.
     """
 
     topic: Topic
@@ -132,6 +139,8 @@ class Question:
     signed: Callable[[Signature], None] = field(default=_unsigned, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
+    reads: tuple[str, ...] = ()
+    read: Callable[[tuple[float, ...]], None] = field(default=_unread, compare=False, repr=False)
 
     @property
     def name(self) -> str:

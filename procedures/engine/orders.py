@@ -13,8 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from ronna_hw.bounded_input import check_json
 
 LONGEST_BYTES = 65_536  # of one order
+MOST_READINGS = 8  # with one answer
 Short = Annotated[str, Field(max_length=200)]
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"^[^\x00-\x1f\x7f]*\S[^\x00-\x1f\x7f]*$")]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 
 
@@ -102,6 +104,9 @@ class Answer(_Order):
     answer: Short
     shown: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(description="Digest of what was shown.")
     typed: Short | None = Field(default=None, description="What was read back.")
+    readings: Annotated[tuple[Finite, ...], Field(max_length=MOST_READINGS)] | None = Field(
+        default=None, description="What was read off."
+    )
 
 
 AnyOrder = Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | Answer

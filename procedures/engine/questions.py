@@ -21,6 +21,7 @@ def as_shown(question: Question, number: int) -> Questioned:
         timeout_s=question.timeout_s,
         evidence=question.evidence,
         read_back=None if question.read_back is None else question.read_back.what,
+        reads=question.reads,
         deliberate=question.deliberate,
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.engine.checkpoint import ABORT, GO_ON, LEAVE, WAIT
-from procedures.engine.operator import NO, YES, Topic
+from procedures.engine.operator import NO, NOBODY, READ, YES, Topic
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical.at_target import DONE, HOLD, STAGES
 
@@ -12,5 +12,6 @@ ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     **{branch.topic: branch.answers for branch in BRANCHES if branch.topic is not None},
     Topic.PAUSE: (GO_ON, ABORT),
     Topic.GUARD: (WAIT, LEAVE),
+    Topic.READING: (READ, NOBODY),
     **{stage.topic: (DONE, HOLD) for stage in STAGES},
 }

@@ -81,6 +81,7 @@ class Workcell:
         self._withdrawn_from: str | None = None
         self._home_rad: JointVector | None = None
         self.surroundings: Surroundings | None = None  # as the arm was last told
+        self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
 
     @property
@@ -324,7 +325,9 @@ class Workcell:
 
     def look(self) -> Look:
         """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
-        return look(self.stereo, self.calibrations.stereo_head)
+        seen = look(self.stereo, self.calibrations.stereo_head)
+        self.on_look(seen)
+        return seen
 
     # Ending
 

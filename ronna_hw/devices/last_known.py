@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Generic, TypeVar
 
 if TYPE_CHECKING:
     from ronna_hw.devices.lifecycle import Lifecycle
+    from ronna_hw.devices.readiness import Fact
     from ronna_hw.errors import RonnaError
 
 R_co = TypeVar("R_co", covariant=True)
@@ -19,3 +20,4 @@ class LastKnown(Generic[R_co]):
     state: Lifecycle
     fault: RonnaError | None
     reading: R_co | None
+    says: tuple[Fact, ...] = ()  # what the device said of itself, unasked

@@ -35,3 +35,16 @@ class OpticalTracker(Device, Protocol):
         measurement was made. Raises LinkTimeout, ProtocolError or DeviceError.
         """
         ...
+
+
+@runtime_checkable
+class BoundedTracker(Protocol):
+    """A tracker that knows where it measures."""
+
+    @property
+    def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
+        """Rectangles across its axis, from near to far: z, half x, half y, in the frame of the tracker.
+
+        Empty before `configure`, and where the unit does not tell. Between two of them the faces are flat.
+        """
+        ...

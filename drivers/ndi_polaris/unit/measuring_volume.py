@@ -17,6 +17,7 @@ from ronna_hw.wire.polaris import (
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
 
+Section = tuple[float, float, float]  # of `ronna_hw.devices.tracker.BoundedTracker`
 _DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 
@@ -43,11 +44,26 @@ class MeasuringVolume:
         x, y, z = position_mm
         if not self.far_z_mm <= z <= self.near_z_mm:
             return False
-        behind_knee_mm = self.knee_z_mm - z
+        half_x, half_y = self._halves_mm(z)
+        return abs(x) <= half_x and abs(y) <= half_y
+
+    @property
+    def sections_mm(self) -> tuple[Section, ...]:
+        """Where its faces bend, from near to far: z, half x, half y. None of a shape that is not known."""
+        if self.shape != PYRAMID_SHAPE:
+            return ()
+        places = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
+        if self.slope_x > 0.0:
+            places.append(self.knee_z_mm - (self.cap_x_mm - self.knee_half_x_mm) / self.slope_x)
+        inside = sorted({z for z in places if self.far_z_mm <= z <= self.near_z_mm}, reverse=True)
+        return tuple((z, *self._halves_mm(z)) for z in inside)
+
+    def _halves_mm(self, z_mm: float) -> tuple[float, float]:
+        """Half the extent along x and along y."""
+        behind_knee_mm = self.knee_z_mm - z_mm
         slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
         half_y = min(self.knee_half_y_mm + behind_knee_mm * slope_y, self.cap_y_mm)
-        half_x = min(self.knee_half_x_mm + behind_knee_mm * self.slope_x, self.cap_x_mm)
-        return abs(x) <= half_x and abs(y) <= half_y
+        return min(self.knee_half_x_mm + behind_knee_mm * self.slope_x, self.cap_x_mm), half_y
 
 
 def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:

@@ -113,6 +113,10 @@ def opened_engine(
             operator = watcher.pilot.operator(operator)
         if file is not None:
             room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
+            if watcher.pilot is not None:
+                from procedures.cli.console.room import ConsoleRoom
+
+                room = ConsoleRoom(room, watcher.pilot)
         else:
             simulated = stack.enter_context(
                 SimulatedCase(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 import termios
 import time
@@ -15,6 +14,7 @@ from typer import style
 from procedures.engine.operator import Operator, Question, Task, Topic, words
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
+from ronna_hw.text.typed_number import typed_number
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
@@ -169,18 +169,11 @@ class TerminalRoom:
             return tuple(readings)
 
 
-def _number(typed: str) -> float:
-    """A finite number, with a point or a comma before its decimals; raises ValueError."""
-    if not math.isfinite(number := float(typed.replace(",", "."))):
-        raise ValueError(typed)
-    return number
-
-
 def _typed_number(what: str) -> float | None:
     """A finite number; what is none is asked again. None when the terminal is gone."""
     while typed := _typed(what, None):
         with suppress(ValueError):
-            return _number(typed)
+            return typed_number(typed)
         _say(f"{typed!r} is not a number.")
     return None
 

@@ -60,6 +60,7 @@ class _Standing:
     shown: str
     answer: str | None = None
     signature: Signature | None = None
+    readings: tuple[float, ...] | None = None
     misread: int = 0  # how often, not yet in the journal
 
 
@@ -220,6 +221,10 @@ class Desk:
             if not read_back.fits(order.typed):
                 standing.misread += 1
                 return f"what was typed {read_back.wrong}"
+        if question.reads and order.answer == question.answers[0]:
+            if order.readings is None or len(order.readings) != len(question.reads):
+                return f"type {', '.join(question.reads)}"
+            standing.readings = order.readings
         self._settle(order.answer, order.session)
         return ""
 
@@ -266,6 +271,8 @@ class Desk:
                 self._standing = None
         if standing.signature is not None:
             question.signed(standing.signature)
+        if standing.readings is not None:
+            question.read(standing.readings)
         return standing.answer
 
     def await_seat(self) -> None:

@@ -10,7 +10,7 @@ from procedures.cli.case.commands import leave_head
 from procedures.cli.console.desk import Desk, Wish
 from procedures.engine.checkpoint import ABORT
 from procedures.engine.errors import OperatorAborted
-from procedures.engine.operator import Operator, Question
+from procedures.engine.operator import NOBODY, READ, Operator, Question, Topic
 from procedures.engine.outlook import publish_waiting
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
@@ -36,7 +36,9 @@ class ConsoleOperator:
         self._pilot.note_seat()
         answer = self._desk.ask(question) if self._desk.in_charge else None
         self._pilot.note_seat()
-        return self._otherwise.ask(question) if answer is None else answer
+        if answer is None:  # whoever takes its place reads in another way
+            return question.silence if question.reads else self._otherwise.ask(question)
+        return answer
 
 
 class Pilot:
@@ -60,6 +62,19 @@ class Pilot:
     def operator(self, otherwise: Operator) -> Operator:
         """Who answers the questions of the case."""
         return ConsoleOperator(self.desk, otherwise, self)
+
+    def read(self, subject: str, reads: tuple[str, ...]) -> tuple[float, ...] | None:
+        """What the operator at the console reads off; nothing when nobody does, None without a console."""
+        if self._engine is None or not self.in_charge:
+            return None
+        read: list[tuple[float, ...]] = []
+        value = f"type {', '.join(reads)}, as it is shown; {NOBODY} ends the step"
+        question = Question(
+            Topic.READING, subject, value, (READ, NOBODY), timeout_s=None, reads=reads, read=read.append
+        )
+        if self._engine.questions.ask(question) != READ:
+            return None if self.desk.gone else ()
+        return read[-1]
 
     def attach(self, engine: Engine) -> None:
         """From now on orders are about this engine."""

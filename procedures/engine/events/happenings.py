@@ -75,6 +75,7 @@ class Questioned(_Happening):
     timeout_s: float | None = Field(description="Host time until silence answers; none: it waits.")
     evidence: tuple[Evidence, ...] = Field(default=(), description="What it is decided by.")
     read_back: str | None = Field(default=None, description="What is to be typed with the first answer.")
+    reads: tuple[str, ...] = Field(default=(), description="What is read off and typed with it, as numbers.")
     deliberate: bool = Field(default=False, description="Whether the first answer moves the arm or lets it.")
 
 
@@ -124,13 +125,35 @@ class Waiting(_Happening):
     unmet: tuple[str, ...] = Field(default=(), description="Why it may not begin.")
 
 
+class DeviceFact(BaseModel):
+    """What a device says of itself, such as its operating mode, and whether a case can go on so."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    found: str
+    ready: bool = True
+
+
 class DeviceState(_Happening):
-    """State and latched fault of a device. Not a signal: no change of it is lost."""
+    """State, latched fault and alarms of a device. Not a signal: no change of it is lost."""
 
     kind: Literal["device"] = "device"
     device: str
     state: str
     fault: str | None = Field(default=None, description="The latched error.")
+    says: tuple[DeviceFact, ...] = Field(default=(), description="What it last said of itself, unasked.")
+    notices: tuple[str, ...] = Field(default=(), description="What was found that is no error.")
+
+
+class MeasuringVolume(_Happening):
+    """Where a tracker measures: rectangles across its axis, from near to far, in its own frame."""
+
+    kind: Literal["volume"] = "volume"
+    device: str
+    sections_mm: tuple[tuple[float, float, float], ...] = Field(
+        description="Place along z, half the extent along x, half the extent along y."
+    )
 
 
 class DeviceAge(_Happening):
@@ -140,6 +163,7 @@ class DeviceAge(_Happening):
     kind: Literal["age"] = "age"
     device: str
     age_s: float = Field(description="Theatre time.")
+    validity: str = Field(default="", description="Of the reading, such as `ok` or `partial`.")
 
     @property
     def about(self) -> str:
@@ -162,6 +186,10 @@ class Pose(_Happening):
     bodies_mm: tuple[tuple[float, ...], ...] = Field(
         default=(), description="Both ends of the axis of each moving body, in the frame of the robot."
     )
+    tool_mm: tuple[float, ...] = Field(
+        default=(), description="Origin of the tool, in the frame of the robot; only where it has cameras."
+    )
+    tool_rows: tuple[float, ...] = Field(default=(), description="Its rotation, by rows.")
 
 
 class Body(BaseModel):
@@ -175,6 +203,15 @@ class Body(BaseModel):
     is_head: bool = False
 
 
+class CameraView(BaseModel):
+    """What a camera of the mounted tool sees, in the frame of the tool."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    name: str
+    points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")
+
+
 class Bodies(_Happening):
     """What is checked against what before and while the arm moves, since its surroundings were last told."""
 
@@ -185,6 +222,7 @@ class Bodies(_Happening):
         description="Moving body, and the other one: a fixed one, or -1 - k for the moving body k. "
         "Without the head and what may enter it."
     )
+    cameras: tuple[CameraView, ...] = Field(default=(), description="Of the mounted tool.")
 
 
 class LinkHealth(_Happening):
@@ -242,6 +280,7 @@ Happening = Annotated[
     | Waiting
     | DeviceState
     | DeviceAge
+    | MeasuringVolume
     | Pose
     | Bodies
     | LinkHealth

@@ -9,6 +9,7 @@ from procedures.engine.events.happenings import (
     CaseState,
     DeviceState,
     JournalLine,
+    MeasuringVolume,
     Order,
     Questioned,
     Seat,
@@ -51,7 +52,7 @@ def _key(event: Event) -> str | None:
             return f"step {step}"
         case DeviceState(device=device):
             return f"device {device}"
-        case CaseState() | Order() | Waiting() | Seat() | Bodies():
+        case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume():
             return event.what.kind
         case JournalLine(line=line) if line.get("entry") in BEGINNINGS:
             return "opened"

@@ -6,7 +6,7 @@ import pytest
 from recording_cell import HOME, RecordingCell
 
 from procedures.engine.body_view import BodyView
-from procedures.engine.events import Bodies, EventStream
+from procedures.engine.events import Bodies, EventStream, Pose
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
 
@@ -14,17 +14,18 @@ AROUND = Surroundings(
     tool=(Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 100.0), 3.0)),),
     obstacles=(Obstacle("head", Capsule((800.0, 0.0, 0.0), (800.0, 0.0, 100.0), 90.0), True),),
 )
+POSE = Pose(arm="arm", joints_rad=HOME, age_s=0.0)
 
 
 def test_bodies_are_told_when_the_arm_is_told_other_surroundings_and_only_then(cell: RecordingCell) -> None:
     view, events = BodyView(cell.workcell), EventStream()
     reader = events.subscribe()
     for _ in range(3):
-        view.at(HOME)
+        view.at(POSE)
         view.publish(events)
     cell.workcell.surround(AROUND)
     for _ in range(3):
-        view.at(HOME)
+        view.at(POSE)
         view.publish(events)
     told = [event.what for event in reader.read(0.0).events]
     bare, tooled = (one for one in told if isinstance(one, Bodies))
@@ -37,7 +38,7 @@ def test_bodies_are_told_when_the_arm_is_told_other_surroundings_and_only_then(c
 
 def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
     cell.workcell.surround(AROUND)
-    places = BodyView(cell.workcell).at(HOME)
+    places = BodyView(cell.workcell).at(POSE).bodies_mm
     flange = cell.workcell.arm.kinematics.flange_pose(HOME)
     assert places[-1][:3] == pytest.approx(flange.translation_mm, abs=0.06)
     assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)

@@ -10,6 +10,7 @@ from procedures.engine.device_watch import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.errors import LinkTimeout
 
 
@@ -23,7 +24,7 @@ def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_loo
     watch.look()
     assert [event.what for event in reader.read(0).events] == [
         DeviceState(device="arm", state="disconnected"),
-        DeviceAge(device="arm", age_s=5.0),
+        DeviceAge(device="arm", age_s=5.0, validity="ok"),
         Pose(arm="arm", joints_rad=HOME, age_s=5.0),
     ]
     watch.look()
@@ -32,7 +33,7 @@ def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_loo
 
 def test_a_fault_is_published_with_its_words_and_once() -> None:
     seen = LastKnown[object](Lifecycle.FAULT, LinkTimeout("the cable is out"), None)
-    watch, reader = watched(SimpleNamespace(observe=lambda: seen))
+    watch, reader = watched(SimpleNamespace(observe=lambda: seen, notices=()))
     watch.look()
     watch.look()
     (only,) = reader.read(0).events
@@ -60,7 +61,35 @@ def test_a_watch_that_cannot_look_tells_it_once_and_looks_again() -> None:
 
     stream = EventStream()
     reader = stream.subscribe()
-    with DeviceWatch({"arm": SimpleNamespace(observe=observe)}, stream, lambda: 5.0, period_s=0.01):
+    with DeviceWatch(
+        {"arm": SimpleNamespace(observe=observe, notices=())}, stream, lambda: 5.0, period_s=0.01
+    ):
         eventually(lambda: len(looks) > 3)
     kinds = [event.what.kind for event in reader.read(0).events]
     assert kinds == ["fault", "device"]
+
+
+def test_where_a_tracker_measures_is_told_once_when_it_is_known() -> None:
+    tracker = SimpleNamespace(
+        observe=lambda: LastKnown[object](Lifecycle.CONNECTED, None, None), notices=(), volume_sections_mm=()
+    )
+    watch, reader = watched(tracker)
+    watch.look()
+    tracker.volume_sections_mm = ((-950.0, 200.0, 300.0),)
+    tracker.observe = lambda: LastKnown[object](Lifecycle.CONFIGURED, None, None)
+    watch.look()
+    watch.look()
+    kinds = [event.what.kind for event in reader.read(0).events]
+    assert kinds == ["device", "device", "volume"]
+
+
+def test_what_a_device_says_of_itself_is_published_when_it_changes() -> None:
+    says = [(Fact("operating mode", "EXT"),), (Fact("operating mode", "T1", ready=False),)]
+    arm = SimpleNamespace(observe=lambda: LastKnown[object](Lifecycle.HOLD, None, None, says[0]), notices=())
+    watch, reader = watched(arm)
+    watch.look()
+    watch.look()
+    del says[0]
+    watch.look()
+    told = [event.what.says for event in reader.read(0).events]
+    assert [[(one.found, one.ready) for one in facts] for facts in told] == [[("EXT", True)], [("T1", False)]]

@@ -1,5 +1,7 @@
 """The measuring volume as the unit describes it."""
 
+from dataclasses import replace
+
 import pytest
 
 from drivers.ndi_polaris.errors import MalformedReply
@@ -61,3 +63,13 @@ def test_an_answer_of_another_form_is_refused(text: str) -> None:
 
 def test_a_record_that_is_padded_before_its_line_feed_is_read_as_well() -> None:
     assert parse_volumes(ANSWER.replace("\n", "   \n")) == parse_volumes(ANSWER)
+
+
+def test_its_faces_bend_at_the_knee_and_where_the_width_is_capped() -> None:
+    pyramid, extended = parse_volumes(ANSWER)
+    assert [round(z) for z, _, _ in pyramid.sections_mm] == [-950, -1532, -2400]
+    assert [round(z) for z, _, _ in extended.sections_mm] == [-950, -1532, -2664, -3000]
+    for z, half_x, half_y in (*pyramid.sections_mm, *extended.sections_mm):
+        published = {**SECTIONS["pyramid"], **SECTIONS["extended"]}[round(z)]
+        assert (half_x, half_y) == pytest.approx(published, abs=0.3)
+    assert replace(pyramid, shape="7").sections_mm == ()

@@ -1,0 +1,31 @@
+"""The room's hands, whose readings the operator at the console types."""
+
+from __future__ import annotations
+
+from procedures.cli.console.pilot import Pilot
+from procedures.engine.operator import Room, Task
+
+
+class ConsoleRoom:
+    """Asks at the console while it operates the case; `otherwise` says at the terminal what is to be done."""
+
+    def __init__(self, otherwise: Room, pilot: Pilot) -> None:
+        self._otherwise = otherwise
+        self._pilot = pilot
+
+    def announce(self, step: str) -> None:
+        """As whoever is there without it."""
+        self._otherwise.announce(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        """As whoever is there without it; the step has it confirmed at the console."""
+        self._otherwise.change_tool(number, description)
+
+    def prepare_stand(self, holds: str) -> None:
+        """As `change_tool`."""
+        self._otherwise.prepare_stand(holds)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """What was read off, typed; nothing when nobody does."""
+        readings = self._pilot.read(task.subject, task.reads) if task.reads else None
+        return self._otherwise.work(task) if readings is None else readings

@@ -1,0 +1,134 @@
+"""What the room's hands read, typed at the console."""
+
+from __future__ import annotations
+
+import json
+import threading
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from waiting import eventually
+
+from procedures.cli.console.desk import Desk
+from procedures.cli.console.pilot import Pilot
+from procedures.cli.console.room import ConsoleRoom
+from procedures.engine.engine import Engine
+from procedures.engine.events.shown import shown_digest
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.engine.operator import Task
+from procedures.engine.orders import read_order
+from procedures.engine.questions import as_shown
+
+ANA = "session-ana"
+GAUGE = Task("gauge", "read the gauge", reads=("gap in mm", "turn in mm"))
+
+
+class Terminal:
+    """Whoever would do it without the console."""
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def announce(self, step: str) -> None:
+        self.asked.append(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        self.asked.append(description)
+
+    def prepare_stand(self, holds: str) -> None:
+        self.asked.append(holds)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        self.asked.append(task.subject)
+        return (9.0,) * len(task.reads)
+
+
+class Stand:
+    """A case that is operated from the console by Ana, and its room."""
+
+    def __init__(self, folder: Path, *, waits: bool = True) -> None:
+        self.desk = Desk(waits=waits)
+        self.terminal = Terminal()
+        pilot = Pilot(self.desk, runs=True)
+        self.room = ConsoleRoom(self.terminal, pilot)
+        cell = RecordingCell(folder)
+        cell.operator = pilot.operator(cell.operator)  # type: ignore[assignment]  # the cell's own is a recorder
+        self.engine: Engine = cell.engine(plain_order())
+        pilot.attach(self.engine)
+        self._count = 0
+        self.give("claim", name="Ana")
+
+    def give(self, kind: str, **more: object) -> str:
+        self._count += 1
+        content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
+        return self.desk.take(read_order(json.dumps(content)))
+
+    def answer(self, answer: str, readings: list[float] | None = None) -> str:
+        eventually(lambda: self.desk._standing is not None)
+        standing = self.desk._standing
+        assert standing is not None
+        number = standing.question.number
+        shown = shown_digest(as_shown(standing.question, number))
+        return self.give("answer", question=number, answer=answer, shown=shown, readings=readings)
+
+    def work(self, task: Task) -> list[tuple[float, ...]]:
+        """Have it done on a thread of its own; what was read stands in the list when it is."""
+        read: list[tuple[float, ...]] = []
+        threading.Thread(target=lambda: read.append(self.room.work(task)), daemon=True).start()
+        return read
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Stand:
+    return Stand(tmp_path)
+
+
+def test_what_the_operator_types_is_what_was_read_and_the_journal_has_his_name(stand: Stand) -> None:
+    read = stand.work(GAUGE)
+    assert stand.answer("read", [0.03, -0.01]) == ""
+    eventually(lambda: read == [(0.03, -0.01)])
+    lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
+    confirmed = [line for line in lines if line["entry"] == "confirmation"]
+    assert [(line["topic"], line["by"]) for line in confirmed] == [("reading", "Ana")]
+    assert stand.terminal.asked == []
+
+
+@pytest.mark.parametrize("readings", [None, [], [0.03], [0.03, 0.01, 0.02]])
+def test_fewer_or_more_numbers_than_are_read_off_are_no_answer(
+    stand: Stand, readings: list[float] | None
+) -> None:
+    read = stand.work(GAUGE)
+    assert stand.answer("read", readings) == "type gap in mm, turn in mm"
+    assert read == []
+    stand.desk.leave()
+
+
+@pytest.mark.parametrize("reading", ["NaN", "Infinity", "1e999", '"0.1"', "true"])
+def test_what_is_no_number_is_no_order(reading: str) -> None:
+    order = (
+        '{"kind":"answer","session":"session-ana","nonce":"nonce-001","question":1,"answer":"read",'
+        f'"shown":"{"0" * 64}","readings":[{reading}]}}'
+    )
+    with pytest.raises(ValueError, match=r"readings|number|bounds"):
+        read_order(order)
+
+
+def test_nobody_reads_ends_the_step(stand: Stand) -> None:
+    read = stand.work(GAUGE)
+    assert stand.answer("nobody") == ""
+    eventually(lambda: read == [()])
+
+
+def test_when_the_console_ends_meanwhile_the_terminal_is_asked(stand: Stand) -> None:
+    read = stand.work(GAUGE)
+    eventually(lambda: stand.desk._standing is not None)
+    stand.desk.leave()
+    eventually(lambda: read == [(9.0, 9.0)])
+    assert stand.terminal.asked == ["read the gauge"]
+
+
+def test_what_is_only_to_be_done_is_said_where_it_was_said_before(stand: Stand) -> None:
+    assert stand.room.work(Task("out", "take it out")) == ()
+    assert stand.terminal.asked == ["take it out"]
