@@ -8,6 +8,13 @@ from typing import Annotated
 import typer
 
 from ronna_hw.command_line.console import LogLevelOption, VerboseOption, run, set_up_logging
+from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.viewers_address import (
+    BindOption,
+    CertificateOption,
+    KeyOption,
+    viewers_address,
+)
 
 app = typer.Typer(
     name="ronna-console",
@@ -23,6 +30,9 @@ app = typer.Typer(
 def review(
     folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    bind: BindOption = None,
+    certificate: CertificateOption = None,
+    key: KeyOption = None,
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
 ) -> None:
@@ -30,7 +40,10 @@ def review(
     set_up_logging(verbose)
     from console.reviewing import review
 
-    review(folder, port)
+    viewers = viewers_address(bind, certificate, key)
+    for warning in () if viewers is None else viewers.check():
+        tell(f"warning: {warning}")
+    review(folder, port, viewers)
 
 
 def main() -> None:

@@ -6,6 +6,7 @@ comes needs the right Host, the right Origin where something may change, and a s
 
 from __future__ import annotations
 
+import copy
 import http.cookies
 from collections.abc import Awaitable, Callable, MutableMapping
 from typing import Any
@@ -49,7 +50,18 @@ class Guard:
         self._sessions = sessions
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._cookie = f"ronna_console_{port}"  # browsers do not keep ports apart
+        self._scheme = "http"
+        self._roles = frozenset(Role)
         self.clients = dict.fromkeys(Role, 0)  # open sockets
+
+    def for_viewers(self, host: str) -> Guard:
+        """The same application for viewers at other computers, by TLS: the key of operators opens nothing.
+
+        Its clients count among those of this guard.
+        """
+        other = copy.copy(self)
+        other._hosts, other._scheme, other._roles = {host}, "https", frozenset({Role.VIEWER})
+        return other
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
@@ -65,7 +77,7 @@ class Guard:
         if host not in self._hosts:
             await _refuse(send, 421, "This is not the address of the console.")
             return
-        if scope["method"] not in READING and headers.get("origin") != f"http://{host}":
+        if scope["method"] not in READING and headers.get("origin") != f"{self._scheme}://{host}":
             await _refuse(send, 403, "Not from a page of the console.")
             return
         if scope["path"] == "/" and scope["method"] == "GET" and (token := _token(scope)) is not None:
@@ -87,18 +99,20 @@ class Guard:
         await self._app(scope, _bounded(receive), _with_headers(send))
 
     async def _enter(self, token: str, send: Send) -> None:
-        cookie = self._sessions.open(token)
+        cookie = self._sessions.open(token, self._roles)
         if cookie is None:
             await _refuse(send, 401, "This key is of another run, or was cut short.")
             return
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
+        if self._scheme == "https":
+            kept += "; Secure"
         await _answer(send, 303, b"", {"location": "/", "set-cookie": kept})
 
     async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = _headers(scope)
         host = headers.get("host", "")
         session = self._session(headers)
-        allowed = host in self._hosts and headers.get("origin") == f"http://{host}"
+        allowed = host in self._hosts and headers.get("origin") == f"{self._scheme}://{host}"
         if not allowed or session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
             await receive()
             await send({"type": "websocket.close", "code": 1008})  # before it is accepted: an answer of 403
@@ -117,7 +131,8 @@ class Guard:
         except http.cookies.CookieError:
             return None
         kept = cookies.get(self._cookie)
-        return self._sessions.find(None if kept is None else kept.value)
+        session = self._sessions.find(None if kept is None else kept.value)
+        return session if session is not None and session.role in self._roles else None
 
 
 def _headers(scope: Scope) -> dict[str, str]:

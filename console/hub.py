@@ -39,6 +39,10 @@ class Hub(Bell):
         self.live = False  # fed by a running engine
         self.review: RecordedCase | None = None  # of a case that this console does not operate
         self.seated = ""  # session that sits in the operator's seat
+        self.broken_off = ""  # why nothing more can be read of a case that is looked at
+        self.pair = b""  # PNG of what the stereo head saw last
+        self.pairs = 0  # how many of them have come
+        self._paired_s = 0.0
         self._now_s = now_s
         self._heard_s = now_s()
         self._seen_s: dict[str, float] = {}  # host time at which each device was last told of
@@ -90,6 +94,8 @@ class Hub(Bell):
     @property
     def frozen(self) -> str:
         """Why what is shown does not move; empty while it does."""
+        if self.broken_off:
+            return f"{self.broken_off} What is shown is the past."
         if self.view.outcome:
             return ""
         if self.ended:
@@ -105,6 +111,22 @@ class Hub(Bell):
             if not reply.done():
                 reply.set_result("the engine has ended")
         self.tell()
+
+    def break_off(self, why: str) -> None:
+        """Nothing more can be read; `why` says so with a code and what to do."""
+        self.broken_off = why
+        self.tell()
+
+    def take_pair(self, picture: bytes) -> None:
+        """Take in what the stereo head sees."""
+        self.pair, self._paired_s = picture, self._now_s()
+        self.pairs += 1
+        self.tell()
+
+    @property
+    def pair_age_s(self) -> float:
+        """Host time since the last of them came."""
+        return self._now_s() - self._paired_s
 
     # Orders
 

@@ -14,10 +14,11 @@ from console.hub import Hub
 from procedures.engine.events import Event
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.errors import RonnaError
 
 
-def review(folder: Path, port: int) -> None:
+def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
     """Serve until the command is ended. Raises CON-001, CON-002, PRO-018."""
     try:
         followed = FollowedRun(folder)
@@ -39,11 +40,15 @@ def review(folder: Path, port: int) -> None:
             hub.show(recorded.latest)
 
         def follow() -> None:
-            for events in batches:
-                loop.call_soon_threadsafe(take, list(events))
+            try:
+                for events in batches:
+                    loop.call_soon_threadsafe(take, list(events))
+            except (RonnaError, OSError) as error:  # what is written meanwhile; what was read before stands
+                words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
+                loop.call_soon_threadsafe(hub.break_off, words)
             recorded.over = True
 
         threading.Thread(target=follow, name="follow the run", daemon=True).start()
         await asyncio.Event().wait()
 
-    serve_hub(hub, port, work, lambda ready: tell(f"CONSOLE {json.dumps(ready)}"))
+    serve_hub(hub, port, work, lambda ready: tell(f"CONSOLE {json.dumps(ready)}"), viewers)

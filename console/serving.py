@@ -20,15 +20,21 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     parser.add_argument("--feed", type=int, required=True)
     parser.add_argument("--port", type=int, default=0)
+    parser.add_argument("--viewers", nargs=3, metavar=("ADDRESS", "CERTIFICATE", "KEY"))
     arguments = parser.parse_args()
     os.nice(NICER)
     for name in ONE_THREAD:
         os.environ[name] = "1"
     from console.app import serve
+    from ronna_hw.command_line.viewers_address import ViewersAddress
     from ronna_hw.errors import RonnaError
 
+    viewers = None
+    if arguments.viewers is not None:
+        address, certificate, key = arguments.viewers
+        viewers = ViewersAddress(address, Path(certificate), Path(key))
     try:
-        serve(arguments.folder, arguments.port, feed=arguments.feed)
+        serve(arguments.folder, arguments.port, feed=arguments.feed, viewers=viewers)
     except RonnaError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(error.exit_code)

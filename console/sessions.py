@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from enum import StrEnum
 
@@ -47,15 +47,15 @@ class Sessions:
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions: dict[str, Session] = {}  # by cookie, the oldest first
 
-    def open(self, token: str) -> str | None:
-        """The cookie of a new session for a token; None for one that is none of ours."""
+    def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
+        """The cookie of a new session for a token; None for one that is none of ours, or not of `allowed`."""
         roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
         given = token.encode()
         role = None
         for known, candidate in roles.items():  # both are always compared
             if secrets.compare_digest(known.encode(), given):
                 role = candidate
-        if role is None:
+        if role is None or role not in allowed:
             return None
         cookie = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions[cookie] = Session(role, secrets.token_hex(6))

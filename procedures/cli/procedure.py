@@ -12,7 +12,14 @@ import typer
 
 from procedures.cli.calibrating.options import FirstDayOption, RecordsOption
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
-from procedures.cli.console.options import ConsoleOption, ConsolePortOption, console_request
+from procedures.cli.console.options import (
+    BindOption,
+    CertificateOption,
+    ConsoleOption,
+    ConsolePortOption,
+    KeyOption,
+    console_request,
+)
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
@@ -114,6 +121,9 @@ def run_command(
     answers: AnswersOption = None,
     console: ConsoleOption = False,
     console_port: ConsolePortOption = 0,
+    bind: BindOption = None,
+    certificate: CertificateOption = None,
+    key: KeyOption = None,
     keep_raw: Annotated[
         bool,
         typer.Option(
@@ -152,7 +162,13 @@ def run_command(
         keep_raw=keep_raw,
         out=out,
     )
-    follow_case(request, as_json=as_json, console=console_request(wanted=console, port=console_port))
+    follow_case(
+        request,
+        as_json=as_json,
+        console=console_request(
+            wanted=console, port=console_port, bind=bind, certificate=certificate, key=key
+        ),
+    )
 
 
 @app.command("step")
@@ -172,6 +188,9 @@ def step_command(
     answers: AnswersOption = None,
     console: ConsoleOption = False,
     console_port: ConsolePortOption = 0,
+    bind: BindOption = None,
+    certificate: CertificateOption = None,
+    key: KeyOption = None,
     out: OutOption = Path("runs"),
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
@@ -193,7 +212,7 @@ def step_command(
             answers=answers,
             out=out,
         ),
-        console_request(wanted=console, port=console_port),
+        console_request(wanted=console, port=console_port, bind=bind, certificate=certificate, key=key),
     )
 
 

@@ -56,7 +56,7 @@ def step_through(request: CaseRequest, console: ConsoleRequest | None = None) ->
             if pilot is not None and console is not None:
                 from procedures.cli.console.attaching import attached
 
-                link = stack.enter_context(attached(pilot, folder, console.port))
+                link = stack.enter_context(attached(pilot, folder, console))
             engine = stack.enter_context(opened_case(request, folder, watcher))
             followers.append(EventFollower(engine.events, _say_lines))
             followers[0].start()
@@ -66,6 +66,7 @@ def step_through(request: CaseRequest, console: ConsoleRequest | None = None) ->
                 return
             pilot.attach(engine)
             link.follow(engine.events)
+            link.show_looks(engine.setting.workcell)
             prompt.follow(engine)
             if prompt.input_ended:
                 pilot.run_to_end(engine)

@@ -18,15 +18,17 @@ from ronna_hw.command_line.messages import tell
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
+    from ronna_hw.command_line.viewers_address import ViewersAddress
 
 NEEDED = ("nicegui", "skimage")  # of the extra `console`
 
 
 @dataclass(frozen=True)
 class ConsoleRequest:
-    """A console at a port of the loopback address; 0 is any free one."""
+    """A console at a port of the loopback address; 0 is any free one. `viewers` have an address of theirs."""
 
     port: int = 0
+    viewers: ViewersAddress | None = None
 
 
 def check_console() -> None:
@@ -37,10 +39,10 @@ def check_console() -> None:
 
 @contextlib.contextmanager
 def attached(
-    pilot: Pilot, folder: Path, port: int, say: Callable[[str], None] = tell
+    pilot: Pilot, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
 ) -> Iterator[ConsoleLink]:
     """Serve the console of a run while the block runs; `say` says its address."""
-    link = ConsoleLink(folder, pilot.desk, port, say)
+    link = ConsoleLink(folder, pilot.desk, console.port, say, console.viewers)
     try:
         yield link
     finally:
@@ -56,11 +58,12 @@ def with_console(
     With `waits` nothing is done before somebody has taken the operator's seat.
     """
     pilot = Pilot(Desk(waits=waits), runs=True)
-    with attached(pilot, folder, console.port, watcher.room_open) as link:
+    with attached(pilot, folder, console, watcher.room_open) as link:
 
         def opened(engine: Engine) -> None:
             watcher.opened(engine)
             pilot.attach(engine)
             link.follow(engine.events)
+            link.show_looks(engine.setting.workcell)
 
         yield replace(watcher, opened=opened, pilot=pilot)

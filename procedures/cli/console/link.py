@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from procedures.cli.console.desk import Desk
 from procedures.engine.events import EventStream
@@ -17,6 +18,10 @@ from procedures.engine.orders import LONGEST_BYTES, Reply, read_order
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildProcess, command
+
+if TYPE_CHECKING:
+    from procedures.workcell import Workcell
+    from ronna_hw.command_line.viewers_address import ViewersAddress
 
 READY_S = 15.0  # host time; heavy imports on a busy computer
 STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
@@ -28,7 +33,14 @@ BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
 class ConsoleLink:
     """One console for one run. Two threads of its own; neither holds up the engine."""
 
-    def __init__(self, folder: Path, desk: Desk, port: int, say: Callable[[str], None] = tell) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        desk: Desk,
+        port: int,
+        say: Callable[[str], None] = tell,
+        viewers: ViewersAddress | None = None,
+    ) -> None:
         """Starts the process and does not wait for it; `port` 0 is any free one, `say` says its address."""
         self._desk = desk
         self._say = say
@@ -38,7 +50,11 @@ class ConsoleLink:
         self._socket, theirs = socket.socketpair()
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
         with theirs:
-            arguments = ("--feed", str(theirs.fileno()), "--port", str(port), str(folder.resolve()))
+            arguments = ["--feed", str(theirs.fileno()), "--port", str(port)]
+            if viewers is not None:
+                files = (str(viewers.certificate.resolve()), str(viewers.key.resolve()))
+                arguments += ["--viewers", viewers.address, *files]
+            arguments.append(str(folder.resolve()))
             self._child = ChildProcess(
                 "console",
                 command("console.serving", *arguments),
@@ -46,6 +62,7 @@ class ConsoleLink:
                 inherited=(theirs.fileno(),),
             )
         self._followed = threading.Event()
+        self._over = threading.Event()
         self._start(self._await_ready, "console ready")
         self._start(self._beat_until_followed, "console beats")
 
@@ -54,10 +71,19 @@ class ConsoleLink:
         self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
 
+    def show_looks(self, workcell: Workcell) -> None:
+        """Send what the stereo head sees from now on."""
+        from procedures.cli.console.live_pictures import LivePictures
+
+        pictures = LivePictures(self._send, self._over)
+        workcell.on_look = pictures.look
+        self._start(pictures.send_all, "console pictures")
+
     def close(self) -> None:
         """The run has ended: let the console say so, and end it. Never raises."""
         self._ending = True
         self._followed.set()
+        self._over.set()
         if self._feed is not None:
             self._feed.join(STALLED_S)
         with contextlib.suppress(OSError):

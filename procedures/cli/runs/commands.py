@@ -9,7 +9,14 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.console.options import ConsoleOption, ConsolePortOption, console_request
+from procedures.cli.console.options import (
+    BindOption,
+    CertificateOption,
+    ConsoleOption,
+    ConsolePortOption,
+    KeyOption,
+    console_request,
+)
 from ronna_hw.command_line.console import JsonOption, LogLevelOption, VerboseOption, set_up_logging
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -41,6 +48,9 @@ def resume_command(
     answers: AnswersOption = None,
     console: ConsoleOption = False,
     console_port: ConsolePortOption = 0,
+    bind: BindOption = None,
+    certificate: CertificateOption = None,
+    key: KeyOption = None,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
     log_level: LogLevelOption = None,
@@ -54,7 +64,7 @@ def resume_command(
     set_up_logging(verbose)
     from procedures.cli.runs.resume import resume
 
-    request = console_request(wanted=console, port=console_port)
+    request = console_request(wanted=console, port=console_port, bind=bind, certificate=certificate, key=key)
     resume(run_folder, accept=accept, answers=answers, as_json=as_json, console=request)
 
 

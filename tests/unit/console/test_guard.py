@@ -112,3 +112,45 @@ def test_a_ninth_viewer_is_refused_and_the_operator_comes_in(console: Console) -
 def test_a_header_that_comes_twice_counts_as_none(console: Console) -> None:
     headers = {"cookie": console.operator(), "origin": ORIGIN, "Origin": "http://evil.example"}
     assert console.request("POST", "/orders", headers=headers, body=b"{}").status == 403
+
+
+REMOTE = "192.168.1.20:40001"
+
+
+@pytest.fixture
+def elsewhere(console: Console) -> Console:
+    """The console as viewers at other computers reach it."""
+    console.app = console.app.for_viewers(REMOTE)
+    return console
+
+
+def test_the_key_of_operators_opens_nothing_from_another_computer(elsewhere: Console) -> None:
+    key = elsewhere.sessions.operator_token
+    answer = elsewhere.request("GET", "/", query=f"token={key}", host=REMOTE)
+    assert (answer.status, "set-cookie" in answer.headers) == (401, False)
+
+
+def test_an_operators_session_counts_nothing_from_another_computer(console: Console) -> None:
+    cookie = console.operator()
+    console.app = console.app.for_viewers(REMOTE)
+    headers = {"cookie": cookie, "origin": f"https://{REMOTE}"}
+    assert console.request("POST", "/orders", headers=headers, body=b"{}", host=REMOTE).status == 401
+    assert not console.open_socket(headers, host=REMOTE)
+
+
+def test_a_viewer_at_another_computer_looks_on_by_tls_and_gives_no_order(elsewhere: Console) -> None:
+    opened = elsewhere.request("GET", "/", query=f"token={elsewhere.sessions.viewer_token}", host=REMOTE)
+    assert "Secure" in opened.headers["set-cookie"].split("; ")
+    headers = {"cookie": opened.headers["set-cookie"].split(";")[0], "origin": f"https://{REMOTE}"}
+    assert elsewhere.request("GET", "/", headers=headers, host=REMOTE).status == 200
+    assert elsewhere.open_socket(headers, host=REMOTE)
+    order = elsewhere.request("POST", "/orders", headers=headers, body=b'{"kind": "stop"}', host=REMOTE)
+    assert order.status == 403
+
+
+@pytest.mark.parametrize("origin", [f"http://{REMOTE}", ORIGIN, "null"])
+def test_only_its_own_page_speaks_from_another_computer(elsewhere: Console, origin: str) -> None:
+    opened = elsewhere.request("GET", "/", query=f"token={elsewhere.sessions.viewer_token}", host=REMOTE)
+    headers = {"cookie": opened.headers["set-cookie"].split(";")[0], "origin": origin}
+    assert not elsewhere.open_socket(headers, host=REMOTE)
+    assert elsewhere.request("GET", "/", headers=headers, host=HOST).status == 421

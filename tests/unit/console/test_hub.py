@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from console.app import _listen
 from console.errors import NothingToShow, PortTaken
 from console.feed.engine_socket import follow_engine
 from console.hub import NOT_RUNNING, SILENT_S, Hub
+from console.listening import HOST, listen
 from console.reviewing import review
 from console.sessions import MOST_SESSIONS, Role, Session, Sessions
 from procedures.engine.events import CaseState, DeviceAge, DeviceState, Event, Happening, JournalLine, Pose
@@ -137,7 +137,7 @@ def test_a_port_that_is_in_use_is_told_with_what_to_do() -> None:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         with pytest.raises(PortTaken) as refused:
-            _listen(taken.getsockname()[1])
+            listen(HOST, taken.getsockname()[1])
     assert "CON-001" in str(refused.value)
 
 

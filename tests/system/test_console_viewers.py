@@ -1,0 +1,44 @@
+"""A console that viewers at other computers reach, by TLS, at an address of its own."""
+
+from __future__ import annotations
+
+import http.client
+import ssl
+import subprocess
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+from scripted_engine import served_at
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> tuple[Path, Path]:
+    certificate, key = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    line = ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes"]
+    line += ["-days", "2", "-subj", "/CN=console", "-keyout", str(key), "-out", str(certificate)]
+    subprocess.run(line, check=True, capture_output=True)
+    return certificate, key
+
+
+def status_of(address: str, token: str) -> int:
+    host, port = urlsplit(address).hostname, urlsplit(address).port
+    trusting = ssl.create_default_context()
+    trusting.check_hostname, trusting.verify_mode = False, ssl.CERT_NONE
+    connection = http.client.HTTPSConnection(str(host), port, timeout=10, context=trusting)
+    try:
+        connection.request("GET", f"/?token={token}")
+        return connection.getresponse().status
+    finally:
+        connection.close()
+
+
+def test_the_page_for_other_computers_is_opened_by_the_key_of_viewers_alone(
+    tmp_path: Path, pair: tuple[Path, Path]
+) -> None:
+    with served_at(tmp_path, "--viewers", "127.0.0.1", *map(str, pair)) as (_, addresses):
+        remote = addresses["remote_viewer_url"]
+        assert remote.startswith("https://127.0.0.1:")
+        viewer, operator = (addresses[name].partition("token=")[2] for name in ("viewer_url", "url"))
+        assert status_of(remote, viewer) == 303
+        assert status_of(remote, operator) == 401
