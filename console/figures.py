@@ -49,6 +49,8 @@ def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> Case
         predictions=tuple(one for one in figures.predictions if registered(one.target)),
         tables=figures.tables if "registration" in names else (),
         pictures=figures.pictures if localized else (),
+        cuts=figures.cuts if "plan_check" in names else (),
+        course=figures.course if view.number == latest.number else "",
     )
 
 
@@ -102,9 +104,14 @@ class Figures:
 
         async def picture(request: Request) -> Response:
             name = request.path_params["name"]
-            if self.latest is None or name not in self.latest.pictures:
+            if self.latest is None or name not in (*self.latest.pictures, *self.latest.cuts):
                 return PlainTextResponse("There is no such picture.", 404)
             return FileResponse(self._hub.folder / "pictures" / name, media_type="image/png")
 
+        async def pair(_request: Request) -> Response:
+            content = self._hub.pair
+            return Response(content, media_type="image/png") if content else PlainTextResponse("", 404)
+
+        app.add_route("/picture/pair", pair, methods=["GET"])
         app.add_route("/picture/head.stl", head, methods=["GET"])
         app.add_route("/picture/{name}", picture, methods=["GET"])

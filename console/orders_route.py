@@ -57,6 +57,7 @@ def _state(hub: Hub) -> dict[str, Any]:
             "value": question.value,
             "answers": question.answers,
             "read_back": question.read_back,
+            "reads": question.reads,
             "shown": shown_digest(question),
         },
         "frozen": hub.frozen,

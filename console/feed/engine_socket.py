@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import contextlib
 import json
 import socket
@@ -11,7 +12,8 @@ from console.hub import Hub
 from procedures.engine.events import Event
 from procedures.engine.orders import AnyOrder, Reply
 
-LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand
+LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, a picture some 100,000
+PAIR = b'{"pair":"'
 
 
 async def follow_engine(descriptor: int, hub: Hub) -> None:
@@ -41,5 +43,7 @@ def _take(hub: Hub, line: bytes) -> None:
         hub.take(Event.model_validate_json(line.strip()[len(b'{"event":') : -1]))
     elif line.startswith(b'{"beat":'):
         hub.tell()
+    elif line.startswith(PAIR):
+        hub.take_pair(base64.b64decode(line.strip()[len(PAIR) : -2]))
     elif line.strip():
         hub.reply(Reply.model_validate(json.loads(line)))

@@ -1,4 +1,4 @@
-"""The devices: state, age of the newest reading, fault; the health of the robot link."""
+"""The devices: state, newest reading, what they say of themselves, faults; the health of the robot link."""
 
 from __future__ import annotations
 
@@ -7,15 +7,17 @@ from console.panels.html import table_of, tag, text
 
 OLD_S = 2.0  # theatre time after which a reading is shown as old
 SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
+HEAD = ("device", "state", "reading", "says", "fault")
+WHOLE = ("", "ok")  # validities that need no word
 
 
 def devices(view: CaseView) -> str:
     """A row for each device."""
     if not view.devices:
         return tag("p", "No device is connected yet.", class_="dim")
-    head = tag("tr", "".join(tag("th", one, scope="col") for one in ("device", "state", "reading", "fault")))
+    head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
     body = "".join(_row(name, row) for name, row in view.devices.items())
-    return table_of(head, body) + _link(view)
+    return _link(view) + table_of(head, body)
 
 
 def devices_key(view: CaseView) -> object:
@@ -23,13 +25,33 @@ def devices_key(view: CaseView) -> object:
     return tuple((name, row.seen, _age(row)) for name, row in view.devices.items()), view.link
 
 
+def mode(view: CaseView) -> str:
+    """Operating mode of the controller, for the head of the page."""
+    if not view.mode:
+        return tag("div", '<b>-</b><div class="dim">controller</div>', class_="mode")
+    return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")
+
+
 def _row(name: str, row: DeviceRow) -> str:
     sign, kind = SIGNS.get(row.seen.state, ("◐", ""))
     state = tag("td", f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}', class_=kind)
     old = row.age_s is not None and row.age_s > OLD_S
-    age = tag("td", _age(row) + (" old" if old else ""), class_="num warn" if old else "num")
+    doubt = "" if row.validity in WHOLE else f" {text(row.validity)}"
+    age = tag("td", _age(row) + (" old" if old else "") + doubt, class_="num warn" if old or doubt else "num")
     fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
-    return tag("tr", tag("th", text(name), scope="row") + state + age + fault, data_device=name)
+    return tag("tr", tag("th", text(name), scope="row") + state + age + _says(row) + fault, data_device=name)
+
+
+def _says(row: DeviceRow) -> str:
+    """What keeps a case from going on stands out; the rest is listed beside it."""
+    told = [
+        f"{text(fact.name)} {text(fact.found)}"
+        if fact.ready
+        else tag("strong", f"⚠ {text(fact.name)}: {text(fact.found)}", class_="bad")
+        for fact in row.seen.says
+    ]
+    told += [tag("span", f"! {text(one)}", class_="warn") for one in row.seen.notices]
+    return tag("td", "; ".join(told) or "-", class_="says" if told else "dim")
 
 
 def _age(row: DeviceRow) -> str:

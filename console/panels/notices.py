@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from console.feed.view import CaseView, Notice
 from console.panels.html import tag, text
+from procedures.reporting.case_figures import CaseFigures
 
 SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
-JOURNAL_LINES = 60
+JOURNAL_LINES = LOG_LINES = 60
 
 
 def notices(view: CaseView) -> str:
@@ -22,6 +23,27 @@ def _notice(notice: Notice) -> str:
     when = tag("span", f"{notice.theatre_time_s:.1f} s", class_="when")
     advice = tag("div", f"Do: {text(notice.advice)}", class_="advice") if notice.advice else ""
     return tag("li", f"{head} {when}<div>{text(notice.what)}</div>{advice}")
+
+
+def problems(figures: CaseFigures | None) -> str:
+    """What of a run's folder is cut, changed or of another version, and what to do."""
+    if figures is None or not figures.problems:
+        return ""
+    first, *more = figures.problems
+    others = f" and {len(more)} more" if more else ""
+    words = f"Not everything of this run can be relied on: {first}{others}. ronna-procedure verify lists it."
+    return tag("div", text(words), class_="said", role="alert")
+
+
+def log(lines: tuple[str, ...]) -> str:
+    """The last lines, newest first; a warning or an error stands out by its word."""
+    shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
+    return tag("ol", shown, class_="journal") if shown else tag("p", "Nothing is logged yet.", class_="dim")
+
+
+def _level(line: str) -> str:
+    level = line.split(" ", 2)[1:2]
+    return {"warning": "warn", "error": "bad", "critical": "bad"}.get(level[0] if level else "", "")
 
 
 def journal(view: CaseView) -> str:

@@ -17,6 +17,7 @@ from console.feed.view import CaseView
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.engine.events.shown import shown_digest
+from ronna_hw.text.typed_number import typed_number
 
 HOLD_S = 1.0  # host time for which an answer is held
 ARMED_S = 0.7  # host time from its appearing until it can be given
@@ -113,12 +114,20 @@ class QuestionPanel:
         if question.read_back is not None:
             label = f"Read back: {question.read_back}"
             typed = ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
+        read = [
+            ui.input(what)
+            .classes("typed")
+            .props("dense outlined autocomplete=off maxlength=20 inputmode=decimal")
+            for what in question.reads
+        ]
         with ui.element("div").classes("answers"):
             for answer in question.answers:
-                self._answer_button(question, answer, digest, typed)
+                self._answer_button(question, answer, digest, typed, read)
         ui.html(tag("p", f"shown: {digest[:DIGEST_SHOWN]}", class_="digest"), sanitize=False)
 
-    def _answer_button(self, question: Questioned, answer: str, digest: str, typed: ui.input | None) -> None:
+    def _answer_button(
+        self, question: Questioned, answer: str, digest: str, typed: ui.input | None, read: list[ui.input]
+    ) -> None:
         goes_on = answer == question.answers[0]
 
         async def act() -> None:
@@ -130,6 +139,12 @@ class QuestionPanel:
             }
             if typed is not None and goes_on:
                 order["typed"] = str(typed.value or "")
+            if read and goes_on:
+                try:
+                    order["readings"] = [typed_number(str(one.value or "")) for one in read]
+                except ValueError as error:
+                    self._tell(f"{error} is not a number, such as 0.12")
+                    return
             await self._give(order)
 
         if goes_on and question.deliberate:

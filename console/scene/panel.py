@@ -6,6 +6,7 @@ from nicegui import ui
 
 from console.feed.view import CaseView
 from console.panels.html import tag, text
+from console.scene.sights import HIDDEN, VOLUME
 from console.scene.stage import ARM, CT, OLD_S, PATH, STEREO, TRACKER, Stage
 from procedures.reporting.case_figures import CaseFigures
 
@@ -16,6 +17,8 @@ KEY = (
     ("tracker", TRACKER),
     ("stereo head", STEREO),
     ("plan", PATH),
+    ("hidden from the tracker", HIDDEN),
+    ("measuring volume", VOLUME),
 )
 
 
@@ -44,7 +47,7 @@ class ScenePanel:
             self._names = names
             self._build_views(names)
         self._stage.show(view, figures, heads)
-        self._age.set_content(_age(view) + self._clearance())
+        self._age.set_content(_age(view) + self._clearance() + self._sight())
 
     def _build_views(self, names: list[str]) -> None:
         self._views.clear()
@@ -52,6 +55,7 @@ class ScenePanel:
             for where, words in (
                 ("robot", "robot"),
                 ("head", "head"),
+                ("tracker", "tracker"),
                 *((name, f"along {name}") for name in names),
             ):
                 ui.button(
@@ -64,6 +68,13 @@ class ScenePanel:
             return ""
         words = f"closest: {closest.first} and {closest.second}, {closest.distance_mm:.0f} mm"
         return tag("div", text(words), class_="num")
+
+    def _sight(self) -> str:
+        hidden = self._stage.hidden
+        if not hidden:
+            return ""
+        words = f"the arm stands between the tracker and {hidden} of the spheres (red lines)"
+        return tag("div", words, class_="warn")
 
     def _magnify(self) -> None:
         self._stage.magnified = int(self._size.value or 1)

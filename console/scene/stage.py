@@ -9,18 +9,19 @@ from nicegui import ui
 from console.feed.view import CaseView
 from console.scene.actors import Call, Capsule, Rod, placed
 from console.scene.bodies import METRES, Closest, Point, closest_pair, ends
+from console.scene.sights import Sights
 from procedures.engine.events import Bodies, Pose
-from procedures.planning.tracker_sight import SENSORS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
 
 BACKGROUND = "#26333e"  # dark in both themes: bodies of every colour stand out
 ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
-SKIN, PATH, NEAR, SIGHT = "#d9b9a3", "#ff5fa2", "#ffffff", "#ffb020"
+SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
 LINKS = 4  # of the bodies that move the first are the arm's own: drawn in its colour
 SPHERE_RADIUS_MM = 5.75
 OUTSIDE = 2.5  # how far a trajectory is drawn outside the entry, as a share of its depth
 OLD_S = 0.5  # theatre time after which a pose is greyed
+BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the frame of the tracker
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
 HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucent costs much without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
@@ -52,6 +53,7 @@ class Stage:
         self._head_count = 0
         with self.scene:
             self._near = Rod(self.scene, 2.0, NEAR)
+            self._sights = Sights(self.scene)
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
@@ -63,6 +65,7 @@ class Stage:
             if key != self._figures:
                 self._figures = key
                 self._build_marks(figures, heads)
+            self._sights.show(view, figures)
             if view.pose is not None and view.pose.pose is not self._pose:
                 self._place(view.pose.pose)
         self._grey_if_old(view)
@@ -125,8 +128,6 @@ class Stage:
             self._sphere(sphere)
         for path in figures.trajectories:
             self._path(path.name, path.entry_mm, path.target_mm)
-        if figures.robot_from_tracker is not None:
-            self._tracker(figures)
 
     def _show_head(self, figures: CaseFigures, heads: int) -> None:
         pose = figures.robot_from_ct
@@ -174,24 +175,15 @@ class Stage:
         self._ball(target, PATH, share=0.4)
         self._label(name, (out[0], out[1], out[2]))
 
-    def _tracker(self, figures: CaseFigures) -> None:
-        assert figures.robot_from_tracker is not None
-        eyes = [tuple(eye) for eye in figures.robot_from_tracker.apply(SENSORS_MM).tolist()]
-        box = Rod(self.scene, 40.0, SIGHT)
-        self.scene.run_method("run_methods", box.place(eyes[0], eyes[1]))
-        self._marks.append(box.group)
-        seen = [sphere.tracker_mm for sphere in figures.spheres if sphere.tracker_mm is not None]
-        for eye in eyes:
-            for place in seen:
-                line = self.scene.line(
-                    [value * METRES for value in eye], [value * METRES for value in place]
-                ).material(SIGHT, 0.5)
-                self._marks.append(line)
-
     # Views
 
+    @property
+    def hidden(self) -> int:
+        """As `Sights.hidden`."""
+        return self._sights.hidden
+
     def look_at(self, where: str, figures: CaseFigures | None) -> None:
-        """Move the camera: `robot`, `head`, or the name of a trajectory, to look along it."""
+        """Move the camera: to the `robot`, the `head`, behind the `tracker`, or along a trajectory."""
         path = next((one for one in figures.trajectories if one.name == where), None) if figures else None
         if path is not None:
             out = [e + 8.0 * (e - t) for e, t in zip(path.entry_mm, path.target_mm, strict=True)]
@@ -199,6 +191,9 @@ class Stage:
         elif where == "head" and figures and figures.trajectories:
             x, y, z = figures.trajectories[0].target_mm
             self._camera((x + 350.0, y - 600.0, z + 450.0), (x, y, z))
+        elif where == "tracker" and figures and figures.robot_from_tracker is not None:
+            behind, ahead = figures.robot_from_tracker.apply([BEHIND_TRACKER_MM, AHEAD_MM]).tolist()
+            self._camera(behind, ahead)
         else:
             self._camera((2000.0, -2300.0, 1500.0), (450.0, 0.0, 350.0))
 

@@ -9,6 +9,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
+from console.feed.log_tail import LogTail
 from console.feed.view import CaseView
 from console.figures import Figures, as_of
 from console.guard import SESSION
@@ -16,12 +17,12 @@ from console.hub import NO_REPLY, Hub
 from console.panels import bar
 from console.panels.accuracy import accuracy
 from console.panels.chart import chart, chart_key
-from console.panels.devices import devices, devices_key
+from console.panels.devices import devices, devices_key, mode
 from console.panels.html import tag, text
 from console.panels.moment import MomentPanel
-from console.panels.notices import journal, notices
+from console.panels.notices import journal, log, notices, problems
 from console.panels.orders import OrderPanel, SeatPanel, stop_button
-from console.panels.pictures import pictures
+from console.panels.pictures import course, cuts, cuts_key, live_key, live_pair, pictures
 from console.panels.question import QuestionPanel
 from console.scene.panel import ScenePanel
 from console.sessions import Role, Session
@@ -33,7 +34,7 @@ from procedures.reporting.case_figures import CaseFigures
 TITLE = "RONNA console"  # of every case alike: titles are seen in lists of windows
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
 VIEWER_PERIOD_S = 0.1
-BETWEEN_FACTS_S = 0.01
+GATHERING_S = 0.004  # host time: what happens at once is shown at once
 BEAT_S = 0.4  # host time between two updates when nothing happens: ages grow
 SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as numbers
 
@@ -42,6 +43,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
     """Serve the page at `/` of an application."""
     figures = Figures(hub)
     figures.add_routes(app)
+    tail = LogTail(hub.folder)
     head = page_head()
 
     @ui.page("/")
@@ -49,7 +51,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
         own_page(ui.context.client, session.identifier)
-        CasePage(hub, figures, session, low="low" in request.query_params).build()
+        CasePage(hub, figures, tail, session, low="low" in request.query_params).build()
 
     use_library(app, TITLE)
 
@@ -57,9 +59,10 @@ def add_page(app: FastAPI, hub: Hub) -> None:
 class CasePage:
     """One open page of one session."""
 
-    def __init__(self, hub: Hub, figures: Figures, session: Session, *, low: bool) -> None:
+    def __init__(self, hub: Hub, figures: Figures, tail: LogTail, session: Session, *, low: bool) -> None:
         self._hub = hub
         self._figures = figures
+        self._tail = tail
         self._session = session
         self._low = low
         self._panels: list[
@@ -80,12 +83,15 @@ class CasePage:
         with ui.element("header").classes("head"):
             self._add(bar.banner, lambda view: view.banner)
             self._add(bar.case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
+            self._add(mode, lambda view: view.mode)
             self._clock = ui.html("", sanitize=False)
             self._seat = SeatPanel(self._give, may_operate=may_operate)
             if may_operate:
                 stop_button(self._give)
         self._frozen = ui.html("", sanitize=False).classes("frozenbox")
         ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
+        if self._hub.review is not None:
+            self._add(lambda _view: problems(self._figures_then), self._measured).classes("words")
         self._words = ui.html("", sanitize=False).classes("words")
         self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.tell)
         self._orders: OrderPanel | None = None
@@ -97,6 +103,12 @@ class CasePage:
             with ui.element("div").classes("middle"):
                 self._question = QuestionPanel(self._give, self._say)
                 self._scene = ScenePanel(low=self._low)
+                self._section(
+                    "Planned ways in the CT",
+                    lambda view: cuts(view, self._figures_then),
+                    lambda view: (self._measured(view), cuts_key(view)),
+                    "cutbox",
+                )
             with ui.element("div").classes("right"):
                 self._section(
                     "Accuracy", lambda _view: accuracy(self._figures_then), self._measured, "accuracy"
@@ -109,8 +121,18 @@ class CasePage:
                     lambda _view: pictures(self._figures_then),
                     self._measured,
                     "picturebox",
+                    live=lambda: live_pair(self._hub),
                 )
-                self._section("Journal", journal, lambda view: view.journal, "journalbox")
+                with ui.element("div").classes("stack"):
+                    self._section("Journal", journal, lambda view: view.journal, "journalbox")
+                    lines = self._tail.lines
+                    self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
+                self._section(
+                    "Course of time",
+                    lambda _view: course(self._figures_then),
+                    self._measured,
+                    "coursebox",
+                )
         client = ui.context.client
         ui.on("alive", self._alive)
         changed = self._hub.subscribe()
@@ -128,10 +150,17 @@ class CasePage:
         return place
 
     def _section(
-        self, title: str, render: Callable[[CaseView], str], key: Callable[[CaseView], object], name: str
+        self,
+        title: str,
+        render: Callable[[CaseView], str],
+        key: Callable[[CaseView], object],
+        name: str,
+        live: Callable[[], str] | None = None,
     ) -> None:
         with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
             ui.html(f"<h2>{title}</h2>", sanitize=False)
+            if live is not None and self._hub.review is None:
+                self._add(lambda _view: live(), lambda _view: live_key(self._hub))
             self._add(render, key).classes("body")
 
     def _measured(self, view: CaseView) -> object:
@@ -168,8 +197,8 @@ class CasePage:
                 with client:
                     self._show(loop.time())
             fact, next_s = self._hub.view.fact, loop.time() + self._period_s
-            await asyncio.sleep(BETWEEN_FACTS_S)
             await changed_within(changed, BEAT_S)
+            await asyncio.sleep(GATHERING_S)
             while self._hub.view.fact == fact and (left_s := next_s - loop.time()) > 0.0:
                 await changed_within(changed, left_s)
 
@@ -192,6 +221,6 @@ class CasePage:
             self._orders.show(view, is_mine=mine and not frozen)
         self._measured(view)
         self._scene.show(view, self._figures_then, self._figures.heads)
-        self._frozen.set_content(f'<div class="frozen" role="alert">{frozen}</div>' if frozen else "")
+        self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
         self._beat += 1
         self._clock.set_content(bar.clock(view, self._beat))

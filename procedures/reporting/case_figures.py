@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from procedures.engine.events import Evidence
 from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.reporting.timeline import timeline
+from procedures.reporting.timeline_figure import timeline_figure
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -20,8 +22,10 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
 from procedures.steps.clinical.relocalization import Relocalization
+from ronna_hw.evidence.inspection import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
+PLAN_PICTURE = "plan-"  # how the names of the pictures begin that the check of the plan keeps
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 
@@ -68,6 +72,9 @@ class CaseFigures:
     predictions: tuple[PredictionFigure, ...] = ()
     tables: tuple[Evidence, ...] = ()
     pictures: tuple[str, ...] = ()  # names in the folder `pictures`, those of the stereo head
+    cuts: tuple[str, ...] = ()  # and those of the planned ways in the CT
+    problems: tuple[str, ...] = ()  # what cannot be read, or is not as the run left it
+    course: str = ""  # SVG of where the theatre's time went
 
 
 def read_case_figures(folder: Path) -> CaseFigures:
@@ -80,6 +87,7 @@ def read_case_figures(folder: Path) -> CaseFigures:
     pose = latest or (coarse.robot_from_ct.transform if coarse else None)
     plan = reading.find(CheckedPlan)
     margins_mm = {one.id: one.margin_mm for one in plan.plan.trajectories} if plan else {}
+    spans = timeline(reading.run.journal)
     predictions = [one for result in registered for one in result.predictions]
     return CaseFigures(
         robot_from_ct=pose,
@@ -95,8 +103,15 @@ def read_case_figures(folder: Path) -> CaseFigures:
             *(budget_table(one) for one in predictions),
             *([two_way_table(registered[-1].two_way)] if registered else ()),
         ),
-        pictures=tuple(sorted(path.name for path in (folder / "pictures").glob("stereo-*.png"))),
+        problems=(*reading.changes, *reading.problems),
+        pictures=_pictures(folder, "stereo-"),
+        cuts=_pictures(folder, PLAN_PICTURE),
+        course=timeline_figure(spans) if spans else "",
     )
+
+
+def _pictures(folder: Path, prefix: str) -> tuple[str, ...]:
+    return tuple(sorted(path.name for path in (folder / PICTURES_FOLDER).glob(f"{prefix}*.png")))
 
 
 def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure, ...]:

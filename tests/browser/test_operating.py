@@ -2,38 +2,28 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
-from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import psutil
-from console_clicks import answer, hold, run_by_clicks, take_seat
-from operated_case import OperatedCase, OperatedCases, enter
+from case_results import measured, outcome_of
+from console_clicks import ARMED_MS, answer, hold, take_seat
+from operated_case import OperatedCases, enter
+from rehearsal import rehearsal
 from waiting import eventually
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 
 
-def outcome_of(case: OperatedCase) -> dict[str, Any]:
-    return dict(json.loads(case.output.read_text(encoding="utf-8")))
-
-
-def payloads(run: Path, *kinds: str) -> dict[str, Any]:
-    records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
-    return {one["identifier"]: one["payload"] for one in records if one["kind"] in kinds}
-
-
 def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_console(
     start: OperatedCases, page: Any
 ) -> None:
-    case = start("step")
+    script = rehearsal()  # as the how-to has it: whoever follows it comes to the end
+    case = start.typed(*script.arguments)
     enter(page, case.addresses["url"])
-    take_seat(page)
-    page.wait_for_selector("text=next is ct_import", timeout=60_000)
-    asked = run_by_clicks(page)
+    asked = script.follow(page)
     assert [subject for subject in asked if "registration" in subject]
     case.process.wait(30)
 
@@ -51,10 +41,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
     alone = start("run", "--json")  # nobody takes its seat: the script answers
     assert alone.process.wait(90) == 0
     without = outcome_of(alone)
-    kinds = ("fiducial_localization", "correspondence", "relocalization", "registration")
-    assert payloads(case.run, *kinds) == payloads(alone.run, *kinds)
-    targets = payloads(case.run, "at_target", "positioning")
-    assert targets == payloads(alone.run, "at_target", "positioning")
+    assert measured(case.run) == measured(alone.run)
     assert without["targets"]
 
 
@@ -119,7 +106,7 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases,
     question = page.locator("section.question")
     question.locator(".typed input").fill("0")
     button = question.locator(".answers button").first
-    page.wait_for_timeout(800)
+    page.wait_for_timeout(ARMED_MS)  # nothing on the page changes when it can be given
     button.click()
     button.focus()
     page.keyboard.press("Enter")
@@ -155,8 +142,9 @@ def test_eight_viewers_look_on_and_one_more_is_refused(start: OperatedCases, bro
     for page in pages[:8]:
         page.goto(case.addresses["viewer_url"] + "&low")
         page.wait_for_selector("#clock[data-beat]", timeout=60_000)
-    pages[8].goto(case.addresses["viewer_url"])
-    pages[8].wait_for_timeout(1500)
+    with pages[8].expect_websocket() as tried:
+        pages[8].goto(case.addresses["viewer_url"])
+    eventually(lambda: tried.value.is_closed() or pages[8].wait_for_timeout(50))
     assert pages[8].locator("#clock[data-beat]").count() == 0
     for context in contexts:
         context.close()

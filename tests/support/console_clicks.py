@@ -28,15 +28,14 @@ def hold(page: Any, button: Any) -> None:
     page.mouse.up()
 
 
-def answer(page: Any) -> str:
+def answer(page: Any, patient: str = PATIENT) -> str:
     """Give the question that stands its first answer; returns its subject."""
     question = page.locator("section.question")
     subject = str(question.locator("h2").inner_text())
     typed = question.locator(".typed input")
     if typed.count():
         moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
-        typed.fill(moves[1] if moves else PATIENT)
-        page.wait_for_timeout(100)
+        typed.fill(moves[1] if moves else patient)
     button = question.locator(".answers button").first
     if "(hold)" in button.inner_text():
         hold(page, button)
@@ -48,8 +47,9 @@ def answer(page: Any) -> str:
     return subject
 
 
-def run_by_clicks(page: Any, at_question: Any = lambda: None) -> list[str]:
-    """The whole case, step by step; returns what was asked."""
+def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) -> list[str]:
+    """To the end of the case, step by step or with `run_on`; returns what was asked."""
+    button = "resume" if run_on else "next"
     asked = []
     ready = (
         "document.querySelector('section.question h2') || document.querySelector('.frozen')"
@@ -59,13 +59,12 @@ def run_by_clicks(page: Any, at_question: Any = lambda: None) -> list[str]:
     while True:
         page.wait_for_function(ready, timeout=STEP_MS)
         if page.locator("section.question h2").count():
-            at_question()
-            asked.append(answer(page))
+            asked.append(answer(page, patient))
         elif page.locator(".state strong").inner_text() == "finished":
             return asked
         else:
             before = page.locator("[data-do=next]").inner_text()
-            page.locator("[data-do=next]").click()
+            page.locator(f"[data-do={button}]").click()
             page.wait_for_function(
                 "before => document.querySelector('[data-do=next]').innerText !== before", arg=before
             )

@@ -51,7 +51,7 @@ class Console:
         app = Starlette(routes=[WebSocketRoute(SOCKET, self._socket)])
         add_order_routes(app, self.hub)
         app.add_route("/", self._page, methods=["GET"])
-        self.app = Guard(app, self.sessions, PORT)  # type: ignore[arg-type]
+        self.app = Guard(app, self.sessions, PORT)  # type: ignore[arg-type]  # Starlette names its scope otherwise
 
         async def send(order: AnyOrder) -> None:
             self.hub.reply(Reply(nonce=order.nonce, refused=self.desk.take(order)))

@@ -63,16 +63,21 @@ class OperatedCases:
     def __call__(self, *arguments: str, scene: tuple[str, ...] = MINI) -> OperatedCase:
         """Start `ronna-procedure ARGUMENTS --sim SCENE --console`."""
         out = self._folder / f"runs-{len(self.started)}"
-        return self._start(out, *arguments, "--sim", *scene, "--out", str(out))
+        return self._start(out, *arguments, "--sim", *scene, "--console", "--out", str(out))
+
+    def typed(self, *arguments: str) -> OperatedCase:
+        """Start `ronna-procedure ARGUMENTS`, which bring `--sim` and `--console` along."""
+        out = self._folder / f"runs-{len(self.started)}"
+        return self._start(out, *arguments, "--out", str(out))
 
     def resume(self, case: OperatedCase) -> OperatedCase:
         """Start `ronna-procedure resume RUN --console` for a case that was left."""
-        return self._start(case.folder, "resume", str(case.run))
+        return self._start(case.folder, "resume", str(case.run), "--console")
 
     def _start(self, runs: Path, *arguments: str) -> OperatedCase:
         number = len(self.started)
         errors, output = (self._folder / f"{name}-{number}" for name in ("errors", "output"))
-        line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments, "--console"]
+        line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments]
         with errors.open("w") as error, output.open("w") as written:
             process = subprocess.Popen(
                 line, stdin=subprocess.DEVNULL, stdout=written, stderr=error, text=True
@@ -99,4 +104,4 @@ def operated_cases(folder: Path) -> Iterator[OperatedCases]:
 def enter(page: Any, address: str) -> None:
     """Open a console and wait until it shows something."""
     page.goto(address)
-    page.wait_for_selector("#clock[data-beat]")
+    page.wait_for_selector("#clock[data-beat]", timeout=1000 * READY_S)

@@ -13,11 +13,18 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
-from console_clicks import answer, take_seat  # noqa: E402
+# These stand beside the tests, whose folder is on the path only now.
+from console_clicks import STEP_MS, answer, take_seat  # noqa: E402
 from modest_chromium import MISSING, modest_chromium  # noqa: E402
 from operated_case import enter, operated_cases  # noqa: E402
 
-DRAWN_MS = 2500  # for software graphics to have drawn the scene
+DRAWN = """
+async () => {
+  await Promise.all([...document.images].map(image => image.decode().catch(() => null)));
+  for (let frame = 0; frame < 40; frame++) await new Promise(requestAnimationFrame);
+}
+"""  # software graphics have drawn the scene, and every picture is there
+AT_TARGET = "the instrument is at depth"  # what is asked while it is at its target
 WIDE, PHONE = (1280, 720), (390, 844)
 
 
@@ -35,27 +42,40 @@ def main() -> None:
         page = _page(browser, WIDE, "light")
         enter(page, case.addresses["url"])
         take_seat(page, "Dr Rehearsal")
-        page.wait_for_selector("text=next is ct_import", timeout=60_000)
+        page.wait_for_selector("text=next is ct_import", timeout=STEP_MS)
         _run_to(page, "registration:T1")
         for _ in range(2):  # the patient, the first motion
-            page.wait_for_selector("section.question h2", timeout=60_000)
+            page.wait_for_selector("section.question h2", timeout=STEP_MS)
             answer(page)
-        page.wait_for_selector("text=accept the registration", timeout=60_000)
+        page.wait_for_selector("text=accept the registration", timeout=STEP_MS)
         _take(page, out / "console-registration.png")
+        for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
+            page.emulate_media(color_scheme=scheme)
+            page.set_viewport_size({"width": size[0], "height": size[1]})
+            _take(page, out / f"console-operator-{scheme}-{size[0]}.png")
+        page.emulate_media(color_scheme="light")
+        page.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
         for scheme, size in (("dark", WIDE), ("light", PHONE)):
             watching = _page(browser, size, scheme)
             enter(watching, case.addresses["viewer_url"])
             _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")
             watching.context.close()
         answer(page)
-        page.wait_for_selector("text=next is tool_change", timeout=60_000)
+        page.wait_for_selector("text=next is tool_change", timeout=STEP_MS)
         _run_to(page, "at_target:T1")
-        for _ in range(4):  # parking, the exchange, the tip, the approach
-            page.wait_for_selector("section.question h2", timeout=60_000)
-            answer(page)
-        page.wait_for_selector("text=at T1: the arm holds", timeout=60_000)
+        _answer_until(page, AT_TARGET)
         page.get_by_role("button", name="head", exact=True).click()
         _take(page, out / "console-at-target.png")
+        page.locator(".devicebox").scroll_into_view_if_needed()
+        _take(page, out / "console-devices.png")
+
+
+def _answer_until(page: Any, topic: str) -> None:
+    """Answer whatever is asked before that."""
+    page.wait_for_selector("section.question h2", timeout=STEP_MS)
+    while topic not in page.locator("section.question h2").inner_text():
+        answer(page)
+        page.wait_for_selector("section.question h2", timeout=STEP_MS)
 
 
 def _run_to(page: Any, step: str) -> None:
@@ -71,7 +91,7 @@ def _page(browser: Any, size: tuple[int, int], scheme: str) -> Any:
 
 
 def _take(page: Any, path: Path) -> None:
-    page.wait_for_timeout(DRAWN_MS)
+    page.evaluate(DRAWN)
     page.screenshot(path=str(path))
 
 

@@ -45,9 +45,9 @@ def waiting(console: Console, tmp_path: Path) -> Iterator[Console]:
     thread = threading.Thread(target=lambda: wishes.append(console.desk.wish("image")))
     thread.start()
     eventually(lambda: console.desk._waiting_for == "image")
-    console.cookie_of_ana = console.operator()  # type: ignore[attr-defined]
-    assert console.order(console.cookie_of_ana, kind="claim", name="Ana").status == 200  # type: ignore[attr-defined]
-    console.wishes = wishes  # type: ignore[attr-defined]
+    console.cookie_of_ana = console.operator()  # type: ignore[attr-defined]  # of this fixture alone
+    assert console.order(console.cookie_of_ana, kind="claim", name="Ana").status == 200  # type: ignore[attr-defined]  # of this fixture alone
+    console.wishes = wishes  # type: ignore[attr-defined]  # of this fixture alone
     yield console
     console.desk.leave()
     thread.join()
@@ -66,7 +66,7 @@ def test_who_is_not_in_the_seat_steers_nothing(waiting: Console, order: dict[str
         return
     answer = waiting.order(waiting.operator(), **order)
     assert (answer.status, answer.refused) == (409, "you are not in the operator's seat")
-    assert waiting.wishes == []  # type: ignore[attr-defined]
+    assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone
 
 
 def test_anybody_who_may_operate_stops_the_arm_without_the_seat(waiting: Console) -> None:
@@ -79,17 +79,17 @@ def test_a_second_claim_is_told_who_has_the_seat(waiting: Console) -> None:
 
 
 def test_next_is_carried_out_once_and_quotes_what_was_shown(waiting: Console) -> None:
-    cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]
+    cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]  # of this fixture alone
     stale = waiting.order(cookie, kind="next", upcoming="fit:T1", nonce="nonce-01")
     assert (stale.status, stale.refused) == (409, "that is past: the next step is image")
     repeated = waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-01")
     assert repeated.refused == "this order was given before"
     assert waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-02").status == 200
-    eventually(lambda: waiting.wishes == [Wish("next", by="Ana")])  # type: ignore[attr-defined]
+    eventually(lambda: waiting.wishes == [Wish("next", by="Ana")])  # type: ignore[attr-defined]  # of this fixture alone
 
 
 def test_more_orders_than_a_person_gives_are_refused(waiting: Console) -> None:
-    cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]
+    cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]  # of this fixture alone
     answers = [waiting.order(cookie, kind="pause").refused for _ in range(ORDERS_PER_SECOND + 1)]
     assert answers[-1] == "too many orders in one second"
 
@@ -126,10 +126,10 @@ def hammered(console: Console, count: int) -> set[int]:
 
 def test_two_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Console) -> None:
     assert hammered(waiting, 2000) <= {400, 409}
-    assert waiting.wishes == []  # type: ignore[attr-defined]
+    assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone
 
 
 @pytest.mark.soak
 def test_a_hundred_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Console) -> None:
     assert hammered(waiting, 100_000) <= {400, 409}
-    assert waiting.wishes == []  # type: ignore[attr-defined]
+    assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone

@@ -5,9 +5,11 @@ from __future__ import annotations
 from console.feed.view import CaseView, DeviceRow, Notice, StepRow
 from console.panels.bar import banner, seat_line
 from console.panels.chart import chart
-from console.panels.devices import devices
-from console.panels.notices import journal, notices
-from procedures.engine.events import DeviceState, Seat, Waiting
+from console.panels.devices import devices, mode
+from console.panels.notices import journal, log, notices
+from console.panels.pictures import cuts, pictures
+from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
+from procedures.reporting.case_figures import CaseFigures
 
 SCRIPT = "<script>alert(1)</script>"
 
@@ -37,9 +39,23 @@ def test_an_old_reading_and_a_fault_are_told_in_words() -> None:
         assert words in shown
 
 
+def test_what_a_controller_says_of_itself_stands_beside_it_and_what_forbids_motion_stands_out() -> None:
+    says = (
+        DeviceFact(name="operating mode", found="T1"),
+        DeviceFact(name="guard", found="open", ready=False),
+    )
+    seen = DeviceState(device="arm", state="active", says=says, notices=("an old firmware",))
+    view = CaseView(devices={"arm": DeviceRow(seen, 0.1, "partial")})
+    shown = devices(view)
+    for words in ("operating mode T1", "⚠ guard: open", "! an old firmware", "0.1 s partial"):
+        assert words in shown
+    assert "T1" in mode(view)
+
+
 def test_text_of_others_is_escaped_everywhere() -> None:
     row = StepRow(SCRIPT, SCRIPT, SCRIPT, False, "done", SCRIPT)
-    state = DeviceState(device=SCRIPT, state=SCRIPT, fault=SCRIPT)
+    fact = DeviceFact(name="operating mode", found=SCRIPT)
+    state = DeviceState(device=SCRIPT, state=SCRIPT, fault=SCRIPT, says=(fact,), notices=(SCRIPT,))
     view = CaseView(
         run=SCRIPT,
         banner=SCRIPT,
@@ -52,6 +68,9 @@ def test_text_of_others_is_escaped_everywhere() -> None:
         journal=(SCRIPT,),
     )
     line = seat_line(view, is_mine=False, may_operate=True)
-    for shown in (banner(view), line, chart(view), devices(view), notices(view), journal(view)):
+    named = CaseFigures(cuts=(f"plan-{SCRIPT}.png",), pictures=(f"stereo-{SCRIPT}.png",))
+    pictured = (pictures(named), cuts(view, named))
+    lists = (notices(view), journal(view), log((SCRIPT,)))
+    for shown in (banner(view), line, chart(view), devices(view), mode(view), *lists, *pictured):
         assert "<script" not in shown
         assert "&lt;script" in shown

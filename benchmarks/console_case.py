@@ -1,0 +1,86 @@
+"""What a console with an open page costs the case: time of its steps, turnaround of the robot's link.
+
+The mini case in real time, with and without: in lock-step a telegram waits for us and has no turnaround.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from modest_chromium import MISSING, modest_chromium
+from operated_case import OperatedCases, enter
+
+from benchmarks.figures import Figure
+
+SCENE = ("--scene", "mini", "--seed", "3", "--speed", "1")
+LIMIT_S = 150.0
+WITH, WITHOUT = "with console and page", "without"
+MOST_TIMES_LONGER, MOST_TIMES_SLOWER = 1.05, 1.2
+
+
+def measure() -> list[Figure]:
+    """Empty without Chromium: nobody looks on then."""
+    if MISSING:
+        return []
+    with tempfile.TemporaryDirectory() as place:
+        bare = _figures_of(_run_alone(Path(place) / "alone"))
+        looked_at = _figures_of(_run_watched(Path(place)))
+    figures = []
+    for what, unit, most in (
+        ("time of the steps", "s", MOST_TIMES_LONGER),
+        ("turnaround, median", "us", MOST_TIMES_SLOWER),
+        ("turnaround, 99 %", "us", None),
+        ("late and lost cycles", "", None),
+    ):
+        ratio = looked_at[what] / bare[what] if bare[what] else None
+        figure = Figure(what, WITH, looked_at[what], unit, ratio, WITHOUT)
+        figures += [figure if most is None else figure.at_most(most * bare[what])]
+        figures += [Figure(what, WITHOUT, bare[what], unit)]
+    return figures
+
+
+def _run_alone(out: Path) -> Path:
+    line = [sys.executable, "-P", "-m", "procedures.cli.procedure", "run", "--sim", *SCENE, "--json"]
+    subprocess.run([*line, "--out", str(out)], check=True, capture_output=True, timeout=LIMIT_S)
+    return next(out.iterdir())
+
+
+def _run_watched(folder: Path) -> Path:
+    with modest_chromium(folder) as browser:
+        start = OperatedCases(folder)
+        case = start("run", "--json", scene=SCENE)
+        page = browser.new_page()
+        enter(page, case.addresses["viewer_url"] + "&low")
+        if case.process.wait(LIMIT_S):
+            raise RuntimeError(case.said)
+        return case.run
+
+
+def _figures_of(run: Path) -> dict[str, float]:
+    journal = [json.loads(line) for line in (run / "journal.jsonl").read_text().splitlines()]
+    records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
+    link = [one["payload"]["link"] for one in records if one["kind"] == "retreat"][-1]
+    return {
+        "time of the steps": _steps_s(journal),
+        "turnaround, median": link["turnaround_median_us"],
+        "turnaround, 99 %": link["turnaround_p99_us"],
+        "late and lost cycles": float(link["late_cycles"] + link["lost_cycles"]),
+    }
+
+
+def _steps_s(journal: list[dict[str, Any]]) -> float:
+    """From the intent of each step to its result, host time."""
+    total_s, began = 0.0, None
+    for line in journal:
+        if line["entry"] == "intent":
+            began = datetime.fromisoformat(line["host_time"])
+        elif line["entry"] == "result" and began is not None:
+            total_s += (datetime.fromisoformat(line["host_time"]) - began).total_seconds()
+            began = None
+    return total_s

@@ -1,0 +1,140 @@
+"""What tracker and stereo head see: measuring volume, lines of sight, the cameras' pyramids."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import time
+from typing import Any
+
+from console.feed.view import CaseView
+from console.scene.actors import Call, Rod, placed
+from console.scene.bodies import METRES, Point, ends
+from procedures.engine.events import Bodies, MeasuringVolume, Pose
+from procedures.planning.tracker_sight import SENSORS_MM
+from procedures.reporting.case_figures import CaseFigures
+from ronna_hw.arm.clearance.capsule import segment_distance_mm
+from ronna_hw.frames import Transform
+
+SIGHT, HIDDEN, VOLUME, FRUSTUM = "#ffb020", "#ff5a4f", "#6f8798", "#42d392"
+SIGHT_OPACITY, VOLUME_OPACITY, FRUSTUM_OPACITY = 0.5, 0.6, 0.9
+HOUSING_RADIUS_MM = 40.0
+LOOK_AGAIN_S = 0.5  # host time between two looks at which lines of sight are hidden
+CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
+
+
+class Sights:
+    """Changes only what has changed."""
+
+    def __init__(self, scene: Any) -> None:
+        self._scene = scene
+        self._marks: list[Any] = []
+        self._lines: list[tuple[Any, Point, Point]] = []
+        self._hidden: list[bool] = []
+        self._looked_s = -math.inf
+        self._frusta: list[Any] = []
+        self._bodies: Bodies | None = None
+        self._shown: object = ()
+
+    def show(self, view: CaseView, figures: CaseFigures | None) -> None:
+        """Show a moment."""
+        tracker = None if figures is None else figures.robot_from_tracker
+        key = tracker, view.volume, None if figures is None else figures.spheres
+        if key != self._shown:
+            self._shown = key
+            self._build_tracker(tracker, view.volume, figures)
+        if view.bodies is not None and view.bodies is not self._bodies:
+            self._build_frusta(view.bodies)
+        pose = None if view.pose is None else view.pose.pose
+        if pose is None or view.bodies is None:
+            return
+        self._place_frusta(pose)
+        if time.monotonic() - self._looked_s > LOOK_AGAIN_S:
+            self._looked_s = time.monotonic()
+            self._colour_lines(view.bodies, pose)
+
+    @property
+    def hidden(self) -> int:
+        """How many spheres one sensor of the tracker, or both, cannot see past the arm."""
+        return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
+
+    def _build_tracker(
+        self, tracker: Transform | None, volume: MeasuringVolume | None, figures: CaseFigures | None
+    ) -> None:
+        for one in self._marks:
+            one.delete()
+        self._marks, self._lines, self._hidden = [], [], []
+        if tracker is None or figures is None:
+            return
+        eyes = [_point(eye) for eye in tracker.apply(SENSORS_MM).tolist()]
+        housing = Rod(self._scene, HOUSING_RADIUS_MM, SIGHT)
+        self._scene.run_method("run_methods", housing.place(eyes[0], eyes[1]))
+        self._marks.append(housing.group)
+        seen = [sphere.tracker_mm for sphere in figures.spheres if sphere.tracker_mm is not None]
+        for place in seen:
+            for eye in eyes:
+                line = self._line(eye, place, SIGHT, SIGHT_OPACITY)
+                self._lines.append((line, eye, place))
+                self._marks.append(line)
+        self._hidden = [False] * len(self._lines)
+        self._looked_s = -math.inf
+        for start, end in volume_edges(volume):
+            places = [_point(place) for place in tracker.apply([start, end]).tolist()]
+            self._marks.append(self._line(places[0], places[1], VOLUME, VOLUME_OPACITY))
+
+    def _colour_lines(self, bodies: Bodies, pose: Pose) -> None:
+        hidden = [is_hidden(eye, place, bodies, pose) for _, eye, place in self._lines]
+        for (line, _, _), now, before in zip(self._lines, hidden, self._hidden, strict=True):
+            if now != before:
+                line.material(HIDDEN if now else SIGHT, SIGHT_OPACITY)
+        self._hidden = hidden
+
+    def _build_frusta(self, bodies: Bodies) -> None:
+        for one in self._frusta:
+            one.delete()
+        self._bodies, self._frusta = bodies, []
+        for camera in bodies.cameras:
+            values = camera.points_mm
+            centre, *corners = (_point(values[k : k + 3]) for k in range(0, len(values), 3))
+            with self._scene.group() as group:
+                for number, corner in enumerate(corners):
+                    self._line(centre, corner, FRUSTUM, FRUSTUM_OPACITY)
+                    self._line(corner, corners[(number + 1) % len(corners)], FRUSTUM, FRUSTUM_OPACITY)
+            self._frusta.append(group.with_name(f"{camera.name} camera").visible(False))
+
+    def _place_frusta(self, pose: Pose) -> None:
+        if not self._frusta or not pose.tool_mm:
+            return
+        rows = [list(pose.tool_rows[k : k + 3]) for k in (0, 3, 6)]
+        calls: list[Call] = []
+        for group in self._frusta:
+            group.visible_ = True
+            calls += [*placed(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
+        self._scene.run_method("run_methods", calls)
+
+    def _line(self, start: Point, end: Point, colour: str, opacity: float) -> Any:
+        metres = [[value * METRES for value in point] for point in (start, end)]
+        return self._scene.line(*metres).material(colour, opacity)
+
+
+def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
+    """The edges of a measuring volume, mm in the frame of the tracker."""
+    if volume is None:
+        return []
+    rings = [[(x * sx, y * sy, z) for sx, sy in CORNERS] for z, x, y in volume.sections_mm]
+    around = [(ring[k], ring[(k + 1) % len(ring)]) for ring in rings for k in range(len(ring))]
+    along = [pair for near, far in itertools.pairwise(rings) for pair in zip(near, far, strict=True)]
+    return around + along
+
+
+def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
+    """Whether a moving body stands in a line of sight."""
+    if len(pose.bodies_mm) != len(bodies.moving):
+        return False
+    capsules = zip(bodies.moving, pose.bodies_mm, strict=True)
+    return any(segment_distance_mm(eye, place, *ends(axis)) < body.radius_mm for body, axis in capsules)
+
+
+def _point(values: Any) -> Point:
+    x, y, z = values
+    return (x, y, z)

@@ -1,0 +1,60 @@
+"""The default case, from the first click to the last, with a fault in it that is explained and repaired."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from typing import Any
+
+import pytest
+from case_results import measured, outcome_of
+from console_clicks import STEP_MS, answer, run_by_clicks, take_seat
+from operated_case import OperatedCase, OperatedCases, enter
+
+from procedures.engine.journal import JOURNAL_FILE, read_journal
+
+DEFAULT = ("--scene", "default", "--seed", "7")
+NO_TOOL, STEREO_HEAD = "0", "1"
+
+
+def mount(case: OperatedCase, number: str) -> None:
+    """Hang a tool on the arm, as the staff would; 0 takes it off."""
+    control = re.findall(r"control port (\S+)", case.said)[0]
+    line = [sys.executable, "-P", "-m", "sim.cli", "mount", number, "--control", control]
+    subprocess.run(line, check=True, capture_output=True)
+
+
+@pytest.mark.slow  # three trajectories by clicks, and once more without a console
+def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_without_either(
+    start: OperatedCases, page: Any
+) -> None:
+    case = start("step", scene=DEFAULT)
+    enter(page, case.addresses["url"] + "&low")
+    take_seat(page)
+    page.wait_for_selector("text=next is ct_import", timeout=STEP_MS)
+    page.locator(".upto").click()
+    page.get_by_role("option", name="relocalization:T1", exact=True).click()
+    page.locator("[data-do=run_to]").click()
+    page.wait_for_selector("section.question h2", timeout=STEP_MS)
+    answer(page, patient="default-7")
+
+    page.wait_for_selector("section.question >> text=first motion", timeout=STEP_MS)
+    mount(case, NO_TOOL)  # somebody takes the stereo head off while the arm is about to move
+    answer(page, patient="default-7")
+    page.wait_for_selector(".state >> text=suspended", timeout=STEP_MS)
+    page.wait_for_selector("section.question >> text=mount that again", timeout=STEP_MS)
+    mount(case, STEREO_HEAD)
+    page.locator("[data-answer=wait]").click()
+
+    asked = run_by_clicks(page, patient="default-7", run_on=True)
+    assert [subject for subject in asked if "registration" in subject]
+    case.process.wait(60)
+    assert page.complaints == []
+    rests = [line for line in read_journal(case.run / JOURNAL_FILE) if line["entry"] == "rested"]
+    assert [line["state"] for line in rests] == ["suspended"]
+
+    alone = start("run", "--json", scene=DEFAULT)
+    assert alone.process.wait(240) == 0
+    assert measured(case.run) == measured(alone.run)
+    assert len(outcome_of(alone)["targets"]) == 3

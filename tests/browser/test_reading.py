@@ -1,0 +1,114 @@
+"""A page that everybody can read and press: contrast, names, keyboard, small screens, no 3-D."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from console_clicks import take_seat
+from operated_case import enter
+from page_reading import low_contrast, not_reached_by_tab, without_name
+from scripted_engine import served_at
+
+from procedures.engine.events import (
+    CaseState,
+    DeviceFact,
+    DeviceState,
+    Evidence,
+    Fault,
+    Finding,
+    JournalLine,
+    LinkHealth,
+    Questioned,
+    Refusal,
+    StepState,
+    Waiting,
+)
+
+OPENED = JournalLine(line={"entry": "opened", "run": "r1", "banner": "SIMULATED THEATRE", "theatre": "mini"})
+EVENTFUL = (
+    OPENED,
+    CaseState(state="held", reason="the robot stopped"),
+    StepState(step="relocalization:T1", state="failed", summary="sphere 2 was lost"),
+    DeviceState(
+        device="arm",
+        state="fault",
+        fault="RSI-010: stopped",
+        says=(
+            DeviceFact(name="operating mode", found="T1"),
+            DeviceFact(name="guard", found="open", ready=False),
+        ),
+        notices=("an old firmware",),
+    ),
+    DeviceState(device="tracker", state="active"),
+    LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0),
+    Fault(code="RSI-010", what="it stopped", advice="Look."),
+    Refusal(step="relocalization:T1", unmet=("the arm is in fault",)),
+    Finding(text="the wall clock jumped"),
+)
+QUESTION = Questioned(
+    question=1,
+    topic="registration",
+    subject="accept the registration",
+    value="moves 12 mm",
+    answers=("yes", "no"),
+    timeout_s=None,
+    evidence=(Evidence(title="budget", head=("source", "mm"), rows=(("stereo", "0.1"),)),),
+    read_back="how many mm it moves",
+    reads=("gap in mm",),
+    deliberate=True,
+)
+WAITING = Waiting(upcoming="relocalization:T1", unmet=("the arm is in fault",))
+NO_WEBGL = """
+const given = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+  return kind.startsWith("webgl") ? null : given.call(this, kind, ...more);
+};
+"""
+
+
+@pytest.mark.parametrize("last", [QUESTION, WAITING], ids=["asked", "waiting"])
+def test_all_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_named_and_reached(
+    page: Any, tmp_path: Path, last: Questioned | Waiting
+) -> None:
+    with served_at(tmp_path, content=(*EVENTFUL, last)) as (_, addresses):
+        enter(page, addresses["url"] + "&low")
+        assert low_contrast(page) == []
+        take_seat(page)
+        found = {}
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            page.wait_for_function(
+                "dark => document.body.classList.contains('body--dark') === dark", arg=scheme == "dark"
+            )
+            found[scheme] = low_contrast(page)
+        assert found == {"light": [], "dark": []}
+        assert without_name(page) == []
+        assert not_reached_by_tab(page) == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
+def test_nothing_is_wider_than_the_screen_and_stop_is_in_sight(
+    page: Any, tmp_path: Path, width: int, height: int
+) -> None:
+    with served_at(tmp_path, content=(*EVENTFUL, QUESTION)) as (_, addresses):
+        page.set_viewport_size({"width": width, "height": height})
+        enter(page, addresses["url"] + "&low")
+        take_seat(page)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        page.mouse.wheel(0, 3000)
+        box = page.locator("[data-do=stop]").bounding_box()
+        assert 0 <= box["x"] <= box["x"] + box["width"] <= width
+        assert 0 <= box["y"] <= box["y"] + box["height"] <= height
+
+
+def test_without_3d_the_panels_work_and_the_scene_says_why_it_is_empty(page: Any, tmp_path: Path) -> None:
+    page.add_init_script(NO_WEBGL)
+    with served_at(tmp_path, content=(*EVENTFUL, WAITING)) as (_, addresses):
+        enter(page, addresses["url"])
+        take_seat(page)
+        beat = page.locator("#clock").get_attribute("data-beat")
+        page.wait_for_function("beat => document.getElementById('clock').dataset.beat !== beat", arg=beat)
+        page.wait_for_selector(".scenebox >> text=WebGL")
+        assert page.locator(".devicebox >> text=RSI-010").is_visible()

@@ -1,0 +1,92 @@
+"""How well a page can be read: contrast of its text as computed, names and focus of what can be pressed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+LARGE_PX, LARGE_BOLD_PX, BOLD = 24.0, 18.66, 700  # from which text counts as large
+AA, AA_LARGE = 4.5, 3.0  # WCAG 2, success criterion 1.4.3
+LOW_CONTRAST = """
+([large, largeBold, bold, aa, aaLarge]) => {
+  const parse = colour => {
+    const n = (colour.match(/[\\d.]+/g) || [0, 0, 0, 0]).map(Number);
+    const scale = colour.startsWith("color(srgb") ? 255 : 1;
+    return [n[0] * scale, n[1] * scale, n[2] * scale, n[3] ?? 1];
+  };
+  const over = (top, below) => below.map((value, k) => k < 3 ? top[k] * top[3] + value * (1 - top[3]) : 1);
+  const behind = element => {
+    const layers = [];
+    for (let e = element; e; e = e.parentElement) layers.push(parse(getComputedStyle(e).backgroundColor));
+    return layers.reverse().reduce((below, layer) => over(layer, below), [255, 255, 255, 1]);
+  };
+  const light = colour => {
+    const [r, g, b] = colour.map(v => (v /= 255) <= 0.03928 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+    return 0.2126 * r + 0.7152 * g + 0.0722 * b;
+  };
+  const found = [];
+  const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+  while (walker.nextNode()) {
+    const words = walker.currentNode.textContent.trim(), element = walker.currentNode.parentElement;
+    if (!words || !element.checkVisibility({opacityProperty: true, visibilityProperty: true})) continue;
+    if (element.closest("[disabled], .disabled, .stage, script, style, svg, .paper")) continue;
+    const style = getComputedStyle(element);
+    let opacity = 1;
+    for (let e = element; e; e = e.parentElement) opacity *= Number(getComputedStyle(e).opacity);
+    const ground = behind(element), ink = parse(style.color);
+    ink[3] *= opacity;
+    const a = light(over(ink, ground)), b = light(ground);
+    const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+    const size = parseFloat(style.fontSize);
+    const isLarge = size >= large || (size >= largeBold && Number(style.fontWeight) >= bold);
+    if (ratio < (isLarge ? aaLarge : aa))
+      found.push(`${ratio.toFixed(2)} ${words.slice(0, 40)} .${element.className}`);
+  }
+  return found;
+}
+"""
+PRESSABLE = """
+() => [...document.querySelectorAll("button, [role=combobox], input, summary")]
+  .filter(e => e.checkVisibility({visibilityProperty: true}) && !e.disabled)
+  .filter(e => !e.closest("[aria-hidden=true]"))
+  .map((e, k) => {
+    e.dataset.pressable = k;
+    const label = e.getAttribute("aria-label") || e.labels?.[0]?.innerText || e.innerText;
+    return [k, (label || "").trim(), e.outerHTML.slice(0, 120)];
+  })
+"""
+FOCUSED = """
+() => {
+  const e = document.activeElement, seen = e.closest(".q-field") || e;
+  const outline = [e, seen].some(one => parseFloat(getComputedStyle(one).outlineWidth) >= 2
+    && getComputedStyle(one).outlineStyle !== "none");
+  return [e.dataset.pressable ?? null, outline, e.outerHTML.slice(0, 120)];
+}
+"""
+MOST_TABS = 150
+
+
+def low_contrast(page: Any) -> list[str]:
+    """Text that stands out less than AA asks for, with its ratio; not of what is disabled."""
+    return list(page.evaluate(LOW_CONTRAST, [LARGE_PX, LARGE_BOLD_PX, BOLD, AA, AA_LARGE]))
+
+
+def without_name(page: Any) -> list[str]:
+    """What can be pressed or filled in and has no name for a screen reader."""
+    return [html for _, name, html in page.evaluate(PRESSABLE) if not name]
+
+
+def not_reached_by_tab(page: Any) -> list[str]:
+    """What can be pressed and is not reached by Tab, or shows no focus then."""
+    wanted = {str(number): html for number, _, html in page.evaluate(PRESSABLE)}
+    faint = []
+    page.evaluate("document.activeElement.blur()")
+    for _ in range(MOST_TABS):
+        page.keyboard.press("Tab")
+        number, outline, html = page.evaluate(FOCUSED)
+        if number in wanted:
+            del wanted[number]
+            if not outline:
+                faint.append(f"no focus is seen on {html}")
+        if not wanted:
+            break
+    return [f"not reached: {html}" for html in wanted.values()] + faint
