@@ -13,7 +13,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from modest_chromium import MISSING, modest_chromium
+from modest_chromium import MISSING, modest_chromium, opened_context
 from operated_case import OperatedCases, enter
 
 from benchmarks.figures import Figure
@@ -55,7 +55,7 @@ def _run_watched(folder: Path) -> Path:
     with modest_chromium(folder) as browser:
         start = OperatedCases(folder)
         case = start("run", "--json", scene=SCENE)
-        page = browser.new_page()
+        page = opened_context(browser).new_page()
         enter(page, case.addresses["viewer_url"] + "&low")
         if case.process.wait(LIMIT_S):
             raise RuntimeError(case.said)

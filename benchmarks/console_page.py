@@ -26,14 +26,13 @@ if str(ROOT / "tests" / "support") not in sys.path:
     sys.path.append(str(ROOT / "tests" / "support"))
 
 # These stand beside the tests, whose folder is on the path only now.
-from modest_chromium import MISSING, modest_chromium  # noqa: E402
+from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from scripted_engine import served_console  # noqa: E402
 
 from benchmarks import console_case  # noqa: E402
 
 MEASURED_S = 8.0  # over which the processor's time is counted
 SETTLED_FACTS = 8  # that a page has shown before it counts
-SETTLED_MS = 60_000
 READY_S = 30.0
 TABS = (0, 1, 3)
 OURS, BARE = "console", "bare page"
@@ -83,7 +82,7 @@ def _by_tabs(process: psutil.Process, address: str, place: Path) -> dict[int, tu
         return {0: (_share_percent(process), [])}
     found = {}
     with modest_chromium(place) as browser:
-        context, pages = browser.new_context(viewport={"width": 1280, "height": 720}), []
+        context, pages = opened_context(browser, viewport={"width": 1280, "height": 720}), []
         context.add_init_script(LATE)
         for tabs in TABS:
             while len(pages) < tabs:
@@ -94,7 +93,7 @@ def _by_tabs(process: psutil.Process, address: str, place: Path) -> dict[int, tu
             for page in pages:
                 page.evaluate("window.late = []")
             for page in pages:
-                page.wait_for_function(f"window.late.length >= {SETTLED_FACTS}", timeout=SETTLED_MS)
+                page.wait_for_function(f"window.late.length >= {SETTLED_FACTS}")
                 page.evaluate("window.late = []")
             share = _share_percent(process)
             found[tabs] = (share, [late for page in pages for late in page.evaluate("window.late")])

@@ -6,6 +6,7 @@ has been there for a moment: neither a slip nor Enter gives it.
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
@@ -33,39 +34,45 @@ class HeldButton:
         self._act = act
         self._tell = tell
         self._appeared_s = time.monotonic()
-        self._down_s: float | None = None
+        self._down_ms: float | None = None  # by the browser's clock: how long it was held, not told
         self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
         self.button.tooltip("hold for one second; by keyboard hold the space bar")
-        self.button.on("pointerdown", self._down)
-        self.button.on("pointerup", self._up)
+        self.button.on("pointerdown", self._down, args=["timeStamp"])
+        self.button.on("pointerup", self._up, args=["timeStamp"])
         for gone in ("pointerleave", "pointercancel", "blur"):
             self.button.on(gone, self._leave)
-        self.button.on("keydown", self._key_down, args=["key", "repeat"])
-        self.button.on("keyup", self._key_up, args=["key"])
+        self.button.on("keydown", self._key_down, args=["key", "repeat", "timeStamp"])
+        self.button.on("keyup", self._key_up, args=["key", "timeStamp"])
 
-    def _down(self) -> None:
-        now_s = time.monotonic()
-        self._down_s = now_s if now_s - self._appeared_s >= ARMED_S else None
+    def _down(self, event: Any) -> None:
+        armed = time.monotonic() - self._appeared_s >= ARMED_S
+        self._down_ms = _moment_ms(event) if armed else None
 
-    async def _up(self) -> None:
-        down_s, self._down_s = self._down_s, None
-        if down_s is None:
+    async def _up(self, event: Any) -> None:
+        down_ms, self._down_ms = self._down_ms, None
+        if down_ms is None:
             return
-        if time.monotonic() - down_s < HOLD_S:
+        if not _moment_ms(event) - down_ms >= 1000.0 * HOLD_S:  # also of what is no number
             self._tell("Hold the button for one second.")
             return
         await self._act()
 
     def _leave(self) -> None:
-        self._down_s = None
+        self._down_ms = None
 
     def _key_down(self, event: Any) -> None:
         if event.args.get("key") == " " and not event.args.get("repeat"):
-            self._down()
+            self._down(event)
 
     async def _key_up(self, event: Any) -> None:
         if event.args.get("key") == " ":
-            await self._up()
+            await self._up(event)
+
+
+def _moment_ms(event: Any) -> float:
+    """When it happened, by the browser's clock; NaN where that is not told."""
+    moment = event.args.get("timeStamp")
+    return float(moment) if isinstance(moment, int | float) else math.nan
 
 
 class QuestionPanel:

@@ -6,7 +6,6 @@ import contextlib
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import replace
 from typing import Self
 
 from drivers.kuka_rsi import stream
@@ -108,10 +107,8 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in STREAMING  # unlike `state` this does not look for new faults
-        known = self._guard.last_known(self._readings.newest(streaming=streaming))
-        eki = self._connections.open_eki
-        said = None if eki is None else eki.latest
-        return known if said is None else replace(known, says=tuple(standing_facts(said)))
+        says = standing_facts(self._connections.said)
+        return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         return activated(self, timeout_s)
@@ -147,10 +144,9 @@ class KukaRsiArm:
 
     @property
     def to_confirm(self) -> str | None:
-        eki = self._connections.open_eki
-        said = None if eki is None else eki.latest
+        said = self._connections.said
         asked = []
-        if eki is not None and not self._connections.verified:
+        if self._connections.open_eki is not None and not self._connections.verified:
             asked.append(UNVERIFIED)
         if said is not None and said.mode is OperationMode.T1:
             asked.append(IN_T1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from drivers.kuka_rsi import stream
 from drivers.kuka_rsi.eki.client import EkiClient, Listener
+from drivers.kuka_rsi.eki.controller_state import ControllerState
 from drivers.kuka_rsi.errors import ControllerNotFound, NoTelegram
 from drivers.kuka_rsi.link_bytes import LinkBytes
 from drivers.kuka_rsi.link_client import LinkClient
@@ -27,6 +28,11 @@ class Connections:
         self.open_link: LinkClient | None = None
         self.bytes = LinkBytes(name)
         self.verified = False  # the controller says that it runs our context
+
+    @property
+    def said(self) -> ControllerState | None:
+        """What the controller told last of itself, asked or not."""
+        return None if self.open_eki is None else self.open_eki.latest
 
     @property
     def eki(self) -> EkiClient:

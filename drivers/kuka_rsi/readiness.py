@@ -12,8 +12,13 @@ MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 be
 AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
 
 
-def standing_facts(state: ControllerState) -> Iterator[Fact]:
-    """What a person sets and the controller tells unasked. `activate` switches on drives that are off."""
+def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:
+    """What a person sets and the controller tells unasked; nothing before it has told anything."""
+    return () if state is None else tuple(_standing(state))
+
+
+def _standing(state: ControllerState) -> Iterator[Fact]:
+    """`activate` switches on drives that are off."""
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
@@ -29,7 +34,7 @@ def standing_facts(state: ControllerState) -> Iterator[Fact]:
 
 def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
     """Everything that `activate` looks at."""
-    yield from standing_facts(state)
+    yield from _standing(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi in (RsiState.IDLE, RsiState.FAULT),
         "Another client streams: end it, or reset the program at the pendant.",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 from procedures.engine.camera_view import camera_views
 from procedures.engine.events import Bodies as BodiesEvent
@@ -39,7 +39,7 @@ class BodyView:
         """The pose with the place of each moving body, and of the tool where it has cameras."""
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
-        changes: dict[str, Any] = {"bodies_mm": places}
+        changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
         if self._cameras:
             tool = self._workcell.tool_pose(joints_rad)
             x, y, z = tool.translation_mm.tolist()

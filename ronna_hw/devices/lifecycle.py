@@ -11,12 +11,15 @@ from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol, Self, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Protocol, Self, TypeVar, runtime_checkable
 
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
+
+if TYPE_CHECKING:
+    from ronna_hw.devices.readiness import Fact
 
 R = TypeVar("R")
 
@@ -163,9 +166,9 @@ class LifecycleGuard:
         """The error that latched FAULT, if any."""
         return self._now[1]
 
-    def last_known(self, reading: R | None) -> LastKnown[R]:
+    def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
         """What `Device.observe` returns, with the newest reading that the driver has."""
-        return LastKnown(*self._now, reading)
+        return LastKnown(*self._now, reading, says)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
         """Raise DEV-001 unless the current state is one of `allowed`; a latched fault names its cause."""

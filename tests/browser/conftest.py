@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from modest_chromium import MISSING, modest_chromium
+from modest_chromium import MISSING, modest_chromium, opened_context
 from operated_case import OperatedCases, operated_cases
 
 
@@ -29,7 +29,7 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 @pytest.fixture
 def page(browser: Any) -> Iterator[Any]:
     """A page of its own, which notes where its requests go and what its scripts complain about."""
-    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    context = opened_context(browser, viewport={"width": 1280, "height": 720})
     page = context.new_page()
     page.requested, page.complaints = [], []
     page.on("request", lambda request: page.requested.append(request.url))

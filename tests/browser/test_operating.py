@@ -10,6 +10,7 @@ from urllib.parse import urlsplit
 import psutil
 from case_results import measured, outcome_of
 from console_clicks import ARMED_MS, answer, hold, take_seat
+from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
 from waiting import eventually
@@ -51,7 +52,7 @@ def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page, "Ana")
-    other = browser.new_context().new_page()
+    other = opened_context(browser).new_page()
     enter(other, case.addresses["url"])
     other.wait_for_selector("text=Ana operates; you look on")
     assert other.locator("[data-do=next]").is_disabled()
@@ -60,7 +61,7 @@ def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
             {kind: 'next', upcoming: 'ct_import', nonce: 'forged-0001'})})).json()"""
     )
     assert forged == {"refused": "you are not in the operator's seat"}
-    viewer = browser.new_context().new_page()
+    viewer = opened_context(browser).new_page()
     enter(viewer, case.addresses["viewer_url"])
     assert viewer.locator("[data-do=stop]").count() == 0
     assert viewer.get_by_label("Your name").is_visible() is False
@@ -71,7 +72,7 @@ def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases,
     case = start("run", "--json")
     enter(page, case.addresses["url"])
     os.kill(case.console_pid, signal.SIGKILL)
-    page.wait_for_selector("#lost:not([hidden])", timeout=10_000)
+    page.wait_for_selector("#lost:not([hidden])")
     assert "past" in page.evaluate("document.body.className")
     assert case.process.wait(90) == 0
     assert "the console has ended" in case.said
@@ -84,9 +85,9 @@ def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next is ct_import", timeout=60_000)
+    page.wait_for_selector("text=next is ct_import")
     os.kill(case.process.pid, signal.SIGKILL)
-    page.wait_for_selector("text=THE ENGINE HAS ENDED", timeout=10_000)
+    page.wait_for_selector("text=THE ENGINE HAS ENDED")
     assert page.locator("[data-do=next]").is_disabled()
     page.locator("[data-do=stop]").click()
     page.wait_for_selector("text=Refused: the engine has ended")
@@ -96,13 +97,13 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases,
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next is ct_import", timeout=60_000)
+    page.wait_for_selector("text=next is ct_import")
     page.locator(".upto").click()
     page.get_by_role("option", name="relocalization:T1").click()
     page.locator("[data-do=run_to]").click()
-    page.wait_for_selector("section.question h2", timeout=60_000)
+    page.wait_for_selector("section.question h2")
     answer(page)  # the patient
-    page.wait_for_selector("text=first motion", timeout=60_000)
+    page.wait_for_selector("text=first motion")
     question = page.locator("section.question")
     question.locator(".typed input").fill("0")
     button = question.locator(".answers button").first
@@ -137,11 +138,11 @@ def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Operate
 
 def test_eight_viewers_look_on_and_one_more_is_refused(start: OperatedCases, browser: Any) -> None:
     case = start("step")
-    contexts = [browser.new_context() for _ in range(9)]
+    contexts = [opened_context(browser) for _ in range(9)]
     pages = [context.new_page() for context in contexts]
     for page in pages[:8]:
         page.goto(case.addresses["viewer_url"] + "&low")
-        page.wait_for_selector("#clock[data-beat]", timeout=60_000)
+        page.wait_for_selector("#clock[data-beat]")
     with pages[8].expect_websocket() as tried:
         pages[8].goto(case.addresses["viewer_url"])
     eventually(lambda: tried.value.is_closed() or pages[8].wait_for_timeout(50))

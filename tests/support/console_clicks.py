@@ -8,7 +8,6 @@ from typing import Any
 HOLD_MS = 1150  # the page asks for a second
 ARMED_MS = 750
 PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed 3
-STEP_MS = 60_000
 
 
 def take_seat(page: Any, name: str = "Dr Test") -> None:
@@ -42,7 +41,8 @@ def answer(page: Any, patient: str = PATIENT) -> str:
     else:
         button.click()
     page.wait_for_function(
-        "subject => document.querySelector('section.question h2')?.innerText !== subject", arg=subject
+        "subject => document.querySelector('section.question h2')?.innerText !== subject",
+        arg=subject,
     )
     return subject
 
@@ -57,7 +57,7 @@ def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) ->
         " || document.querySelector('.state strong').innerText === 'finished'"
     )
     while True:
-        page.wait_for_function(ready, timeout=STEP_MS)
+        page.wait_for_function(ready)
         if page.locator("section.question h2").count():
             asked.append(answer(page, patient))
         elif page.locator(".state strong").inner_text() == "finished":

@@ -22,6 +22,16 @@ SOFTWARE_GRAPHICS = (
 MISSING = None if CHROMIUM and shutil.which("setpriv") else "chromium is not installed (Debian: chromium)"
 
 
+PATIENT_MS = 120_000  # a limit that only ends what has failed: it has the least of a busy computer
+
+
+def opened_context(browser: Any, **more: Any) -> Any:
+    """A browser's context whose pages wait as long."""
+    context = browser.new_context(**more)
+    context.set_default_timeout(PATIENT_MS)
+    return context
+
+
 @contextmanager
 def modest_chromium(folder: Path) -> Iterator[Any]:
     """A browser for the length of the block; `folder` is for the script that starts it."""

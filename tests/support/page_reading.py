@@ -57,9 +57,13 @@ PRESSABLE = """
 FOCUSED = """
 () => {
   const e = document.activeElement, seen = e.closest(".q-field") || e;
-  const outline = [e, seen].some(one => parseFloat(getComputedStyle(one).outlineWidth) >= 2
-    && getComputedStyle(one).outlineStyle !== "none");
-  return [e.dataset.pressable ?? null, outline, e.outerHTML.slice(0, 120)];
+  const control = seen.querySelector?.(".q-field__control") ?? seen;
+  const ring = [e, seen, control].some(one => {
+    const style = getComputedStyle(one);
+    const outlined = parseFloat(style.outlineWidth) >= 2 && style.outlineStyle !== "none";
+    return outlined || style.boxShadow !== "none";
+  });
+  return [e.dataset.pressable ?? null, ring, e.outerHTML.slice(0, 120)];
 }
 """
 MOST_TABS = 150
@@ -82,10 +86,10 @@ def not_reached_by_tab(page: Any) -> list[str]:
     page.evaluate("document.activeElement.blur()")
     for _ in range(MOST_TABS):
         page.keyboard.press("Tab")
-        number, outline, html = page.evaluate(FOCUSED)
+        number, ring, html = page.evaluate(FOCUSED)
         if number in wanted:
             del wanted[number]
-            if not outline:
+            if not ring:
                 faint.append(f"no focus is seen on {html}")
         if not wanted:
             break

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from console_clicks import STEP_MS, answer, run_by_clicks, take_seat
+from console_clicks import answer, run_by_clicks, take_seat
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "how-to" / "operate-in-the-browser.md"
 HEADING = "## A rehearsal in two minutes"
@@ -30,7 +30,7 @@ class Rehearsal:
         take_seat(page)
         asked = []
         while not asked:
-            page.wait_for_selector("[data-do=next]:enabled, section.question h2", timeout=STEP_MS)
+            page.wait_for_selector("[data-do=next]:enabled, section.question h2")
             if page.locator("section.question h2").count():
                 asked.append(answer(page, self.patient))
             else:
@@ -39,14 +39,14 @@ class Rehearsal:
                 page.wait_for_function(
                     "before => document.querySelector('[data-do=next]').innerText !== before", arg=before
                 )
-        page.wait_for_selector("[data-do=run_to]:enabled", timeout=STEP_MS)
+        page.wait_for_selector("[data-do=run_to]:enabled")
         page.locator(".upto").click()
         page.get_by_role("option", name=self.step, exact=True).click()
         page.get_by_role("button", name=run_to, exact=True).click()
         for subject in ("first motion", "accept the registration"):
-            page.wait_for_selector(f"section.question >> text={subject}", timeout=STEP_MS)
+            page.wait_for_selector(f"section.question >> text={subject}")
             asked.append(answer(page))
-        page.wait_for_selector("[data-do=resume]:enabled", timeout=STEP_MS)
+        page.wait_for_selector("[data-do=resume]:enabled")
         page.get_by_role("button", name=run_on, exact=True).click()
         return asked + run_by_clicks(page, patient=self.patient, run_on=True)
 

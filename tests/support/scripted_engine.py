@@ -68,6 +68,8 @@ def served_at(
         ours.close()
         child.kill()
         child.wait()
+        if child.stdout is not None:
+            child.stdout.close()
 
 
 def _reply(ours: socket.socket) -> None:

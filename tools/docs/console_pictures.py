@@ -14,8 +14,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 # These stand beside the tests, whose folder is on the path only now.
-from console_clicks import STEP_MS, answer, take_seat  # noqa: E402
-from modest_chromium import MISSING, modest_chromium  # noqa: E402
+from console_clicks import answer, take_seat  # noqa: E402
+from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from operated_case import enter, operated_cases  # noqa: E402
 
 DRAWN = """
@@ -42,12 +42,12 @@ def main() -> None:
         page = _page(browser, WIDE, "light")
         enter(page, case.addresses["url"])
         take_seat(page, "Dr Rehearsal")
-        page.wait_for_selector("text=next is ct_import", timeout=STEP_MS)
+        page.wait_for_selector("text=next is ct_import")
         _run_to(page, "registration:T1")
         for _ in range(2):  # the patient, the first motion
-            page.wait_for_selector("section.question h2", timeout=STEP_MS)
+            page.wait_for_selector("section.question h2")
             answer(page)
-        page.wait_for_selector("text=accept the registration", timeout=STEP_MS)
+        page.wait_for_selector("text=accept the registration")
         _take(page, out / "console-registration.png")
         for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
             page.emulate_media(color_scheme=scheme)
@@ -61,7 +61,7 @@ def main() -> None:
             _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")
             watching.context.close()
         answer(page)
-        page.wait_for_selector("text=next is tool_change", timeout=STEP_MS)
+        page.wait_for_selector("text=next is tool_change")
         _run_to(page, "at_target:T1")
         _answer_until(page, AT_TARGET)
         page.get_by_role("button", name="head", exact=True).click()
@@ -72,10 +72,10 @@ def main() -> None:
 
 def _answer_until(page: Any, topic: str) -> None:
     """Answer whatever is asked before that."""
-    page.wait_for_selector("section.question h2", timeout=STEP_MS)
+    page.wait_for_selector("section.question h2")
     while topic not in page.locator("section.question h2").inner_text():
         answer(page)
-        page.wait_for_selector("section.question h2", timeout=STEP_MS)
+        page.wait_for_selector("section.question h2")
 
 
 def _run_to(page: Any, step: str) -> None:
@@ -86,7 +86,7 @@ def _run_to(page: Any, step: str) -> None:
 
 def _page(browser: Any, size: tuple[int, int], scheme: str) -> Any:
     width, height = size
-    context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=scheme)
+    context = opened_context(browser, viewport={"width": width, "height": height}, color_scheme=scheme)
     return context.new_page()
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from procedures.workcell import Workcell
     from ronna_hw.command_line.viewers_address import ViewersAddress
 
-READY_S = 15.0  # host time; heavy imports on a busy computer
+READY_S = 45.0  # host time; heavy imports, with what a busy computer leaves to a nice process
 STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
 BEAT_S = 0.25  # host time between two signs of life when nothing happens
 BEAT = '{"beat":1}'

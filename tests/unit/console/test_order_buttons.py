@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+from types import SimpleNamespace
 from typing import Any
 
+import pytest
 from nicegui import Client, ui
 
 from console.feed.view import CaseView
 from console.panels.orders import OrderPanel
+from console.panels.question import ARMED_S, HeldButton
 from procedures.engine.events import Waiting
 
 
@@ -25,3 +28,28 @@ def test_a_late_click_on_next_is_not_for_the_step_that_is_shown_since() -> None:
         return seen.is_deleted, panel._next.text
 
     assert asyncio.run(clicks()) == (True, "Next: fit:T1")
+
+
+@pytest.mark.parametrize(
+    ("up", "acted"),
+    [({"timeStamp": 1009.0}, 0), ({"timeStamp": 1011.0}, 1), ({}, 0), ({"timeStamp": "x"}, 0)],
+)
+def test_a_held_button_acts_when_the_browser_says_that_it_was_held_for_a_second(
+    up: dict[str, Any], acted: int
+) -> None:
+    done, told = [], []
+
+    async def act() -> None:
+        done.append(True)
+
+    async def hold() -> None:
+        with Client(ui.page("/of-a-test"), request=None):
+            button = HeldButton("yes", act, told.append)
+        button._down(SimpleNamespace(args={"timeStamp": 10.0}))
+        await button._up(SimpleNamespace(args={"timeStamp": 5000.0}))  # it has only just appeared
+        button._appeared_s -= ARMED_S
+        button._down(SimpleNamespace(args={"timeStamp": 10.0}))
+        await button._up(SimpleNamespace(args=up))
+
+    asyncio.run(hold())
+    assert (len(done), len(told)) == (acted, 1 - acted)

@@ -130,6 +130,7 @@ def test_two_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Conso
 
 
 @pytest.mark.soak
+@pytest.mark.timeout(1200)
 def test_a_hundred_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Console) -> None:
     assert hammered(waiting, 100_000) <= {400, 409}
     assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone

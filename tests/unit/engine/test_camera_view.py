@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from recording_cell import mini_theatre
+from recording_cell import RecordingCell
 
 from procedures.engine.camera_view import camera_views
 from procedures.relocalization.camera import Camera
 
 
-def test_the_corners_of_a_pyramid_are_those_of_the_picture_and_the_tool_lies_inside() -> None:
-    head = mini_theatre().calibrations.stereo_head
+def test_the_corners_of_a_pyramid_are_those_of_the_picture_and_the_tool_lies_inside(
+    cell: RecordingCell,
+) -> None:
+    head = cell.calibrations.stereo_head
     for view, camera in zip(camera_views(head), (head.left, head.right), strict=True):
         centre, *corners = np.reshape(view.points_mm, (-1, 3))
         columns, rows = camera.sensor_px
