@@ -7,12 +7,12 @@ STAMP := $(VENV)/.installed
 # takes over from the others.
 PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
 
-.PHONY: setup demo test test-all test-browser soak lint bench docs lock clean
+.PHONY: setup demo test test-all test-browser test-browser-all soak lint bench docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
-test test-all test-browser soak: export OPENBLAS_NUM_THREADS := 1
-test test-all test-browser soak: export PYTHONDONTWRITEBYTECODE :=
+test test-all test-browser test-browser-all soak: export OPENBLAS_NUM_THREADS := 1
+test test-all test-browser test-browser-all soak: export PYTHONDONTWRITEBYTECODE :=
 
 setup: $(STAMP)
 
@@ -38,6 +38,9 @@ soak: setup
 
 # One after the other and never beside the others: a browser takes the processor from the robot's link.
 test-browser: setup
+	@$(BIN)/python -m pytest -p no:xdist -m "browser and not slow" tests/browser
+
+test-browser-all: setup
 	@$(BIN)/python -m pytest -p no:xdist -m browser tests/browser
 
 lint: setup
