@@ -6,7 +6,7 @@ from console.feed.view import CaseView, DeviceRow, Notice, StepRow
 from console.panels.bar import banner, seat_line
 from console.panels.chart import chart
 from console.panels.devices import devices, mode
-from console.panels.notices import journal, log, notices
+from console.panels.notices import journal, log, notices, problems
 from console.panels.pictures import cuts, pictures
 from procedures.engine.events import DeviceFact, DeviceState, Seat, Waiting
 from procedures.reporting.case_figures import CaseFigures
@@ -50,6 +50,13 @@ def test_what_a_controller_says_of_itself_stands_beside_it_and_what_forbids_moti
     for words in ("operating mode T1", "⚠ guard: open", "! an old firmware", "0.1 s partial"):
         assert words in shown
     assert "T1" in mode(view)
+
+
+def test_a_run_that_is_not_as_it_was_left_is_told_with_what_to_do() -> None:
+    assert problems(CaseFigures()) == ""
+    shown = problems(CaseFigures(problems=("records/03.json is changed", "plan.toml is missing")))
+    for words in ("records/03.json is changed and 1 more", "ronna-procedure verify"):
+        assert words in shown
 
 
 def test_text_of_others_is_escaped_everywhere() -> None:
