@@ -115,7 +115,16 @@ class CasePage:
                 )
                 self._section("Faults, refusals, notes", notices, lambda view: view.notices, "noticebox")
             with ui.element("div").classes("bottom"):
-                self._section("Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox")
+                with ui.element("div").classes("column"):
+                    self._section(
+                        "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
+                    )
+                    self._section(
+                        "Course of time",
+                        lambda _view: course(self._figures_then),
+                        self._measured,
+                        "coursebox",
+                    )
                 self._section(
                     "Stereo pictures",
                     lambda _view: pictures(self._figures_then),
@@ -123,16 +132,10 @@ class CasePage:
                     "picturebox",
                     live=lambda: live_pair(self._hub),
                 )
-                with ui.element("div").classes("stack"):
-                    self._section("Journal", journal, lambda view: view.journal, "journalbox")
+                with ui.element("div").classes("column"):
                     lines = self._tail.lines
+                    self._section("Journal", journal, lambda view: view.journal, "journalbox")
                     self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
-                self._section(
-                    "Course of time",
-                    lambda _view: course(self._figures_then),
-                    self._measured,
-                    "coursebox",
-                )
         client = ui.context.client
         ui.on("alive", self._alive)
         changed = self._hub.subscribe()
