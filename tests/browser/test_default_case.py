@@ -49,12 +49,12 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
 
     asked = run_by_clicks(page, patient="default-7", run_on=True)
     assert [subject for subject in asked if "registration" in subject]
-    case.process.wait(60)
+    case.ended()
     assert page.complaints == []
     rests = [line for line in read_journal(case.run / JOURNAL_FILE) if line["entry"] == "rested"]
     assert [line["state"] for line in rests] == ["suspended"]
 
     alone = start("run", "--json", scene=DEFAULT)
-    assert alone.process.wait(240) == 0
+    assert alone.ended() == 0
     assert measured(case.run) == measured(alone.run)
     assert len(outcome_of(alone)["targets"]) == 3

@@ -26,7 +26,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
     enter(page, case.addresses["url"])
     asked = script.follow(page)
     assert [subject for subject in asked if "registration" in subject]
-    case.process.wait(30)
+    case.ended()
 
     host = urlsplit(case.addresses["url"]).netloc
     assert {urlsplit(url).netloc for url in page.requested if not url.startswith(("data:", "blob:"))} == {
@@ -40,7 +40,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
     assert all(len(str(line["shown"])) == 64 for line in confirmations)
 
     alone = start("run", "--json")  # nobody takes its seat: the script answers
-    assert alone.process.wait(90) == 0
+    assert alone.ended() == 0
     without = outcome_of(alone)
     assert measured(case.run) == measured(alone.run)
     assert without["targets"]
@@ -74,7 +74,7 @@ def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases,
     os.kill(case.console_pid, signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     assert "past" in page.evaluate("document.body.className")
-    assert case.process.wait(90) == 0
+    assert case.ended() == 0
     assert "the console has ended" in case.said
     assert outcome_of(case)["targets"]
 
@@ -129,7 +129,7 @@ def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Operate
     for renderer in renderers:
         renderer.suspend()
     try:
-        assert case.process.wait(90) == 0
+        assert case.ended() == 0
     finally:
         for renderer in renderers:
             renderer.resume()

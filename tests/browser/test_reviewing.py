@@ -17,7 +17,7 @@ def test_a_finished_case_is_reviewed_back_to_its_first_event(
     start: OperatedCases, page: Any, tmp_path: Path
 ) -> None:
     case = start("run", "--json")
-    assert case.process.wait(90) == 0
+    assert case.ended() == 0
     errors = tmp_path / "review-errors"
     with errors.open("w") as file:
         line = [sys.executable, "-P", "-m", "console.command", str(case.run)]

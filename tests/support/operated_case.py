@@ -16,6 +16,7 @@ from typing import Any
 from waiting import eventually
 
 READY_S = 60.0
+CASE_S = 600.0  # only ends what has failed: a browser on a busy computer takes what the case needs
 MINI = ("--scene", "mini", "--seed", "3")
 
 
@@ -47,6 +48,10 @@ class OperatedCase:
             if b"console.serving" in Path(f"/proc/{pid}/cmdline").read_bytes():
                 return int(pid)
         raise AssertionError("there is no console")
+
+    def ended(self) -> int:
+        """Its exit code, when it has come to its end by itself."""
+        return self.process.wait(CASE_S)
 
     def await_addresses(self) -> None:
         eventually(lambda: "CONSOLE {" in self.said or self.process.poll() is not None, READY_S)
