@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from case_results import measured, outcome_of
-from console_clicks import answer, run_by_clicks, take_seat
+from console_clicks import answer, answer_until, run_by_clicks, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
@@ -36,10 +36,7 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
     page.locator(".upto").click()
     page.get_by_role("option", name="relocalization:T1", exact=True).click()
     page.locator("[data-do=run_to]").click()
-    page.wait_for_selector("section.question h2")
-    answer(page, patient="default-7")
-
-    page.wait_for_selector("section.question >> text=first motion")
+    answer_until(page, "first motion", patient="default-7")
     mount(case, NO_TOOL)  # somebody takes the stereo head off while the arm is about to move
     answer(page, patient="default-7")
     page.wait_for_selector(".state >> text=suspended")

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 
 import psutil
 from case_results import measured, outcome_of
-from console_clicks import ARMED_MS, answer, hold, take_seat
+from console_clicks import ARMED_MS, answer_until, hold, take_seat
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
@@ -101,9 +101,7 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases,
     page.locator(".upto").click()
     page.get_by_role("option", name="relocalization:T1").click()
     page.locator("[data-do=run_to]").click()
-    page.wait_for_selector("section.question h2")
-    answer(page)  # the patient
-    page.wait_for_selector("text=first motion")
+    answer_until(page, "first motion")
     question = page.locator("section.question")
     question.locator(".typed input").fill("0")
     button = question.locator(".answers button").first

@@ -68,3 +68,11 @@ def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) ->
             page.wait_for_function(
                 "before => document.querySelector('[data-do=next]').innerText !== before", arg=before
             )
+
+
+def answer_until(page: Any, words: str, patient: str = PATIENT) -> None:
+    """Answer whatever is asked before the question that says that."""
+    page.wait_for_selector("section.question h2")
+    while words not in page.locator("section.question").inner_text():
+        answer(page, patient)
+        page.wait_for_selector("section.question h2")

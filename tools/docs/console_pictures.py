@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
 # These stand beside the tests, whose folder is on the path only now.
-from console_clicks import answer, take_seat  # noqa: E402
+from console_clicks import answer, answer_until, take_seat  # noqa: E402
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from operated_case import enter, operated_cases  # noqa: E402
 
@@ -44,10 +44,7 @@ def main() -> None:
         take_seat(page, "Dr Rehearsal")
         page.wait_for_selector("text=next is ct_import")
         _run_to(page, "registration:T1")
-        for _ in range(2):  # the patient, the first motion
-            page.wait_for_selector("section.question h2")
-            answer(page)
-        page.wait_for_selector("text=accept the registration")
+        answer_until(page, "accept the registration")
         _take(page, out / "console-registration.png")
         for scheme, size in (("dark", WIDE), ("light", PHONE), ("dark", PHONE)):
             page.emulate_media(color_scheme=scheme)
@@ -63,19 +60,11 @@ def main() -> None:
         answer(page)
         page.wait_for_selector("text=next is tool_change")
         _run_to(page, "at_target:T1")
-        _answer_until(page, AT_TARGET)
+        answer_until(page, AT_TARGET)
         page.get_by_role("button", name="head", exact=True).click()
         _take(page, out / "console-at-target.png")
         page.locator(".devicebox").scroll_into_view_if_needed()
         _take(page, out / "console-devices.png")
-
-
-def _answer_until(page: Any, topic: str) -> None:
-    """Answer whatever is asked before that."""
-    page.wait_for_selector("section.question h2")
-    while topic not in page.locator("section.question h2").inner_text():
-        answer(page)
-        page.wait_for_selector("section.question h2")
 
 
 def _run_to(page: Any, step: str) -> None:
