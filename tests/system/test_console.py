@@ -24,10 +24,12 @@ BETWEEN_S = 0.15  # ten orders a second are too many
 
 
 def await_state(script: ConsoleScript, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
-    """The first state that meets the condition."""
+    """The first state that meets the condition; whatever is asked before is answered."""
     deadline_s = time.monotonic() + HANG_LIMIT_S
     while not holds(state := script.state()):
         assert time.monotonic() < deadline_s, state
+        if state["question"]:
+            script.answer(state["question"])
         time.sleep(BETWEEN_S)
     return state
 
