@@ -48,3 +48,4 @@ class NumberField:
         self._field.props(remove="error error-message")
         self._shown = words
         self._take(value)
+        self._field.update()  # what was shown before may still be on its way, and would come to stand there
