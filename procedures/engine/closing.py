@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Protocol
 
 from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import JournalNotWritable
@@ -11,6 +12,14 @@ from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
 from ronna_hw.logs import logger
 
 _log = logger(part="engine")
+
+
+class Recorder(Protocol):
+    """Writes files of the run beside the engine."""
+
+    def close(self) -> None:
+        """Write what is left and close the files. Bounded in time; never raises."""
+        ...
 
 
 def close_run(

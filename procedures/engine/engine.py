@@ -5,20 +5,19 @@ Work happens here, never in a transition of the state chart. Whatever ends a ste
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from typing import Protocol
 
 from procedures.engine.acknowledging import acknowledged
 from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.closing import close_run
+from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
+from procedures.engine.inputs import unusable_inputs
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.operator import Topic
@@ -33,14 +32,6 @@ from ronna_hw.records import Record
 
 ARM = "arm"  # role of the device that carries the tools
 _log = logger(part="engine")
-
-
-class Recorder(Protocol):
-    """Writes files of the run beside the engine."""
-
-    def close(self) -> None:
-        """Write what is left and close the files. Bounded in time; never raises."""
-        ...
 
 
 class Engine:
@@ -75,6 +66,7 @@ class Engine:
         self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
         self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock.sleep)
         self._journal = journal
+        self._logged = order.without_names
         self._on_ending = on_ending
         self._before_result = before_result
         self._recorders = recorders
@@ -135,26 +127,18 @@ class Engine:
         spec = self.order.spec(key)
         if unmet := self.order.unmet(key, self._latest, self._settled):
             return unmet
-        missing = tuple(
-            f"no result of {model.kind}" + (f" for {key.trajectory}" if key.trajectory else "")
-            for model in spec.reads
-            if self.case.find(model, key.trajectory) is None
-        )
-        return missing or self._past(key) or spec.preconditions(self.context(key))
-
-    def _past(self, key: StepKey) -> tuple[str, ...]:
-        """Results of a finished trajectory are there to be shown: nothing moves by them again."""
-        past = self.case.past
-        found = (self.case.find(model, key.trajectory) for model in self.order.spec(key).reads)
-        names = [one.record.identifier for one in found if one is not None and one.record.identifier in past]
-        return (f"made before something moved: {', '.join(names)}",) if names else ()
+        return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
         """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))
-            _log.warning("step refused", step=self._logged(str(key)), unmet=self._logged("; ".join(unmet)))
+            _log.warning(
+                "step refused",
+                step=self._logged(str(key)),
+                unmet=self._logged("; ".join(unmet)),
+            )
             raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
@@ -184,7 +168,11 @@ class Engine:
         self._latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} is left out: {reason}")
-        _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
+        _log.info(
+            "step done",
+            step=self._logged(str(key)),
+            summary=self._logged(outcome.summary),
+        )
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
         )
@@ -406,12 +394,6 @@ class Engine:
             _find=self.find,
             _void=self.void,
         )
-
-    def _logged(self, text: str) -> str:
-        """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""
-        for number, name in enumerate(self.order.trajectories, start=1):
-            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
-        return text
 
     def _write(self, entry: Entry, **data: JournalValue) -> None:
         self._journal.write(entry, self.setting.clock.now_s(), **data)

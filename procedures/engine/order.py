@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -41,6 +42,12 @@ class CaseOrder:
         """The trajectories at whose targets the work is done."""
         last = (key for key in self.sequence if self.spec(key).finishes and stands(key))
         return tuple(key.trajectory for key in last if key.trajectory is not None)
+
+    def without_names(self, text: str) -> str:
+        """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""
+        for number, name in enumerate(self.trajectories, start=1):
+            text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
+        return text
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
         """The steps that must have been done before `key`: those of other trajectories need not."""

@@ -59,9 +59,8 @@ class Workcell:
         calibrations: Calibrations | None = None,
         calibrating: bool = False,
     ) -> None:
-        """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file.
-
-        While `calibrating`, the record of a tool may be of a former tip.
+        """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file; while
+        `calibrating`, the record of a tool may be of a former tip.
 
         Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, CFG-004, CAL-013.
         """
@@ -321,15 +320,11 @@ class Workcell:
             if self._insertion is None:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
-    # Looking
-
     def look(self) -> Look:
         """Take a pair and measure the sphere in it. Raises STE-012 when no pair comes whole."""
         seen = look(self.stereo, self.calibrations.stereo_head)
         self.on_look(seen)
         return seen
-
-    # Ending
 
     def link_statistics(self) -> LinkStatistics:
         """Health of the robot link since the arm was last activated."""

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
-from ronna_hw.calibration import Numbers3
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.cli.calibrating.calibration import CalibrationRequest
     from procedures.cli.case.request import TheatreRequest
+    from ronna_hw.calibration import Numbers3
 
 SimOption = Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")]
 SceneOption = Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sim.kuka.arm.posture import axes_of_status
 from sim.kuka.arm.robot_description import Variant, description
 from sim.theatre.rigid import inverse, matrix_from
-from sim.theatre.scene.model import Guide
+from sim.theatre.scene.guide import Guide
 from sim.theatre.scene.stereo_head import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
 
 Vector = NDArray[np.float64]

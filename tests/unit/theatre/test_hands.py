@@ -12,7 +12,7 @@ from sim.theatre.control import Room
 from sim.theatre.hands import Hands
 from sim.theatre.rigid import matrix_of
 from sim.theatre.room_shift import ShiftedRoom
-from sim.theatre.scene.model import Guide
+from sim.theatre.scene.guide import Guide
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.truth import read_samples
 from sim.theatre.world import ArmState, World

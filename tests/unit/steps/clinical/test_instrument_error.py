@@ -14,7 +14,7 @@ from procedures.planning.instrument_error import (
 from procedures.planning.plan import FiducialKind, Plan, PlannedTrajectory
 from ronna_hw.tool_record import GuideBore
 from sim.theatre.rigid import inverse, matrix_from, rotation_from_vector
-from sim.theatre.scene.model import Guide
+from sim.theatre.scene.guide import Guide
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.true_guide import TrueGuide
 from sim.theatre.world import ArmState, World
