@@ -49,6 +49,11 @@ class ClinicalInput:
         return self.plan.with_name("place.json")
 
 
+def this_second() -> datetime:
+    """Now, as records date themselves."""
+    return datetime.now(UTC).replace(microsecond=0)
+
+
 @dataclass(frozen=True)
 class CaseSetting:
     """What all steps of a procedure share, beside their results."""
@@ -62,6 +67,7 @@ class CaseSetting:
     clinical: ClinicalInput | None = None
     workspace: Workspace = field(default_factory=Workspace)
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
+    began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
 
 
 @dataclass(frozen=True)

@@ -81,9 +81,9 @@ def calibrate_arm(
     )
     from procedures.cli.arm.files import KIND
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.steps.calibration.procedures import arm_looks
+    from procedures.steps.calibration.procedures import ARM, Recipe
 
-    calibrate(KIND, arm_looks(looks, validation), request)
+    calibrate(KIND, Recipe(ARM, (looks, validation)), request)
 
 
 @app.command()
@@ -112,7 +112,7 @@ def check(
     from procedures.cli.calibrating.files import write_payload
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.steps.calibration.procedures import arm_looks
+    from procedures.steps.calibration.procedures import ARM, Recipe
 
     results: list[ArmCheck] = []
 
@@ -125,7 +125,7 @@ def check(
     folder = new_folder(out, "check")
     try:
         with leaving_report(folder, with_truth=False):
-            observe(files.CHECK, arm_looks(0, looks), request, folder, conclude, answers=answers)
+            observe(files.CHECK, Recipe(ARM, (0, looks)), request, folder, conclude, answers=answers)
     finally:
         for result in results:
             if as_json:

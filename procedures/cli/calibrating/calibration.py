@@ -17,8 +17,8 @@ from procedures.cli.calibrating.running import concluded, new_folder, run_steps
 from procedures.cli.case.request import TheatreRequest
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
-from procedures.engine.order import Steps
 from procedures.reporting.calibration import Figure
+from procedures.steps.calibration.procedures import Recipe
 from ronna_hw.calibration import Strict
 from ronna_hw.command_line import console
 from ronna_hw.config import Calibrations
@@ -73,7 +73,7 @@ class CalibrationRequest:
     answers: Path | None = None
 
 
-def calibrate(kind: CalibrationKind[Looks, Result], steps: Steps, request: CalibrationRequest) -> Result:
+def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: CalibrationRequest) -> Result:
     """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-019."""
     recorded = None if request.recorded is None else kind.read_looks(request.recorded)
     folder = new_folder(request.out, kind.name)
@@ -88,7 +88,7 @@ def calibrate(kind: CalibrationKind[Looks, Result], steps: Steps, request: Calib
 
     def look(then: Callable[[Looks], None]) -> None:
         assert request.theatre is not None, "without recorded looks there is a theatre"
-        observe(kind, steps, request.theatre, folder, then, answers=request.answers)
+        observe(kind, recipe, request.theatre, folder, then, answers=request.answers)
 
     result = concluded(folder, recorded, look, conclude)
     if request.write is not None and request.config is not None:
@@ -105,7 +105,7 @@ def calibrate(kind: CalibrationKind[Looks, Result], steps: Steps, request: Calib
 
 def observe(
     kind: CalibrationKind[Looks, Result],
-    steps: Steps,
+    recipe: Recipe,
     theatre: TheatreRequest,
     folder: Path,
     conclude: Callable[[Looks], None],
@@ -121,11 +121,12 @@ def observe(
         engine = run_steps(
             theatre,
             folder,
-            steps,
+            recipe.steps,
             advance,
             title=kind.title,
             answers=answers,
             in_use=kind.in_use,
+            recipe=recipe,
             judge=judge,
         )
     for remark in kind.remarks(engine.case):

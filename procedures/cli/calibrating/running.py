@@ -17,6 +17,7 @@ from procedures.engine.events import Event, Progress
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.order import Steps
+    from procedures.steps.calibration.procedures import Recipe
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 
@@ -41,6 +42,7 @@ def run_steps(
     title: str,
     answers: Path | None = None,
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre,
+    recipe: Recipe | None = None,
     judge: Callable[[Engine], None] = lambda _engine: None,
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
@@ -48,13 +50,14 @@ def run_steps(
     `judge` is called when every step is done; what it raises is how the run has ended.
 
     `title` names it in its report; `in_use` says which records to work with, given those of the theatre;
+    `recipe` is what a replay makes the steps from; without one there is none.
     `answers` is a file of answers, of which PRO-026 says what does not fit.
     """
 
     def procedure(theatre: Theatre) -> Procedure:
         from procedures.engine.order import order_of
 
-        return Procedure(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations))
+        return Procedure(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations), recipe=recipe)
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:

@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from procedures.engine.left_run import LeftRun
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
+    from procedures.steps.calibration.procedures import Recipe
     from ronna_hw.clock import Clock
     from ronna_hw.config import Calibrations, DeviceConfig
     from ronna_hw.devices.lifecycle import Device
@@ -73,12 +74,22 @@ class Resumption:
 
 @dataclass(frozen=True)
 class Procedure:
-    """What the engine is to run. `calibrations` take the place of those of the theatre file."""
+    """What the engine is to run. `calibrations` take the place of those of the theatre file.
+
+    `recipe` is what a replay of a calibration makes its steps from.
+    """
 
     order: CaseOrder
     title: str | None = None  # of what is no clinical case
     clinical: ClinicalInput | None = None
     calibrations: Calibrations | None = None
+    recipe: Recipe | None = None
+
+    def as_plain(self, in_use: Calibrations) -> dict[str, object] | None:
+        """The recipe and the records in use, for whoever computes this again."""
+        if self.recipe is None:
+            return None
+        return {**self.recipe.as_plain(), "records": in_use.model_dump(mode="json", exclude_none=True)}
 
 
 @contextlib.contextmanager
@@ -291,7 +302,7 @@ def _make_engine(
     resumption: Resumption | None,
 ) -> Engine:
     from procedures.engine.case import Case
-    from procedures.engine.context import CaseSetting
+    from procedures.engine.context import CaseSetting, this_second
     from procedures.engine.engine import Engine
     from procedures.engine.events import EventStream
     from procedures.engine.events.event_file import EventFile
@@ -322,7 +333,8 @@ def _make_engine(
     events = EventStream(theatre.clock.now_s)
     stack.callback(EventFile(folder, events).join)
     stack.callback(events.end)
-    opening = opening_line(folder, file, theatre.clock, wanted.clinical)
+    began = this_second()
+    opening = opening_line(folder, file, theatre.clock, wanted.clinical, began, wanted.as_plain(calibrations))
     tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, opening)
     stack.callback(tape.close)
     follow = section_follower(tape)
@@ -372,6 +384,7 @@ def _make_engine(
             settings=theatre.file.procedure,
             surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
+            began=began,
         ),
         journal,
         events=events,

@@ -84,9 +84,9 @@ def tracker_frame(
     )
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tracker_frame import KIND
-    from procedures.steps.calibration.procedures import frame_looks
+    from procedures.steps.calibration.procedures import FRAME, Recipe
 
-    calibrate(KIND, frame_looks(looks, validation), request)
+    calibrate(KIND, Recipe(FRAME, (looks, validation)), request)
 
 
 @app.command("tool-tip")
@@ -139,6 +139,6 @@ def tool_tip(
     )
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tool_tip import KIND
-    from procedures.steps.calibration.procedures import tip_readings
+    from procedures.steps.calibration.procedures import TIP, Recipe
 
-    calibrate(KIND, tip_readings(readings, validation, ball), request)
+    calibrate(KIND, Recipe(TIP, (readings, validation, ball)), request)

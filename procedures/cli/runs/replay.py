@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded, ReplayDiffers
@@ -14,10 +16,11 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answ
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import run_of
 from procedures.planning.plan_file import read_plan
+from procedures.steps.calibration.procedures import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.console import print_json, print_table, progress_bar
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.evidence.inspection import inspected
 
 CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
@@ -46,12 +49,12 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
 
 def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     opening = answers.opening
-    if opening["series"] is None:
-        raise NotRecorded("the run is a calibration: only a case with a patient can be replayed")
 
     def placed(name: str) -> Path:
         return run_folder / str(opening[name])  # an absolute path stays what it is
 
+    if opening["series"] is None:
+        return _given_calibration(opening.get("calibration"), placed("theatre_file"))
     plan = placed("plan")
     strategy = strategy_named(str(opening["strategy"]))
     measure_targets = bool(opening.get("measure_targets"))
@@ -62,6 +65,14 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     )
     clinical = ClinicalInput(placed("series"), plan, strategy, measure_targets)
     return ReplayInput(order, clinical, read_theatre_file(placed("theatre_file")))
+
+
+def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:
+    if calibration is None:
+        raise NotRecorded("the run is a check or a look of a calibration, which is not replayed")
+    order = order_of(Recipe.of(calibration).steps, ())
+    records = Calibrations.model_validate_json(json.dumps(calibration["records"]))
+    return ReplayInput(order, None, read_theatre_file(theatre_file), records)
 
 
 def _row(one: ReplayedRecord) -> tuple[str, str, str]:

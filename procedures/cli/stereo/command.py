@@ -91,9 +91,9 @@ def calibrate_head(
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.stereo.display import warn_of_arm
     from procedures.cli.stereo.files import KIND
-    from procedures.steps.calibration.procedures import head_calibration
+    from procedures.steps.calibration.procedures import HEAD, Recipe
 
-    result = calibrate(KIND, head_calibration(poses, visits, ball), request)
+    result = calibrate(KIND, Recipe(HEAD, (poses, visits, ball)), request)
     if not as_json:
         warn_of_arm(result)
 

@@ -24,7 +24,7 @@ from procedures.engine.run_folder import RunFolder
 from procedures.workcell import Workcell
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.clock import Clock
-from ronna_hw.config import DeviceConfig, TheatreFile
+from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
@@ -39,8 +39,9 @@ class ReplayInput:
     """What a run was begun with."""
 
     order: CaseOrder
-    clinical: ClinicalInput
+    clinical: ClinicalInput | None  # of what is no calibration
     theatre: TheatreFile
+    calibrations: Calibrations | None = None  # those in use, where they were not the theatre file's
 
 
 def replay(
@@ -78,7 +79,7 @@ class _Replay:
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
         setting = CaseSetting(
-            workcell=Workcell(theatre, journal),
+            workcell=Workcell(theatre, journal, calibrations=given.calibrations),
             clock=clock,
             operator=self._operator,
             room=self._room,
@@ -86,6 +87,7 @@ class _Replay:
             surroundings=given.theatre.cell_with_tools,
             clinical=given.clinical,
             today=lambda: began,
+            began=datetime.fromisoformat(str(answers.opening.get("began", began))),
         )
         self._engine = Engine(given.order, Case(folder), setting, journal)
 

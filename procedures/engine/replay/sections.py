@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from datetime import datetime
 from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
@@ -31,9 +32,17 @@ def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
 
 
 def opening_line(
-    folder: Path, theatre_file: Path, clock: Clock, clinical: ClinicalInput | None
-) -> dict[str, str | bool | None]:
-    """What a replay has to know beside the answers; paths inside the run folder are relative to it."""
+    folder: Path,
+    theatre_file: Path,
+    clock: Clock,
+    clinical: ClinicalInput | None,
+    began: datetime,
+    calibration: Mapping[str, object] | None = None,
+) -> dict[str, object]:
+    """What a replay has to know beside the answers; paths inside the run folder are relative to it.
+
+    `calibration` says of what is no clinical case which steps it had, and the records that were in use.
+    """
 
     def placed(path: Path) -> str:
         inside, whole = folder.resolve(), path.resolve()
@@ -46,4 +55,6 @@ def opening_line(
         "plan": None if clinical is None else placed(clinical.plan),
         "strategy": None if clinical is None else clinical.strategy.name,
         "measure_targets": clinical is not None and clinical.measure_targets,
+        "began": began.isoformat(),
+        "calibration": calibration,
     }

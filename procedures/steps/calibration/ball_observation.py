@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 from pydantic import Field
 
@@ -68,7 +67,7 @@ class BallObservation:
             refuse_too_few(watcher, len(seen))
         calibrations = workcell.calibrations
         observed = ObservationSet(
-            created=datetime.now(UTC).replace(microsecond=0),
+            created=context.setting.began,
             serials=workcell.stereo.serials,
             arm_variant=workcell.arm.kinematics.name,
             start=calibrations.stereo_head,

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 
 from pydantic import Field
 
@@ -85,7 +84,7 @@ class FrameTurning:
                 action="Clear the line of sight between tracker and frame, then calibrate again.",
             )
         observed = FrameLooks(
-            created=datetime.now(UTC).replace(microsecond=0),
+            created=context.setting.began,
             arm=workcell.arm.kinematics.name,
             stereo_head=calibrations.stereo_head,
             start=calibrations.tracker_frame,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +88,7 @@ class SphereLooks:
         except NotClear as error:  # raised before anything moved; what was seen is worth keeping
             remarks.append(f"the arm stays where it is: {error.what}")
         observed = ArmLooks(
-            created=datetime.now(UTC).replace(microsecond=0),
+            created=context.setting.began,
             arm=workcell.arm.kinematics.name,
             serials=workcell.stereo.serials,
             stereo_head=head,

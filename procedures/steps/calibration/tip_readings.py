@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +22,7 @@ from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.workcell import MountedTool, Workcell
+from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS
@@ -65,19 +64,20 @@ class TipReadings:
         cell, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
         workcell.surround(in_free_room(cell, guide, cell.guide, stand_under(place.ball_mm)))
         workcell.start()
-        reading = _Reading(context, self._observed(workcell, stand))
+        reading = _Reading(context, self._observed(context, stand))
         for look in range(len(stand.looks)):
             reading.take(look)
             context.progress((look + 1) / len(stand.looks), "reading the dials")
         workcell.go_home()
         return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
-    def _observed(self, workcell: Workcell, stand: ObservedStand) -> TipLooks:
+    def _observed(self, context: StepContext, stand: ObservedStand) -> TipLooks:
         """Before the first reading."""
+        workcell = context.workcell
         calibrations, count = workcell.calibrations, len(stand.looks)
         judging = {round((number + 0.5) * count / self.validation) for number in range(self.validation)}
         return TipLooks(
-            created=datetime.now(UTC).replace(microsecond=0),
+            created=context.setting.began,
             arm=workcell.arm.kinematics.name,
             stereo_head=calibrations.stereo_head,
             start=calibrations.tool_tip,
