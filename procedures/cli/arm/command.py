@@ -81,9 +81,9 @@ def calibrate_arm(
     )
     from procedures.cli.arm.files import KIND
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.steps.calibration.procedures import ARM, Recipe
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(ARM, (looks, validation)), request)
+    calibrate(KIND, Recipe(of=Calibrated.ARM, looks=looks, more=validation), request)
 
 
 @app.command()
@@ -112,7 +112,7 @@ def check(
     from procedures.cli.calibrating.files import write_payload
     from procedures.cli.calibrating.running import new_folder
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.steps.calibration.procedures import ARM, Recipe
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     results: list[ArmCheck] = []
 
@@ -125,7 +125,8 @@ def check(
     folder = new_folder(out, "check")
     try:
         with leaving_report(folder, with_truth=False):
-            observe(files.CHECK, Recipe(ARM, (0, looks)), request, folder, conclude, answers=answers)
+            recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
+            observe(files.CHECK, recipe, request, folder, conclude, answers=answers)
     finally:
         for result in results:
             if as_json:

@@ -18,7 +18,7 @@ from procedures.cli.case.request import TheatreRequest
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
 from procedures.reporting.calibration import Figure
-from procedures.steps.calibration.procedures import Recipe
+from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.calibration import Strict
 from ronna_hw.command_line import console
 from ronna_hw.config import Calibrations

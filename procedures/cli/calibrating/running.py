@@ -17,7 +17,7 @@ from procedures.engine.events import Event, Progress
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.order import Steps
-    from procedures.steps.calibration.procedures import Recipe
+    from procedures.steps.calibration.recipe import Recipe
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case
 from procedures.cli.case.operators import (
     AtPause,
     ScriptedOperator,
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     from procedures.engine.left_run import LeftRun
     from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
-    from procedures.steps.calibration.procedures import Recipe
+    from procedures.steps.calibration.recipe import Recipe
     from ronna_hw.clock import Clock
     from ronna_hw.config import Calibrations, DeviceConfig
     from ronna_hw.devices.lifecycle import Device
@@ -89,7 +90,8 @@ class Procedure:
         """The recipe and the records in use, for whoever computes this again."""
         if self.recipe is None:
             return None
-        return {**self.recipe.as_plain(), "records": in_use.model_dump(mode="json", exclude_none=True)}
+        records = in_use.model_dump(mode="json", exclude_none=True)
+        return {"recipe": self.recipe.model_dump(mode="json"), "records": records}
 
 
 @contextlib.contextmanager
@@ -240,40 +242,6 @@ def operator_of(
 
     rehearsed = request.config is None or is_simulated(read_theatre_file(request.config))
     return AnsweringOperator(answers, operator, reads_back=None if rehearsed else person)
-
-
-def case_folder(request: CaseRequest, folder: Path) -> Path:
-    """Where CT and plan of a run are."""
-    return request.case or folder / "case"
-
-
-def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
-    """CT, plan and strategy of a run."""
-    from procedures.engine.context import ClinicalInput
-    from procedures.strategies.catalogue import strategy_named
-
-    case = case_folder(request, folder)
-    return ClinicalInput(
-        case / "ct",
-        case / "plan.toml",
-        strategy_named(request.strategy),
-        request.measure_targets,
-    )
-
-
-def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:
-    """The steps of a run, by its plan and its strategy. Raises what reading the plan raises."""
-    from procedures.engine.order import order_of
-    from procedures.planning.plan_file import read_plan
-    from procedures.steps.catalogue import clinical_steps
-    from procedures.strategies.catalogue import strategy_named
-
-    plan = read_plan(case_folder(request, folder) / "plan.toml")
-    return order_of(
-        clinical_steps(measure_targets=request.measure_targets),
-        [trajectory.id for trajectory in plan.trajectories],
-        localizes_per_trajectory=strategy_named(request.strategy).localizes_per_trajectory,
-    )
 
 
 def request_hash(folder: Path) -> dict[str, str]:

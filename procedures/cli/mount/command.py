@@ -84,9 +84,9 @@ def tracker_frame(
     )
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tracker_frame import KIND
-    from procedures.steps.calibration.procedures import FRAME, Recipe
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(FRAME, (looks, validation)), request)
+    calibrate(KIND, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), request)
 
 
 @app.command("tool-tip")
@@ -139,6 +139,7 @@ def tool_tip(
     )
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tool_tip import KIND
-    from procedures.steps.calibration.procedures import TIP, Recipe
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(TIP, (readings, validation, ball)), request)
+    recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
+    calibrate(KIND, recipe, request)

@@ -16,7 +16,7 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answ
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import run_of
 from procedures.planning.plan_file import read_plan
-from procedures.steps.calibration.procedures import Recipe
+from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.console import print_json, print_table, progress_bar
@@ -70,7 +70,7 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
 def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:
     if calibration is None:
         raise NotRecorded("the run is a check or a look of a calibration, which is not replayed")
-    order = order_of(Recipe.of(calibration).steps, ())
+    order = order_of(Recipe.read(calibration["recipe"]).steps, ())
     records = Calibrations.model_validate_json(json.dumps(calibration["records"]))
     return ReplayInput(order, None, read_theatre_file(theatre_file), records)
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.case_inputs import clinical_input, order_of_case
 from procedures.cli.case.display import follow, show_outcome
 from procedures.cli.case.leaving_report import leave_report, seal_run
-from procedures.cli.case.opening import Resumption, Watcher, clinical_input, order_of_case
+from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
-
 from procedures.calibration import Baseline
-from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
 from procedures.steps.calibration.ball_look import look_step
 from procedures.steps.calibration.ball_observation import observation_step
@@ -60,37 +55,3 @@ def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps
 def _to_ball(ball_mm: Numbers3 | None) -> Steps:
     by_tracker: Steps = () if ball_mm is not None else (global_localization.STEP,)
     return (set_up.STEP, *by_tracker, place_step(ball_mm))
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """The steps of a calibration by their name and numbers: what a replay makes them from again."""
-
-    name: str
-    arguments: tuple[Any, ...]
-
-    @property
-    def steps(self) -> Steps:
-        """In their order."""
-        return _RECIPES[self.name](*self.arguments)
-
-    def as_plain(self) -> dict[str, object]:
-        """As JSON has it."""
-        return {"recipe": self.name, "arguments": list(self.arguments)}
-
-    @classmethod
-    def of(cls, plain: Mapping[str, Any]) -> Recipe:
-        """Raises PRO-024 for a name that this version does not know."""
-        if plain["recipe"] not in _RECIPES:
-            raise NotRecorded(f"this version knows no calibration {plain['recipe']!r}")
-        given = (tuple(one) if isinstance(one, list) else one for one in plain["arguments"])
-        return cls(plain["recipe"], tuple(given))
-
-
-HEAD, ARM, FRAME, TIP = "head_calibration", "arm_looks", "frame_looks", "tip_readings"
-_RECIPES: dict[str, Callable[..., Steps]] = {
-    HEAD: head_calibration,
-    ARM: arm_looks,
-    FRAME: frame_looks,
-    TIP: tip_readings,
-}
