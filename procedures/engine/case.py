@@ -76,12 +76,16 @@ class Case:
         Of `finished` trajectories nothing: what was done there was done.
         """
         former = self._standing.get(key)
-        gone: dict[str, Record] = {}
-        for stored in self._standing.values():  # a parent stands before its children
-            descends = stored is former or not gone.keys().isdisjoint(stored.record.parents)
-            if descends and stored.record.trajectory not in finished:
-                gone[stored.record.identifier] = stored.record
-        return tuple(gone.values())
+        if former is None:
+            return ()
+        standing = [stored.record for stored in self._standing.values()]
+        reached = {former.record.identifier}
+        # A result may descend by way of one that stands no more; a parent has the lower number.
+        for record in sorted([*self._superseded, *standing], key=_number):
+            if not reached.isdisjoint(record.parents):
+                reached.add(record.identifier)
+        gone = (record for record in standing if record.identifier in reached)
+        return tuple(record for record in gone if record.trajectory not in finished)
 
     @property
     def past(self) -> frozenset[str]:
@@ -174,3 +178,7 @@ class Case:
     def standing(self) -> tuple[Stored[StepResult], ...]:
         """The results that stand, in order."""
         return tuple(self._standing.values())
+
+
+def _number(record: Record) -> int:
+    return int(record.identifier.partition("-")[0])

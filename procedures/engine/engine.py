@@ -71,8 +71,7 @@ class Engine:
         self._before_result = before_result
         self._recorders = recorders
         self._latest = latest  # the step that was done last
-        # Whether a case goes on by itself that a step's error has stopped: somebody has agreed.
-        self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False
+        self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
         setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
 
     @property
@@ -81,6 +80,8 @@ class Engine:
 
         A step that may only follow another, which was not the last one, comes after that one is done again.
         """
+        if self.case.past_trajectories.issuperset(self.order.trajectories or [""]):
+            return None  # what remains would only lead to them again
         key = next((key for key in self.order.sequence if not self._settled(key)), None)
         while key is not None and self.order.spec(key).continues:
             before = self.order.before(key)[-1]
@@ -189,7 +190,7 @@ class Engine:
             except RonnaError as problem:
                 if not self.goes_on(problem):
                     raise
-                continue
+                key = last or key  # an order ends here: the steps that come now were not meant
             if key == last:
                 return
 
@@ -352,7 +353,7 @@ class Engine:
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
         """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
-        finished = self.order.finished(self.case.stands)
+        finished = self.order.outlasting(key, self.case.stands)
         gone = [record.identifier for record in self.case.superseded_by(key, finished)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
         self.case.void(key, finished)

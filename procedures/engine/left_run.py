@@ -79,7 +79,8 @@ class LeftRun:
                 _require_superseded(case, key, line)
                 case.accept(key, Stored(record, typed(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
-                key, finished = step_key(line), order.finished(case.stands)
+                key = step_key(line)
+                finished = order.outlasting(key, case.stands)
                 _require_superseded(case, key, line, finished)
                 case.void(key, finished)
             elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again

@@ -13,8 +13,8 @@ class BaseShifted(RefusedError):
 
     code = "PRO-019"
     action = (
-        "Find out what was moved and lock it, then localize again from global_localization on; with the "
-        "guide mounted send the arm home first."
+        "Find out what was moved and lock it; then go on from cart_lock when it was the cart, else from "
+        "global_localization. With the guide mounted send the arm home first."
     )
     cart: bool = True  # else it was the tracker
 

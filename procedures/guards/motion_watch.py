@@ -122,7 +122,9 @@ class MotionWatch:
             with self.beside():
                 room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
         except BaseShifted as told:
-            return BaseShifted(f"{told.what}, during {what}", limit=told.limit, got=told.got)
+            moved = BaseShifted(f"{told.what}, during {what}", limit=told.limit, got=told.got)
+            moved.cart = told.cart
+            return moved
         except PatientMoved as told:
             return PatientMoved.by(f"{told.what}, during {what}", told.moved_mm, PATIENT_LIMIT_MM)
         except RonnaError as problem:  # what was seen is told all the same

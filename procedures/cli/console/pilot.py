@@ -144,9 +144,13 @@ class Pilot:
                 self._leave(engine)
             raise
         except RonnaError as error:
-            if engine.goes_on(error):
+            error, agreed = self._agreed(engine, error)
+            if agreed and self._until is None:
                 return
-            self._going = False
+            self._going, self._until = False, None
+            if agreed:  # what was ordered ends here: the steps that come now were not meant
+                self._wait(engine)
+                return
             if not self.in_charge or engine.machine.ended:
                 raise
             fail_with(error)
@@ -158,6 +162,15 @@ class Pilot:
             self._going, self._until = False, None
         if not self._going:
             self._wait(engine)
+
+    def _agreed(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
+        """Whether the case goes on by consent; else what has stopped it, or the way on."""
+        try:
+            return error, engine.goes_on(error)
+        except OperatorAborted:
+            raise
+        except RonnaError as problem:
+            return problem, False
 
     def _carry_out(self, engine: Engine, wish: Wish | None) -> None:
         if wish is None:  # nothing yet, or the console has ended

@@ -58,19 +58,25 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     """Have it placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
     for before in context.spec.reads:
         context.result(before)
+    context.workcell.rest()  # hands are on the cart: nothing of ours may move the arm meanwhile
     proposal = _proposal(context)
     for placing in range(1, PLACINGS + 1):
         context.have_done(Task(CART_PLACE, "wheel the cart of the arm to its place"))
         context.have_done(Task(CART_LOCK, "close the brakes of the cart"))
+        _confirm(context, "the cart is locked", "the brakes of every wheel are closed; nobody pushes it")
         robot_from_tracker, first = _first_look(context)
         beside = None if proposal is None else _beside(context, proposal, robot_from_tracker, first)
         if proposal is None or beside is None or _agreed(context, proposal, beside, placing):
             break
-    _confirm_locked(context)
     context.have_done(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
+    _confirm(context, "somebody leaned on the cart", "from each side; everybody stands clear")
     frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
-    moved_mm, spheres = moved_against_head(robot_from_tracker, first, second)
+    try:
+        moved_mm, spheres = moved_against_head(robot_from_tracker, first, second)
+    except PatientMoved as moved:
+        context.void(ClampedHead, moved)
+        raise
     return Outcome(
         LockedCart(
             placings=placing,
@@ -145,12 +151,10 @@ def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposa
     return answer == AS_IT_STANDS
 
 
-def _confirm_locked(context: StepContext) -> None:
-    question = Question(
-        Topic.CART_LOCKED, "the cart is locked", "the brakes of every wheel are closed; nobody pushes it"
-    )
-    if context.choose(question) != YES:
-        raise CartNotLocked("the cart is not locked: nobody confirmed it")
+def _confirm(context: StepContext, subject: str, value: str) -> None:
+    """Ask before the tracker looks: hands need the time that they need."""
+    if context.choose(Question(Topic.CART_LOCKED, subject, value)) != YES:
+        raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
 
 def moved_against_head(

@@ -1,4 +1,4 @@
-"""People clamp the head; the tracker has to see the spheres on it."""
+"""People clamp the head and say so; then the tracker has to see the spheres on it."""
 
 from __future__ import annotations
 
@@ -29,13 +29,17 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Have it clamped, look at it, have it confirmed. Raises PRO-007 for a head unseen, PRO-002."""
+    """Have it clamped, have that confirmed, look at it. Raises PRO-002, and PRO-007 for a head unseen."""
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
+    context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
     lies = checked.plan.patient_orientation
     context.have_done(
         Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, put the spheres on")
     )
+    subject = "the head is clamped, and the clamp locked to the table"
+    value = f"the patient lies {lies}; {checked.implanted} spheres are on the screws"
+    context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
     seen = len(average_strays(frames).groups)
     if seen < LEAST_POINTS:
@@ -45,12 +49,8 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
             got=str(seen),
             action="Turn head or tracker, clear the line of sight, then repeat the step.",
         )
-    told = f"{seen} spheres seen, {checked.implanted} implanted"
-    subject = "the head is clamped, and the clamp locked to the table"
-    context.confirm(Topic.HEAD_CLAMPED, subject, f"the patient lies {lies}; {told}")
-    return Outcome(
-        ClampedHead(patient_position=lies, spheres=seen, implanted=checked.implanted), summary=told
-    )
+    clamped = ClampedHead(patient_position=lies, spheres=seen, implanted=checked.implanted)
+    return Outcome(clamped, summary=f"{seen} spheres seen, {checked.implanted} implanted")
 
 
 STEP = StepSpec(

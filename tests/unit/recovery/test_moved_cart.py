@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -23,7 +24,7 @@ from procedures.engine.left_run import read_left_run
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepKey, StepSpec
-from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
 from procedures.recovery.moved_cart import MOST_MOVES, MovedCart
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
@@ -129,6 +130,10 @@ def test_nothing_else_is_gone_on_from(tmp_path: Path) -> None:
     assert moves_asked(cell) == 0
 
 
+class Plan(StepResult, kind="plan"):
+    """What everything depends on."""
+
+
 class Place(StepResult, kind="place"):
     """What depends on where the cart stands."""
 
@@ -155,7 +160,13 @@ def read_and_leave(result: StepResult, *reads: type[StepResult]) -> StepSpec[Ste
 
 def half_done(cell: ClinicalCell, last: str) -> Engine:
     """The work at the first target is done, and then the cart moves."""
-    steps = (read_and_leave(Place()), read_and_leave(Target(), Place), read_and_leave(Out(), Target))
+    plan = replace(read_and_leave(Plan()), phase=Phase.PREOPERATIVE, scope=Scope.CASE)
+    steps = (
+        plan,
+        read_and_leave(Place(), Plan),
+        read_and_leave(Target(), Place),
+        read_and_leave(Out(), Target),
+    )
     engine = cell.begin(*steps)
     engine.run_to(engine.order.find(last))
     engine.void(StepKey("place"), BaseShifted("the cart has moved"))
@@ -167,7 +178,7 @@ def test_what_was_done_at_a_finished_target_stands_and_is_not_done_again(tmp_pat
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, last)
     stands = [str(key) for key in engine.order.sequence if engine.case.stands(key)]
-    assert stands == [f"target:{FIRST}", f"out:{FIRST}"][: 1 + last.startswith("out")]
+    assert stands == ["plan", f"target:{FIRST}", f"out:{FIRST}"][: 2 + last.startswith("out")]
     engine.run_to()
     assert [name for _, name in cell.entries("result")][-3:] == ["place", f"target:{LAST}", f"out:{LAST}"]
 
@@ -176,7 +187,7 @@ def test_nothing_is_done_with_what_was_made_before_the_move(tmp_path: Path) -> N
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"target:{FIRST}")
     engine.run_step(engine.order.find("place"))
-    with pytest.raises(StepRefused, match="made before something moved: 02-target"):
+    with pytest.raises(StepRefused, match="made before something moved: 03-target"):
         engine.run_step(engine.order.find(f"out:{FIRST}"))
     assert engine.context(engine.order.find("place")).standing(Target) == ()
 
@@ -186,4 +197,29 @@ def test_a_run_that_is_taken_up_again_knows_what_was_finished(tmp_path: Path) ->
     engine = half_done(cell, f"out:{FIRST}")
     engine.close("left")
     case = read_left_run(tmp_path).restored(engine.order)
-    assert [stored.record.identifier for stored in case.standing] == [f"02-target-{FIRST}", f"03-out-{FIRST}"]
+    assert [stored.record.identifier for stored in case.standing] == [
+        "01-plan",
+        f"03-target-{FIRST}",
+        f"04-out-{FIRST}",
+    ]
+
+
+def test_another_plan_undoes_what_was_finished_as_well(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = half_done(cell, f"out:{FIRST}")
+    engine.void(StepKey("plan"), InputChanged("the plan was changed"))
+    assert not any(engine.case.stands(key) for key in engine.order.sequence)
+    assert engine.case.past_trajectories == frozenset()
+
+
+def test_when_all_is_finished_nothing_is_left_to_lead_there_again(tmp_path: Path) -> None:
+    assert half_done(ClinicalCell(tmp_path), f"out:{LAST}").upcoming is None
+
+
+def test_an_order_ends_with_the_move_and_what_comes_then_is_ordered_anew(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = localizing(cell)
+    move_at(cell, f"relocalization:{FIRST}")
+    engine.run_to(engine.order.find(f"relocalization:{FIRST}"))
+    assert moves_asked(cell) == 1
+    assert str(engine.upcoming) == "cart_lock"

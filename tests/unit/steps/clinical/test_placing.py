@@ -33,6 +33,7 @@ from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.workcell import MountedTool
 from procedures.workcell.insertion import Insertion
 from ronna_hw.arm.pose import Pose
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH, HEAD_CLAMP
 
 
@@ -75,7 +76,7 @@ def test_a_head_is_clamped_by_hand_seen_and_confirmed_as_the_plan_has_it_lying(c
     assert tasks(cell) == [HEAD_CLAMP]
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.HEAD_CLAMPED]
     assert "HFS" in question.value
-    assert "4 spheres seen, 4 implanted" in question.value
+    assert "4 spheres" in question.value
 
 
 def test_a_head_that_nobody_confirms_or_nothing_sees_is_not_clamped(tmp_path: Path) -> None:
@@ -87,6 +88,25 @@ def test_a_head_that_nobody_confirms_or_nothing_sees_is_not_clamped(tmp_path: Pa
     cell.tracker.spheres_mm = SPHERES_MM[:2]
     with pytest.raises(GateFailed, match="too few spheres"):
         clamp(cell)
+
+
+@pytest.mark.hazard(49)
+@pytest.mark.parametrize(("step", "confirmed"), [("head_clamp", 1), ("cart_lock", 2)])
+def test_the_arm_rests_while_hands_work_and_each_look_waits_until_they_say_that_they_are_done(
+    cell: ClinicalCell, step: str, confirmed: int
+) -> None:
+    asked_by_then: list[int] = []
+    read = cell.tracker.read_frame
+
+    def reading(*arguments, **options):  # type: ignore[no-untyped-def]
+        asked_by_then.append(len(cell.operator.asked))
+        assert cell.arm.state is not Lifecycle.ACTIVE
+        return read(*arguments, **options)
+
+    cell.workcell.start()
+    cell.tracker.read_frame = reading  # type: ignore[method-assign]
+    {"head_clamp": clamp, "cart_lock": lock}[step](cell)
+    assert sorted(set(asked_by_then)) == list(range(1, confirmed + 1))
 
 
 def test_a_cart_is_placed_locked_confirmed_and_leaned_on(cell: ClinicalCell) -> None:
@@ -126,6 +146,7 @@ def test_a_head_that_gives_way_meanwhile_is_told_from_the_cart(cell: ClinicalCel
     when_done(cell, CART_PUSH, slip)
     with pytest.raises(PatientMoved, match="not clamped"):
         lock(cell)
+    assert cell.entries("voided") == [("voided", "head_clamp")]
 
 
 def test_a_tracker_that_is_pushed_meanwhile_is_no_cart_that_rolls(cell: ClinicalCell) -> None:
