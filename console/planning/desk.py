@@ -138,6 +138,18 @@ class PlanDesk(Bell):
         self.history.change(draft, goes_on=goes_on)
         self.altered()
 
+    def undo(self) -> None:
+        """Take the last change back. Refused while the draft can only be looked at."""
+        if self.read_only is None:
+            self.history.undo()
+            self.altered()
+
+    def redo(self) -> None:
+        """Make it again; as `undo`."""
+        if self.read_only is None:
+            self.history.redo()
+            self.altered()
+
     def altered(self) -> None:
         """Have the draft judged, and pages told."""
         self._changed.set()

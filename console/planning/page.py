@@ -173,12 +173,10 @@ class PlannerPage:
             self._say(None)
 
     def _step_back(self) -> None:
-        self._desk.history.undo()
-        self._desk.altered()
+        self._desk.undo()
 
     def _step_forth(self) -> None:
-        self._desk.history.redo()
-        self._desk.altered()
+        self._desk.redo()
 
     def _go(self, place_mm: Point) -> None:
         self._look.go_to(place_mm)

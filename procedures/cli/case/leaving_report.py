@@ -83,7 +83,7 @@ def _keep_raw_if_wanted(folder: Path) -> None:
         _, whole = write_raw(folder, folder / RAW_FOLDER)
         if not whole:
             tell(f"{folder / RAW_FOLDER} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
-    except (RonnaError, OSError) as problem:
+    except Exception as problem:  # a damaged tape must not hide how the run has ended
         tell(f"raw readings could not be written: {problem}")
 
 

@@ -40,7 +40,7 @@ class OwnLocalizer:
             return np.empty((0, 3))
         try:
             centres_mm = np.asarray(answer, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self._wrong(type(answer).__name__) from None
         if answer is not None and centres_mm.size == 0:
             return np.empty((0, 3))

@@ -38,7 +38,7 @@ class OwnRegistration:
             answer = answer.as_matrix()
         try:
             matrix = np.asarray(answer, dtype=float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise self._wrong(type(answer).__name__) from None
         if matrix.shape != (4, 4):
             raise self._wrong(f"shape {matrix.shape}")

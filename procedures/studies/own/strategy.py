@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -21,6 +21,7 @@ from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
+LARGEST_TURN_RAD = 4.0 * math.pi  # two whole turns: whoever means more means degrees
 AT_SPHERE_MM = 1e-3  # between a sphere and the tool's origin: rounding, far below any error of the study
 OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may say of a turn: the next is tried
 FLAGS = ("localizes_per_trajectory", "controls_approach")
@@ -96,16 +97,17 @@ class OwnStrategy:
     ) -> Sequence[float]:
         """Turns about the axis, the best first."""
         turns = self._asked("turns_rad", along, fiducials_mm, robot_from_ct, arm)
-        if not turns or not all(isinstance(one, int | float) and math.isfinite(one) for one in turns):
+        if not turns or not all(
+            isinstance(one, int | float) and abs(one) <= LARGEST_TURN_RAD for one in turns
+        ):
             raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
         return turns
 
     def _asked(self, call: str, *arguments: object) -> tuple[Any, ...]:
         answer = called(f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH)
-        try:
-            return tuple(answer)
-        except TypeError:
-            raise self._wrong(call, "a sequence", type(answer).__name__) from None
+        if not isinstance(answer, Iterable):
+            raise self._wrong(call, "a sequence", type(answer).__name__)
+        return tuple(called(f"{self.name}.{call}", list, answer))  # a generator runs only now
 
     def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name}.{call} answers wrongly", expected=expected, got=got)

@@ -138,6 +138,7 @@ def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: 
     before, draft = file.read_bytes(), desk.draft
     with held_plan(file):
         draw(desk, standoff_mm=31.0)
+        desk.undo()
         assert desk.draft is draft
         with pytest.raises(PlanInUse, match="PLAN-026"):
             save(desk)

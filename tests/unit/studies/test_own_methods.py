@@ -94,6 +94,14 @@ class Still(OrientationCorrection):
     def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
         return []
 
+class Endless(OrientationCorrection):
+    def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
+        return [10**400]
+
+class Later(OrientationCorrection):
+    def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
+        return (1 / turn for turn in range(3))
+
 class Undecided:
     localizes_per_trajectory = "always"
 
@@ -188,6 +196,7 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
             "mine:Still",
             "turns_rad answers wrongly; expected at least one finite angle",
         ),
+        (STRATEGY, "mine:Endless", "turns_rad answers wrongly; expected at least one finite angle"),
     ],
 )
 def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
@@ -206,6 +215,11 @@ def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: s
 def test_what_a_method_raises_is_told_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MethodFailed, match=f"STU-013: .*{said}"):
         tried(PAIRING, text)
+
+
+def test_what_a_generator_raises_only_while_it_is_read_is_told_as_well() -> None:
+    with pytest.raises(MethodFailed, match=r"STU-013: .*Later.turns_rad raised ZeroDivisionError"):
+        tried(STRATEGY, "mine:Later")
 
 
 def study_of(method: OwnMethod) -> CorrespondenceStudy:
