@@ -10,11 +10,15 @@ import pytest
 from modest_chromium import MISSING, modest_chromium, opened_context
 from operated_case import OperatedCases, operated_cases
 
+HANG_S = 600.0  # only ends what hangs: nine pages drawn by the processor take 90 s on two cores
+
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if "browser" in item.path.parts:
             item.add_marker(pytest.mark.browser)
+            if item.get_closest_marker("timeout") is None:
+                item.add_marker(pytest.mark.timeout(HANG_S))
             if MISSING:
                 item.add_marker(pytest.mark.skip(reason=MISSING))
 
