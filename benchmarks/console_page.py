@@ -29,7 +29,7 @@ if str(ROOT / "tests" / "support") not in sys.path:
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from scripted_engine import served_console  # noqa: E402
 
-from benchmarks import console_case  # noqa: E402
+from benchmarks import console_case  # noqa: E402  # it needs what stands beside the tests as well
 
 MEASURED_S = 8.0  # over which the processor's time is counted
 SETTLED_FACTS = 8  # that a page has shown before it counts

@@ -41,8 +41,8 @@ def close_run(
 
 
 def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
-    """Hashes of the run's files, and of CT and plan where they are not in its folder."""
-    inputs = () if clinical is None else (clinical.series, clinical.plan)
+    """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
+    inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
         found: dict[str, JournalValue] = {"files": hashes_at_closing(folder)}
         if outside := hashes_outside(folder, inputs):

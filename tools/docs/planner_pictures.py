@@ -12,6 +12,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
 
+# These stand beside the tests, whose folder is on the path only now.
 from modest_chromium import MISSING, modest_chromium  # noqa: E402
 from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
 

@@ -46,7 +46,7 @@ class OwnStrategy:
             given = getattr(made, call, None)
             wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
-                inspect.signature(given).bind(*wanted)  # type: ignore[arg-type]
+                inspect.signature(given).bind(*wanted)  # type: ignore[arg-type]  # None is refused as well
             except (TypeError, ValueError) as error:
                 raise _lacks(method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}") from error
         return cls(method.name, made)

@@ -1,0 +1,24 @@
+"""The last line of a run names the inputs that decided and lie outside its folder."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from procedures.engine.closing import close_run
+from procedures.engine.context import ClinicalInput
+from procedures.engine.journal import JOURNAL_FILE, Journal
+from procedures.strategies.catalogue import strategy_named
+
+
+def test_ct_plan_and_proposed_place_of_a_case_elsewhere_are_held_by_their_hashes(tmp_path: Path) -> None:
+    case, run = tmp_path / "case", tmp_path / "run"
+    (case / "ct").mkdir(parents=True)
+    run.mkdir()
+    files = [case / "ct" / "1.dcm", case / "plan.toml", case / "place.json"]
+    for one in files:
+        one.write_text(one.name)
+    clinical = ClinicalInput(case / "ct", case / "plan.toml", strategy_named("ocs"))
+    close_run(run, Journal(run), 0.0, "done", clinical)
+    last = json.loads((run / JOURNAL_FILE).read_text().splitlines()[-1])
+    assert set(last["inputs"]) == {str(one) for one in files}
