@@ -23,7 +23,7 @@ from ronna_hw.host.control_port import ControlAddress, ask_control_port
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.gige_vision import GVCP_PORT
 
-SERVED_IN_S = 15.0  # two that take no answers are given 5 s each, and these machines stall
+SERVED_IN_S = 15.0  # those before have SILENCE_S each; TCP repeats a refused SYN late
 SILENCE_S = 0.5  # after which silent ones give way
 WARM_SHARE = 0.3  # of the time; then what is kept is full
 GROWTH_LIMIT_BYTES = 24 << 20

@@ -11,7 +11,7 @@ from sim.polaris.line.line_settings import LineSettings
 
 RECEIVE_BYTES = 4096
 Ready = Sequence[tuple[int, int]]  # (file descriptor, events) as `poll` returns them
-SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone
+SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, whatever its unit allows
 
 
 class Channel(Protocol):
@@ -35,13 +35,13 @@ class Channel(Protocol):
 
 
 class Connection:
-    """One TCP connection. It has no line settings."""
+    """One TCP connection. It has no line settings; a host that takes no reply for `patience_s` is gone."""
 
-    def __init__(self, peer: socket.socket) -> None:
+    def __init__(self, peer: socket.socket, patience_s: float) -> None:
         self._peer = peer
         self._gone = False
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        peer.settimeout(SEND_PATIENCE_S)
+        peer.settimeout(min(patience_s, SEND_PATIENCE_S))
 
     def files(self) -> tuple[int, ...]:
         return (self._peer.fileno(),)

@@ -43,6 +43,7 @@ class Server:
         self._interpreter = interpreter
         self._end = end
         self._listener: socket.socket | None = None
+        self._silent_host_s = interpreter.unit.behaviour.silent_host_s
         self._silent_until_s = inf  # host time from which the present host gives way to one that waits
 
     def serve_line(self, line: PseudoTerminal) -> None:
@@ -57,7 +58,7 @@ class Server:
             if not ready:
                 self._interpreter.unasked()  # no host is connected
                 continue
-            connection = Connection(listener.accept()[0])
+            connection = Connection(listener.accept()[0], self._silent_host_s)
             try:
                 self._converse(connection)
             finally:
@@ -91,7 +92,7 @@ class Server:
     def _hears(self) -> None:
         """The host has given a command, or has just come."""
         if self._listener is not None:
-            self._silent_until_s = time.monotonic() + self._interpreter.unit.behaviour.silent_host_s
+            self._silent_until_s = time.monotonic() + self._silent_host_s
 
     def _gives_way(self) -> bool:
         now_s = time.monotonic()

@@ -6,7 +6,6 @@ import socket
 
 import pytest
 
-from sim.polaris.line import channel
 from sim.polaris.line.channel import Connection
 from sim.polaris.line.line_settings import DEFAULT_LINE
 
@@ -15,13 +14,12 @@ MUCH = bytes(1 << 24)  # more than both sides keep for each other
 
 
 @pytest.mark.hazard(34)
-def test_what_a_host_had_sent_that_reads_nothing_is_not_carried_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(channel, "SEND_PATIENCE_S", 0.05)
+def test_what_a_host_had_sent_that_reads_nothing_is_not_carried_out() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as listener,
         socket.create_connection(listener.getsockname()) as host,
     ):
-        unit = Connection(listener.accept()[0])
+        unit = Connection(listener.accept()[0], patience_s=0.05)
         host.sendall(b"INIT \r" * 1000)
         assert unit.receive(READY)
         unit.send(MUCH, DEFAULT_LINE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from ronna_hw.wire.polaris import crc16
+from sim.polaris.line import channel
 from sim.polaris.line.line_faults import LineFaults
 from sim.polaris.line.server import EndSignal, Server
 
@@ -145,6 +147,24 @@ def test_a_host_that_gives_no_command_gives_way_to_one_that_waits(
         waiting.sendall(b"INIT \r")
         assert read_until(waiting, b"\r") == OKAY
         assert silent.recv(1) == b""
+
+
+@pytest.fixture
+def no_other_patience(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(channel, "SEND_PATIENCE_S", 10 * HANG_GUARD_S)
+
+
+@pytest.mark.hazard(34)
+def test_a_host_that_takes_no_reply_gives_way_as_one_that_says_nothing(
+    no_other_patience: None, host: tuple[Bench, socket.socket]
+) -> None:
+    _, deaf = host
+    deaf.settimeout(SILENT_HOST_S)
+    with contextlib.suppress(TimeoutError):
+        deaf.sendall(b"GET *\r" * 3000)  # more is answered than both sides keep
+    with socket.create_connection(deaf.getpeername(), timeout=HANG_GUARD_S) as waiting:
+        waiting.sendall(b"INIT \r")
+        assert read_until(waiting, b"\r") == OKAY
 
 
 def test_a_silent_host_stays_while_nobody_waits(host: tuple[Bench, socket.socket]) -> None:
