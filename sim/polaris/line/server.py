@@ -9,6 +9,7 @@ import time
 from math import inf
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.wire.polaris import REPLY_ERROR
 from sim.errors import EndpointTaken
 from sim.polaris.line.channel import Channel, Connection, Ready
 from sim.polaris.line.framing import LineBuffer
@@ -16,6 +17,7 @@ from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.line_faults import LineFaults
 from sim.polaris.line.pseudo_terminal import PseudoTerminal
 
+REFUSED = REPLY_ERROR.encode("ascii")
 WAITING_HOSTS = 4  # hosts that may queue for the connection
 WAITING_LOOK_S = 0.2  # a silent host has given way so long after the next one came
 
@@ -82,15 +84,17 @@ class Server:
             if not received:
                 continue
             for line in lines.feed(received, time.monotonic()):
-                self._hears()
                 channel.let_arrive(len(line) + 1, interpreter.line)
                 line = faults.to_unit(line)
-                reply = faults.to_host(line, interpreter.reply(line))
+                reply = interpreter.reply(line)
+                if not reply.startswith(REFUSED):
+                    self._hears()
+                reply = faults.to_host(line, reply)
                 if reply:
                     channel.send(reply, interpreter.reply_line)
 
     def _hears(self) -> None:
-        """The host has given a command, or has just come."""
+        """The host has given a command that was not refused, or has just come."""
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 

@@ -39,9 +39,9 @@ class UnitBehaviour:
     break_deaf_s: Annotated[float, "Time after an open during which such a flush is not a break."] = 0.05
     silent_host_s: Annotated[
         float,
-        "A network host that has given no command for so long gives way to one that waits; one that takes no "
-        "reply for so long, or for 5 s, is hung up on. How many a unit serves at a time, and for how long, "
-        "is not public.",
+        "A network host that has given no command for so long that was not refused gives way to one that "
+        "waits; one that takes no reply for so long, or for 5 s, is hung up on. How many a unit serves at a "
+        "time, and for how long, is not public.",
     ] = 10.0
     reset_s: Annotated[
         float,

@@ -167,6 +167,29 @@ def test_a_host_that_takes_no_reply_gives_way_as_one_that_says_nothing(
         assert read_until(waiting, b"\r") == OKAY
 
 
+@pytest.mark.hazard(34)
+def test_a_host_that_only_sends_what_is_refused_gives_way_too(host: tuple[Bench, socket.socket]) -> None:
+    _, babbling = host
+
+    def babble() -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                babbling.sendall(b"no command\r" * 10)
+                if not babbling.recv(4096):
+                    return
+
+    with socket.create_connection(babbling.getpeername(), timeout=HANG_GUARD_S) as waiting:
+        thread = threading.Thread(target=babble)
+        thread.start()
+        try:
+            waiting.sendall(b"INIT \r")
+            assert read_until(waiting, b"\r") == OKAY
+        finally:
+            with contextlib.suppress(OSError):  # it was hung up on
+                babbling.shutdown(socket.SHUT_RDWR)
+            thread.join(HANG_GUARD_S)
+
+
 def test_a_silent_host_stays_while_nobody_waits(host: tuple[Bench, socket.socket]) -> None:
     _, silent = host
     silent.settimeout(2 * SILENT_HOST_S)
