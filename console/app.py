@@ -12,7 +12,7 @@ from typing import Any
 from fastapi import FastAPI
 
 from console.feed.engine_socket import follow_engine
-from console.guard import Guard
+from console.guard import LARGEST_BODY_BYTES, Guard
 from console.hub import Hub
 from console.listening import HOST, listen, server_of
 from console.orders_route import add_order_routes
@@ -61,12 +61,13 @@ def serve_pages(
     work: Work | None,
     ready: Callable[[dict[str, str]], None],
     viewers: ViewersAddress | None = None,
+    largest_body_bytes: int = LARGEST_BODY_BYTES,
 ) -> None:
     """Serve what `add` adds to an application, behind the guard, as `serve_hub`. Raises CON-001."""
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()
-    guard = _guarded(add, sessions, port)
+    guard = _guarded(add, sessions, port, largest_body_bytes)
     served = [(server_of(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
     addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
@@ -90,10 +91,10 @@ def serve_pages(
     asyncio.run(run())
 
 
-def _guarded(add: Callable[[FastAPI], None], sessions: Sessions, port: int) -> Guard:
+def _guarded(add: Callable[[FastAPI], None], sessions: Sessions, port: int, largest_body_bytes: int) -> Guard:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     add(app)
-    return Guard(app, sessions, port)
+    return Guard(app, sessions, port, largest_body_bytes)
 
 
 def _add_case(app: FastAPI, hub: Hub) -> None:

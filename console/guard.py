@@ -45,9 +45,12 @@ HEADERS = {
 class Guard:
     """An ASGI application around another one."""
 
-    def __init__(self, app: App, sessions: Sessions, port: int) -> None:
+    def __init__(
+        self, app: App, sessions: Sessions, port: int, largest_body_bytes: int = LARGEST_BODY_BYTES
+    ) -> None:
         self._app = app
         self._sessions = sessions
+        self._largest_body_bytes = largest_body_bytes
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
         self._cookie = f"ronna_console_{port}"  # browsers do not keep ports apart
         self._scheme = "http"
@@ -91,12 +94,12 @@ class Guard:
             await _refuse(send, 400, "Only by WebSocket.")
             return
         if not headers.get("content-length", "0").isdigit() or (
-            int(headers.get("content-length", "0")) > LARGEST_BODY_BYTES
+            int(headers.get("content-length", "0")) > self._largest_body_bytes
         ):
             await _refuse(send, 413, "Too much.")
             return
         scope[SESSION] = session
-        await self._app(scope, _bounded(receive), _with_headers(send))
+        await self._app(scope, _bounded(receive, self._largest_body_bytes), _with_headers(send))
 
     async def _enter(self, token: str, send: Send) -> None:
         cookie = self._sessions.open(token, self._roles)
@@ -154,9 +157,8 @@ def _token(scope: Scope) -> str | None:
     return given[0] if given else None
 
 
-def _bounded(receive: Receive) -> Receive:
+def _bounded(receive: Receive, left: int) -> Receive:
     """A body that goes beyond its bound ends as if its sender had gone."""
-    left = LARGEST_BODY_BYTES
 
     async def bounded() -> Message:
         nonlocal left

@@ -104,7 +104,7 @@ class QuestionPanel:
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
         digest = shown_digest(question)
         ui.html(
-            tag("h2", text(question.subject))
+            tag("h2", text(question.subject), data_question=str(question.question))
             + tag("p", text(question.value), class_="value")
             + "".join(map(evidence_table, question.evidence)),
             sanitize=False,

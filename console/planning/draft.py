@@ -10,6 +10,7 @@ from typing import Any
 
 from procedures.imaging.markers import Marker
 from procedures.planning.plan import SCHEMA_VERSION, FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.structures import Structure
 from procedures.strategies.trajectory import Point
 
 USUAL_MARGIN_MM = 2.0
@@ -52,6 +53,7 @@ class Draft:
     standoff_mm: float = USUAL_STANDOFF_MM
     instrument_length_mm: float | None = None  # nobody but its packing says it
     ways: tuple[Way, ...] = (Way("T1"),)
+    structures: tuple[Structure, ...] = ()
     markers: tuple[Marker, ...] = ()
 
     @classmethod
@@ -66,6 +68,7 @@ class Draft:
             standoff_mm=plan.standoff_mm,
             instrument_length_mm=plan.instrument_length_mm,
             ways=tuple(_way(one) for one in plan.trajectories),
+            structures=plan.structures or (),
         )
 
     def way(self, identifier: str) -> Way:
@@ -89,6 +92,23 @@ class Draft:
         """Without a trajectory; the last one is emptied instead."""
         left = tuple(one for one in self.ways if one.identifier != identifier)
         return replace(self, ways=left or (Way("T1"),))
+
+    def structure(self, name: str) -> Structure | None:
+        """The structure of that name, if there is one."""
+        return next((one for one in self.structures if one.name == name), None)
+
+    def with_structure(self, structure: Structure) -> Draft:
+        """With a structure, in the place of the one of its name."""
+        if self.structure(structure.name) is None:
+            return replace(self, structures=(*self.structures, structure))
+        return replace(
+            self,
+            structures=tuple(structure if one.name == structure.name else one for one in self.structures),
+        )
+
+    def without_structure(self, name: str) -> Draft:
+        """Without the structure of that name."""
+        return replace(self, structures=tuple(one for one in self.structures if one.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
         """As a plan file has it, with the trajectories whose ends are both chosen."""
@@ -116,6 +136,8 @@ class Draft:
             content["instrument_length_mm"] = self.instrument_length_mm
         if self.template_mm is not None:
             content["template_mm"] = [list(one) for one in self.template_mm]
+        if self.structures:
+            content["structures"] = [one.model_dump(mode="json") for one in self.structures]
         return content
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from nicegui import ui
 
 from console.planning.desk import PlanDesk
 from console.planning.look import Look
-from console.planning.overlay import CHOSEN, CROSS, OTHER, SPHERE, SPHERE_RADIUS_MM
+from console.planning.overlay import AVOIDED, CHOSEN, CROSS, OTHER, SPHERE, SPHERE_RADIUS_MM
 from console.scene.actors import Call, Rod
 from console.scene.bodies import METRES
 from console.scene.stage import BACKGROUND, FRAMES_PER_S, HEAD_OPACITY, LOW_FRAMES_PER_S, LOW_OPACITY, SKIN
@@ -16,6 +17,7 @@ from procedures.strategies.trajectory import Point
 
 OUTSIDE_MM = 40.0  # how far a trajectory is drawn outside the entry
 ARM_OF_CROSS_MM = 130.0
+POINT_MM = 2.0  # of a structure
 VIEWS: dict[str, Point] = {"front": (0.0, -1.0, 0.25), "left": (1.0, -0.1, 0.25), "above": (0.0, -0.05, 1.0)}
 AWAY_MM = 480.0
 
@@ -28,6 +30,8 @@ class HeadStage:
         self._head: Any = None
         self._marks: list[Any] = []
         self._key: object = None
+        self._avoided: list[Any] = []
+        self._avoided_key: object = None
         self._placed: object = None
         with ui.element("section").classes("card scenebox").props('aria-label="The head"'):
             self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
@@ -60,6 +64,9 @@ class HeadStage:
             if key != self._key:
                 self._key = key
                 self._build_marks()
+            if draft.structures != self._avoided_key:
+                self._avoided_key = draft.structures
+                self._build_avoided()
             if self._look.place_mm != self._placed:
                 self._placed = self._look.place_mm
                 self._place_cross(self._look.place_mm)
@@ -81,6 +88,15 @@ class HeadStage:
                 rod = Rod(self._scene, 0.9, colour)
                 self._scene.run_method("run_methods", rod.place((out[0], out[1], out[2]), way.ends[1]))
                 self._marks.append(rod.group)
+
+    def _build_avoided(self) -> None:
+        for one in self._avoided:
+            one.delete()
+        self._avoided = []
+        for structure in self._desk.draft.structures:
+            points = (np.array(structure.points_mm) * METRES).tolist()
+            cloud = self._scene.point_cloud(points, point_size=POINT_MM * METRES)
+            self._avoided.append(cloud.material(AVOIDED))
 
     def _ball(self, place_mm: Any, radius_mm: float, colour: str) -> None:
         ball = self._scene.sphere(radius_mm * METRES, 20, 14).material(colour)

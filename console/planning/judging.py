@@ -20,6 +20,7 @@ from procedures.planning.plan_file import parse_plan
 from procedures.planning.predicted_error import predicted_by_markers, predicted_with_arm
 from procedures.planning.reach import check_paths
 from procedures.planning.skull_angle import skull_angle_rad
+from procedures.planning.structures import StructureDistance, structure_distances
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck
 from procedures.registration.points import FEWEST_PAIRS
@@ -48,6 +49,7 @@ class Judged:
     expected: dict[str, Expected] = field(default_factory=dict)
     reached: tuple[str, ...] = ()  # in words, by the arm
     angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is straight
+    distances: tuple[StructureDistance, ...] = ()
     arm_known: bool = False
     complete: bool = False  # there is a trajectory with both ends, so that there is something to judge
 
@@ -68,7 +70,11 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         plan = parse_plan(draft.content(volume.series_instance_uid))
     except RonnaError as mistake:
         return replace(judged, findings=(*missing, mistake))
-    judged = replace(judged, angles_deg={one.id: _angle_deg(volume, one) for one in plan.trajectories})
+    judged = replace(
+        judged,
+        angles_deg={one.id: _angle_deg(volume, one) for one in plan.trajectories},
+        distances=structure_distances(plan),
+    )
     markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
     covariances_mm2 = np.array([one.covariance_mm2 for one in draft.markers]).reshape(-1, 3, 3)
     check, paths = _checked(plan, volume, markers_mm, theatre, thorough)

@@ -14,6 +14,8 @@ from console.planning.draft import Draft, Way
 from procedures.strategies.trajectory import Point
 
 CROSS, SPHERE, CHOSEN, OTHER = "#35c8ff", "#ffa64d", "#ff5fa2", "#d8a6ff"
+AVOIDED = "#ff4d4d"
+POINT_WITHIN_MM = 1.5  # of the picture: points of a structure that are drawn in it
 NEAR_MM = 3.0  # of the picture: an end that lies nearer is drawn full, one farther off faint
 SPHERE_RADIUS_MM = 5.75
 GAP_PX = 9.0  # the crosshair leaves free what it points at
@@ -26,6 +28,7 @@ LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
     """SVG in the picture's pixels."""
     parts = [*_sides(cut), *_cross(cut, place_mm)]
+    parts += [_avoided(cut, np.array(one.points_mm)) for one in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):
         parts += _sphere(cut, marker.centre_mm, f"{number}")
     for way in draft.ways:
@@ -63,6 +66,15 @@ def _sphere(cut: Cut, centre_mm: NDArray[np.float64], name: str) -> Iterable[str
     radius = sqrt(SPHERE_RADIUS_MM**2 - off_mm**2) / cut.step_mm
     yield _circle(x, y, radius, SPHERE, 1.6)
     yield _words(x + radius + 3, y + 4, name, SPHERE)
+
+
+def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
+    """The points near the picture, in one path: a thousand elements would not be scrolled."""
+    away = points_mm - cut.middle_mm
+    near = away[np.abs(away @ cut.normal) < POINT_WITHIN_MM]
+    places = SIZE_PX / 2.0 + np.stack([near @ cut.right, near @ cut.down], axis=1) / cut.step_mm
+    dots = "".join(f"M{x:.1f} {y:.1f}h0" for x, y in places)
+    return tag("path", "", d=dots, fill="none", stroke=AVOIDED, stroke_width="4", stroke_linecap="round")
 
 
 def _way(cut: Cut, way: Way, colour: str) -> Iterable[str]:

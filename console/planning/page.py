@@ -18,7 +18,8 @@ from console.planning.look import Look
 from console.planning.marker_panel import MarkerPanel
 from console.planning.proposal_panel import ProposalPanel
 from console.planning.routes import add_pictures
-from console.planning.slice_panel import SlicePanel
+from console.planning.slice_panel import STROKE, SlicePanel
+from console.planning.structure_panel import StructurePanel
 from console.planning.verdict import expected, verdict
 from console.planning.way_panel import WayPanel
 from console.sessions import Role, Session
@@ -32,8 +33,14 @@ from ronna_hw.errors import RonnaError
 TITLE = "RONNA planner"  # of every patient alike
 BEAT_S = 0.4  # host time between two updates when nothing happens
 RECONNECT_S = 30.0  # a page that a busy computer holds up keeps where it looks
-LOOK, ENTRY, TARGET, SPHERE = "look", "entry", "target", "sphere"
-DOES = {LOOK: "look there", ENTRY: "set the entry", TARGET: "set the target", SPHERE: "pick a sphere"}
+LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
+DOES = {
+    LOOK: "look there",
+    ENTRY: "set the entry",
+    TARGET: "set the target",
+    SPHERE: "pick a sphere",
+    DRAW: "draw a structure",
+}
 
 
 def add_planner(app: FastAPI, desk: PlanDesk) -> None:
@@ -82,6 +89,7 @@ class PlannerPage:
                             look,
                             act=self._clicked,
                             drag=self._dragged,
+                            draws=lambda: self._mode.value == DRAW,
                             key=self._keyed,
                             looked=self._looked,
                         )
@@ -94,6 +102,7 @@ class PlannerPage:
             with ui.element("div").classes("right"):
                 self._stage = HeadStage(desk, look, low=self._low)
                 self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
+                self._structures = StructurePanel(desk, look, self._go, self._say, may_edit=self._may_edit)
                 ProposalPanel(desk, self._go)
         client = ui.context.client
         changed = desk.subscribe()
@@ -149,7 +158,10 @@ class PlannerPage:
         self._looked()
 
     def _dragged(self, end: str, place_mm: Point, begins: bool) -> None:
-        self._ways.place(end, place_mm, goes_on=not begins)
+        if end == STROKE:
+            self._structures.draw(place_mm, goes_on=not begins)
+        else:
+            self._ways.place(end, place_mm, goes_on=not begins)
         self._looked()
 
     def _keyed(self, key: str) -> None:
@@ -225,6 +237,7 @@ class PlannerPage:
         self._save.set_enabled(desk.read_only is None)
         self._looked()
         self._markers.show()
+        self._structures.show(desk.judged.distances)
         self._verdict.set_content(verdict(desk.judged, desk.draft))
         self._expected.set_content(expected(desk.judged, desk.draft))
         self._beat += 1

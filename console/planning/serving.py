@@ -9,6 +9,8 @@ import typer
 
 from ronna_hw.command_line import console
 
+FORM_BYTES = 10_000  # around a file that is imported
+
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
@@ -25,6 +27,7 @@ def open_planner(
     from console.planning.page import add_planner
     from console.planning.request import PlannerRequest
     from procedures.imaging import read_series
+    from procedures.imaging.pick_files import LARGEST_FILE_BYTES
     from procedures.planning.theatre_arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 
@@ -41,6 +44,7 @@ def open_planner(
         asked.port,
         desk.work,
         lambda ready: console.tell(f"CONSOLE {json.dumps(ready)}"),
+        largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
     )
 
 

@@ -34,6 +34,7 @@ HOW = "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and 
 
 Place = Callable[[Point], Awaitable[None]]
 Drag = Callable[[str, Point, bool], None]
+STROKE = "stroke"  # what is dragged while a structure is drawn
 
 
 class SlicePanel:
@@ -46,11 +47,12 @@ class SlicePanel:
         *,
         act: Place,
         drag: Drag,
+        draws: Callable[[], bool],
         key: Callable[[str], None],
         looked: Callable[[], None],
     ) -> None:
         self._plane, self._look = plane, look
-        self._act, self._drag, self._key, self._looked = act, drag, key, looked
+        self._act, self._drag, self._draws, self._key, self._looked = act, drag, draws, key, looked
         self._cut: Cut | None = None
         self._draft: Draft | None = None
         self._dragged = ""
@@ -126,7 +128,11 @@ class SlicePanel:
         if cut is None or draft is None:
             return
         kind, x, y = args.get("mouse_event_type"), float(args["image_x"]), float(args["image_y"])
-        if kind == "mousedown" and args.get("button") == 0:
+        if kind == "mousedown" and args.get("button") == 0 and self._draws():
+            self._dragged = STROKE
+            self._drag(STROKE, cut.to_patient_mm(x, y), True)
+            self._begun = True
+        elif kind == "mousedown" and args.get("button") == 0:
             way = next((one for one in draft.ways if one.identifier == self._look.way), None)
             self._dragged = grasped(cut, way, x, y) if way is not None else ""
             self._begun = False
@@ -140,6 +146,8 @@ class SlicePanel:
 
     def _in_depth(self, cut: Cut, x: float, y: float) -> Point:
         """Where the end comes to lie: dragged in the picture, as deep behind it as it was."""
+        if self._dragged == STROKE:
+            return cut.to_patient_mm(x, y)
         assert self._draft is not None
         way = self._draft.way(self._look.way)
         place = way.entry_mm if self._dragged == "entry" else way.target_mm

@@ -11,8 +11,8 @@ from nicegui import core, ui
 from console.web.sockets import bind_sockets
 
 HERE = Path(__file__).parent
-RECONNECT_S = 3.0
-RESENT_MESSAGES = 50  # after a short break; a longer one reloads the page
+RECONNECT_S = 10.0  # as long as the seat is kept: a computer that is busy holds up a page for seconds
+RESENT_MESSAGES = 400  # in as long, at the rate of an operator's page; else the page is loaded again
 
 
 def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:

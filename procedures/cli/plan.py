@@ -117,6 +117,8 @@ def check(
         console.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif result.passed:
         _print_trajectories(result)
+        if result.distances:
+            _print_distances(result)
         if result.motions:
             _print_motions(result)
     result.require()
@@ -240,6 +242,17 @@ def _print_trajectories(result: PlanCheck) -> None:
         f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}",
         ["trajectory", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
         rows,
+    )
+
+
+def _print_distances(result: PlanCheck) -> None:
+    console.print_table(
+        "structures that the trajectories keep away from",
+        ["structure", "trajectory", "distance mm", "margin mm"],
+        [
+            [one.structure, one.trajectory, f"{one.distance_mm:.1f}", f"{one.margin_mm:.1f}"]
+            for one in result.distances
+        ],
     )
 
 

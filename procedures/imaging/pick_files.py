@@ -1,4 +1,4 @@
-"""Read picks: CSV rows, a JSON list, what `ronna-ct` wrote, or a point list of 3D Slicer (`.mrk.json`)."""
+"""Read points: CSV rows, a JSON list, what `ronna-ct` wrote, or a point list of 3D Slicer (`.mrk.json`)."""
 
 from __future__ import annotations
 
@@ -25,22 +25,28 @@ def read_picks(path: Path) -> Array:
     """Picks (n, 3) LPS mm from a .csv or .json file; raises CT-018."""
     try:
         content = read_bounded(path, LARGEST_FILE_BYTES)
-        is_json = path.suffix.lower() == ".json"
-        rows = (
-            _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), path.name)
-        )
-        picks = np.array(rows, dtype=float)
-    except PicksUnreadable:
-        raise
     except OSError as error:
         raise PicksUnreadable(f"cannot read the picks in {path.name}: {error.strerror}") from error
     except InputRefused as error:
         raise PicksUnreadable(f"{path.name} is refused: {error.summary}") from error
+    return parse_points(content, path.name)
+
+
+def parse_points(content: bytes, name: str) -> Array:
+    """Points (n, 3) LPS mm, n > 0, of the content of a file of that name; raises CT-018."""
+    try:
+        is_json = name.lower().endswith(".json")
+        rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), name)
+        points = np.array(rows, dtype=float)
+    except PicksUnreadable:
+        raise
+    except InputRefused as error:
+        raise PicksUnreadable(f"{name} is refused: {error.summary}") from error
     except (ValueError, LookupError, TypeError, AttributeError, csv.Error) as error:
-        raise PicksUnreadable(f"{path.name} holds no picks: {error}") from error
-    if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
-        raise PicksUnreadable(f"{path.name} holds no picks", expected="three finite numbers per pick")
-    return picks
+        raise PicksUnreadable(f"{name} holds no points: {error}") from error
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise PicksUnreadable(f"{name} holds no points", expected="three finite numbers for each")
+    return points
 
 
 def _from_csv(text: str, name: str) -> list[list[float]]:

@@ -25,6 +25,8 @@ from procedures.planning.guide_hold import held_trajectories, too_short
 from procedures.planning.layout import layout_warnings, shows_template
 from procedures.planning.plan import FiducialKind, Plan
 from procedures.planning.seal import other_voxels
+from procedures.planning.structure_check import structure_findings
+from procedures.planning.structures import StructureDistance, structure_distances
 from procedures.planning.tissue import standoff_in_skin, way_into_head
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
@@ -54,6 +56,7 @@ class PlanCheck:
 
     `motions` are those of the whole procedure as the arm would drive them, when it was given and reaches all.
     `turns_rad` say by trajectory how far it was turned about its axis for that, `paths` with which joints.
+    `distances` are those of every trajectory to every structure.
     """
 
     plan: Plan
@@ -62,6 +65,7 @@ class PlanCheck:
     motions: tuple[PreviewedMotion, ...] = ()
     turns_rad: tuple[tuple[str, float], ...] = ()
     paths: PathCheck | None = None
+    distances: tuple[StructureDistance, ...] = ()
 
     @property
     def passed(self) -> bool:
@@ -85,6 +89,15 @@ class PlanCheck:
             "warnings": list(self.warnings),
             "motions": [motion.as_payload() for motion in self.motions],
             "free_angle_turns_rad": dict(self.turns_rad),
+            "structures": [
+                {
+                    "name": one.structure,
+                    "trajectory": one.trajectory,
+                    "distance_mm": round(one.distance_mm, 3),
+                    "margin_mm": one.margin_mm,
+                }
+                for one in self.distances
+            ],
         }
 
 
@@ -118,7 +131,12 @@ def check_plan(
     """
     findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
     warnings: list[str] = []
-    for found, warned in (_in_this_series(plan, volume), _this_patient(plan, volume)):
+    distances = structure_distances(plan)
+    for found, warned in (
+        _in_this_series(plan, volume),
+        _this_patient(plan, volume),
+        structure_findings(plan, distances, volume),
+    ):
         findings += found
         warnings += warned
     if fiducials_mm is not None:
@@ -132,7 +150,9 @@ def check_plan(
         driven = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
         findings += driven.unmet
         warnings += _too_near_from_the_start(driven.motions)
-    return PlanCheck(plan, tuple(findings), tuple(warnings), driven.motions, driven.turns_rad, driven.paths)
+    return PlanCheck(
+        plan, tuple(findings), tuple(warnings), driven.motions, driven.turns_rad, driven.paths, distances
+    )
 
 
 def _in_this_series(plan: Plan, volume: Volume) -> Judged:

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-026.
+"""What can be wrong with a plan, PLAN-001 to PLAN-028.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -188,6 +188,20 @@ class PlanInUse(RefusedError):
 
     code = "PLAN-026"
     action = "Look at it as long as you like; save it when the case has ended, or under another --plan."
+
+
+class NearStructure(PlanError):
+    """A trajectory comes nearer to a structure than its margin allows."""
+
+    code = "PLAN-027"
+    action = "Move entry or target; give a smaller margin only if you would enter that near."
+
+
+class StructureUnreadable(PlanError):
+    """The file of a structure's points cannot be used."""
+
+    code = "PLAN-028"
+    action = "Give CSV rows or a JSON list of L, P, S in mm, or a 3D Slicer point list, of at most 1 MB."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

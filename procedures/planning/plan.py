@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from procedures.planning.structures import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibration import Strict
 from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
@@ -143,6 +144,9 @@ class Plan(Strict):
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
         description="In the order in which they are meant to be done."
     )
+    structures: Annotated[tuple[Structure, ...], Field(min_length=1, max_length=MOST_STRUCTURES)] | None = (
+        Field(default=None, description="What the trajectories keep away from.")
+    )
     seal: Seal | None = Field(
         default=None, description="What the planner puts under a plan; take it away to edit the file by hand."
     )
@@ -174,6 +178,20 @@ class Plan(Strict):
             )
         if min(math.dist(a, b) for a, b in combinations(self.template_mm, 2)) < LEAST_DISTANCE_MM:
             raise PydanticCustomError("template", "two spheres of template_mm are one")
+        return self
+
+    @model_validator(mode="after")
+    def _are_apart(self) -> Plan:
+        names = [one.name for one in self.structures or ()]
+        if len(set(names)) < len(names):
+            raise PydanticCustomError("structure", "two structures have one name")
+        points = sum(len(one.points_mm) for one in self.structures or ())
+        if points > MOST_POINTS_TOGETHER:
+            raise PydanticCustomError(
+                "structure",
+                "the structures have {points} points together, limit {limit}",
+                {"points": points, "limit": MOST_POINTS_TOGETHER},
+            )
         return self
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:

@@ -42,7 +42,8 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
     page.wait_for_selector(".state >> text=suspended")
     page.wait_for_selector("section.question >> text=mount that again")
     mount(case, STEREO_HEAD)
-    page.locator("[data-answer=wait]").click()
+    assert page.locator(".answers button").first.get_attribute("data-answer") == "wait"
+    answer(page, patient="default-7")
 
     asked = run_by_clicks(page, patient="default-7", run_on=True)
     assert [subject for subject in asked if "registration" in subject]

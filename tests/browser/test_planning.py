@@ -128,3 +128,38 @@ def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any
     picture.press("e")
     page.wait_for_timeout(500)
     assert field_value(page, "entry L") == "8.4"
+
+
+def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_too_near(
+    opened: Open, page: Any, patient: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_bytes((patient / "plan.toml").read_bytes())
+    enter_planner(page, opened("--plan", file)["url"])
+    page.get_by_label("crosshair to the target").click()
+    page.get_by_role("button", name="draw a structure").click()
+    box = page.locator("[data-plane=axial]").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 0.3 * box["height"])
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.4 * box["width"], box["y"] + 0.3 * box["height"], steps=5)
+    page.mouse.up()
+    page.wait_for_selector('[data-distance="S1/T1"]')
+
+    page.locator('[data-field="structure"]').fill("vessel")
+    upload = page.locator(".unseen input[type=file]")
+    near = b"-2.2,-70.9,818.1\n" * 10_000  # beyond what the console takes at once
+    upload.set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": b"no points"})
+    assert "CSV rows" in said(page, "PLAN-028")
+    upload.set_input_files({"name": "a.csv", "mimeType": "text/csv", "buffer": near})
+    distance = page.locator('[data-distance="vessel/T1"]')
+    assert distance.inner_text() == "2.0 — too near"
+    page.wait_for_selector(".verdictbox >> text=PLAN-027")
+    type_number(page, "target S", "824.1")
+    page.wait_for_function(
+        "document.querySelector('[data-distance=\"vessel/T1\"]').innerText === '5.2'", timeout=30_000
+    )
+    save(page)
+    page.wait_for_selector("[data-saved=saved]")
+    names = [one["name"] for one in tomllib.loads(file.read_text())["structures"]]
+    assert names == ["S1", "vessel"]
+    assert page.complaints == []

@@ -31,6 +31,7 @@ def answer(page: Any, patient: str = PATIENT) -> str:
     """Give the question that stands its first answer; returns its subject."""
     question = page.locator("section.question")
     subject = str(question.locator("h2").inner_text())
+    number = question.locator("h2").get_attribute("data-question")
     typed = question.locator(".typed input")
     if typed.count():
         moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
@@ -41,8 +42,8 @@ def answer(page: Any, patient: str = PATIENT) -> str:
     else:
         button.click()
     page.wait_for_function(
-        "subject => document.querySelector('section.question h2')?.innerText !== subject",
-        arg=subject,
+        "number => document.querySelector('section.question h2')?.dataset.question !== number",
+        arg=number,
     )
     return subject
 

@@ -1,0 +1,81 @@
+"""The structures of a draft: drawn with the mouse, imported, given margins. Each change is a new draft."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+from pydantic import ValidationError
+
+from console.planning.draft import Draft
+from procedures.imaging.volume import VoxelGeometry
+from procedures.planning.errors import PlanMistakes
+from procedures.planning.structure_check import read_structure
+from procedures.planning.structures import (
+    MOST_POINTS_TOGETHER,
+    MOST_STRUCTURES,
+    Structure,
+    structure_of,
+)
+from procedures.strategies.trajectory import Point
+from ronna_hw.config import describe_mistakes
+
+STEP_MM = 1.0  # between two points of a stroke: the line lies within half of it
+USUAL_MARGIN_MM = 3.0  # to a vessel
+
+
+def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
+    """With a stroke from `start_mm`, or with its first point, on the structure of that name; PLAN-002."""
+    steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
+    points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
+    known, within_mm, margin_mm = draft.structure(name), STEP_MM / 2.0, USUAL_MARGIN_MM
+    if known is not None:
+        points = np.concatenate([np.array(known.points_mm), points])
+        within_mm, margin_mm = max(known.within_mm, within_mm), known.margin_mm
+    with _mistakes_told():
+        return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
+
+
+def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
+    """With a new structure out of a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    if draft.structure(name) is not None:
+        raise PlanMistakes(f"there is a structure {name} already", action="Type another name first.")
+    with _mistakes_told():
+        return _bounded(
+            draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
+        )
+
+
+def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
+    """Keeping away from it by as much. Raises PLAN-002."""
+    known = draft.structure(name)
+    if known is None:
+        return draft
+    with _mistakes_told():
+        return draft.with_structure(
+            Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
+        )
+
+
+def free_name(draft: Draft) -> str:
+    """For one more structure."""
+    return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
+
+
+def _bounded(draft: Draft) -> Draft:
+    if len(draft.structures) > MOST_STRUCTURES:
+        raise PlanMistakes("no room for one more structure", limit=f"{MOST_STRUCTURES}")
+    points = sum(len(one.points_mm) for one in draft.structures)
+    if points > MOST_POINTS_TOGETHER:
+        raise PlanMistakes("no room for so many points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
+    return draft
+
+
+@contextmanager
+def _mistakes_told() -> Iterator[None]:
+    try:
+        yield
+    except ValidationError as error:
+        raise PlanMistakes("; ".join(describe_mistakes(error))) from error

@@ -1,0 +1,126 @@
+"""Structures that a plan keeps away from: read, thinned, measured and judged."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from procedures.imaging.volume import Volume
+from procedures.planning.check import check_plan
+from procedures.planning.errors import NearStructure, OutsideField, PlanMistakes, StructureUnreadable
+from procedures.planning.plan import Plan
+from procedures.planning.plan_file import parse_plan, read_plan, write_plan
+from procedures.planning.structure_check import read_structure
+from procedures.planning.structures import MOST_POINTS, Structure, structure_distances, structure_of
+
+BESIDE_TARGET = (9.0, -20.0, 20.0)  # 4 mm to the left of the target of T1
+
+
+@pytest.fixture
+def plan(plan_text: str, plan_path: Callable[[str], Path]) -> Plan:
+    return read_plan(plan_path(plan_text))
+
+
+def avoiding(plan: Plan, *structures: Structure) -> Plan:
+    content = plan.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return parse_plan({**content, "structures": [one.model_dump(mode="json") for one in structures]})
+
+
+def test_a_distance_is_that_of_the_axis_between_entry_and_target(plan: Plan) -> None:
+    entry, target = np.array(plan.trajectories[0].entry_mm), np.array(plan.trajectories[0].target_mm)
+    along = (target - entry) / np.linalg.norm(target - entry)
+    across = np.cross(along, (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    beside = (entry + target) / 2.0 + 7.0 * across
+    beyond = target + 5.0 * along
+    for place, distance_mm in ((beside, 7.0), (beyond, 5.0), (entry, 0.0)):
+        one = Structure(name="vessel", margin_mm=3.0, points_mm=(tuple(place.tolist()),))
+        first, _ = structure_distances(avoiding(plan, one))
+        assert first.distance_mm == pytest.approx(distance_mm)
+        assert first.is_kept == (distance_mm >= 3.0)
+
+
+@pytest.mark.parametrize(("margin_mm", "passes"), [(3.5, True), (4.5, False)])
+def test_a_trajectory_within_the_margin_refuses_the_plan(
+    plan: Plan, make_volume: Callable[..., Volume], margin_mm: float, passes: bool
+) -> None:
+    near = structure_of("vessel", margin_mm, [BESIDE_TARGET])
+    check = check_plan(avoiding(plan, near), make_volume())
+    assert check.passed == passes
+    told = check.as_payload()["structures"][0]
+    assert (told["name"], told["trajectory"], told["margin_mm"]) == ("vessel", "T1", margin_mm)
+    if not passes:
+        with pytest.raises(NearStructure, match=r"PLAN-027.*T1.*vessel.*4\.5 mm or more.*got 4\.0 mm"):
+            check.require()
+
+
+def test_a_structure_of_another_place_refuses_the_plan(
+    plan: Plan, make_volume: Callable[..., Volume]
+) -> None:
+    elsewhere = structure_of("vessel", 1.0, [(0.0, 0.0, 400.0), (0.0, 0.0, 410.0), (0.0, 0.0, 0.0)])
+    with pytest.raises(OutsideField, match=r"PLAN-006.*67% of the points of vessel"):
+        check_plan(avoiding(plan, elsewhere), make_volume()).require()
+
+
+def test_gaps_wider_than_the_margin_are_told(plan: Plan, make_volume: Callable[..., Volume]) -> None:
+    sparse = structure_of("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
+    (warning,) = check_plan(avoiding(plan, sparse), make_volume()).warnings
+    assert "vessel lie 20 mm apart" in warning
+
+
+def test_what_is_thinned_never_seems_farther_than_it_is(plan: Plan) -> None:
+    cloud = np.random.default_rng(5).uniform((-35.0, -60.0, 50.0), (45.0, 20.0, 130.0), (20_000, 3))
+    thin = structure_of("vessel", 1.0, cloud)
+    assert len(thin.points_mm) <= MOST_POINTS
+    within = avoiding(plan, thin)
+    for told in structure_distances(within):
+        way = plan.trajectory(told.trajectory)
+        samples = np.linspace(way.entry_mm, way.target_mm, 200)
+        nearest = min(float(np.linalg.norm(cloud - one, axis=1).min()) for one in samples)
+        assert told.distance_mm <= nearest + 0.1
+
+
+def test_a_plan_with_structures_is_written_and_read_as_it_was(plan: Plan, tmp_path: Path) -> None:
+    full = [
+        structure_of(f"S{k}", 2.0, np.random.default_rng(k).uniform(-99.0, 99.0, (1000, 3))) for k in range(3)
+    ]
+    file = tmp_path / "plan.toml"
+    write_plan(file, avoiding(plan, *full))
+    assert read_plan(file).structures == tuple(full)
+
+
+def test_two_structures_of_one_name_and_too_many_points_are_refused(plan: Plan) -> None:
+    one = structure_of("vessel", 2.0, [(0.0, 0.0, 0.0)])
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*one name"):
+        avoiding(plan, one, one)
+    clouds = [structure_of(f"S{k}", 2.0, np.arange(3000.0).reshape(-1, 3)) for k in range(4)]
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*4000 points together, limit 3000"):
+        avoiding(plan, *clouds)
+
+
+def test_points_are_imported_from_the_files_people_have(make_volume: Callable[..., Volume]) -> None:
+    geometry = make_volume().geometry
+    rows = b"L_mm,P_mm,S_mm\n1,2,3\n-4,5.5,6\n"
+    slicer = (
+        b'{"markups": [{"coordinateSystem": "RAS", "controlPoints": [{"position": [-1, -2, 3]},'
+        b' {"position": [4, -5.5, 6]}]}]}'
+    )
+    for content, name in ((rows, "a.csv"), (slicer, "a.mrk.json")):
+        read = read_structure(content, name, "vessel", 3.0, geometry)
+        assert set(read.points_mm) == {(1.0, 2.0, 3.0), (-4.0, 5.5, 6.0)}
+
+
+@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"1,2\n", b"x,y,z\n1,2,3\n", b"1,2,nan\n"])
+def test_a_file_that_holds_no_points_is_refused_with_what_may_be_given(
+    content: bytes, make_volume: Callable[..., Volume]
+) -> None:
+    with pytest.raises(StructureUnreadable, match=r"PLAN-028.*Give CSV rows"):
+        read_structure(content, "vessel.csv", "vessel", 3.0, make_volume().geometry)
+
+
+def test_a_file_of_another_place_is_refused(make_volume: Callable[..., Volume]) -> None:
+    with pytest.raises(OutsideField, match=r"PLAN-006.*100% of the points in vessel\.csv"):
+        read_structure(b"0,0,900\n", "vessel.csv", "vessel", 3.0, make_volume().geometry)
