@@ -21,7 +21,7 @@ class FaultBoard:
         self._cycles_began_s: dict[int, float] = {}  # of the cycles that faults begin with
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
-        self._happened: set[tuple[int, float]] = set()  # line and onset of momentary faults already reported
+        self._happened: set[tuple[Fault, float]] = set()  # momentary ones already reported, and their onset
 
     @property
     def empty(self) -> bool:
@@ -54,9 +54,9 @@ class FaultBoard:
         now_s = self._world.clock.now_s()
         due = []
         for fault, onset_s in self._onsets(now_s):
-            key = (fault.line, onset_s)
-            if fault.kind.name == kind and onset_s <= now_s and key not in self._happened:
-                self._happened.add(key)
+            happening = (fault, onset_s)
+            if fault.kind.name == kind and onset_s <= now_s and happening not in self._happened:
+                self._happened.add(happening)
                 due.append(fault)
         return tuple(due)
 
@@ -80,4 +80,5 @@ class FaultBoard:
             version, text = self._world.fault_script()
             faults = parse_faults(text) if text.strip() else ()
             self._faults = tuple(fault for fault in faults if fault.kind.device == self._device)
+            self._happened = {one for one in self._happened if one[0] in self._faults}
             self._version = version

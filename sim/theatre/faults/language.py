@@ -120,12 +120,20 @@ def parse_request(line: str) -> Fault:
     return faults[0]
 
 
+def at_moment(now_s: float) -> str:
+    """The beginning of a line that acts from that theatre time on: to the nanosecond, as the clock counts.
+
+    Rounded any coarser it could lie ahead of a clock that stands until somebody asks for time.
+    """
+    return f"at {now_s:.9f} s"
+
+
 def begin_now(line: str, now_s: float) -> str:
     """The line with `now`, or no beginning at all, replaced by the present theatre time."""
     if not _begins(line):
-        return f"at {now_s:.6f} s: {line}"
+        return f"{at_moment(now_s)}: {line}"
     trigger, colon, rest = line.partition(":")
-    return f"at {now_s:.6f} s{colon}{rest}" if trigger.strip() == NOW else line
+    return f"{at_moment(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
 
 
 def begin_with_step(text: str, step: str, now_s: float) -> str:
@@ -133,7 +141,7 @@ def begin_with_step(text: str, step: str, now_s: float) -> str:
     begins = [fault.line for fault in parse_faults(text) if fault.lasts and fault.begins_in(step)]
     lines = text.split("\n")
     for number in begins:
-        lines[number - 1] = _SINCE_STEP.sub(f"at {now_s:.6f} s:", lines[number - 1])
+        lines[number - 1] = _SINCE_STEP.sub(f"{at_moment(now_s)}:", lines[number - 1])
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ import math
 
 from sim.theatre.faults.board import FaultBoard
 from sim.theatre.faults.camera import TWIST
+from sim.theatre.faults.language import at_moment
 from sim.theatre.faults.room import CART, PUSH, ROOM_FAULTS
 from sim.theatre.faults.room import DEVICE as ROOM
 from sim.theatre.faults.tracker import DISPLACED_TOOLS
@@ -20,11 +21,13 @@ def standing_faults(world: World) -> str:
     now_s = world.clock.now_s()
     lines = []
     for way in rolled_mm(FaultBoard(world, ROOM), now_s):
-        lines.append(f"at {now_s:.6f} s: {ROOM} shift {CART} {' '.join(f'{value:.6f}' for value in way)} mm")
+        lines.append(
+            f"{at_moment(now_s)}: {ROOM} shift {CART} {' '.join(f'{value:.6f}' for value in way)} mm"
+        )
     for device in sorted({kind.device for kind in STANDING}):
         for fault, onset_s in FaultBoard(world, device).acting_since():
             if fault.kind in STANDING:
                 left_s = onset_s + fault.duration_s - now_s
                 end = "" if math.isinf(left_s) else f" for {left_s:.6f} s"
-                lines.append(f"at {now_s:.6f} s: {fault.phrase}{end}")
+                lines.append(f"{at_moment(now_s)}: {fault.phrase}{end}")
     return "\n".join(lines)

@@ -185,8 +185,25 @@ def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
 
 
 def test_now_becomes_the_moment_at_which_it_was_said() -> None:
-    assert begin_now("now: robot drop 5 % for 1 s", 12.5) == "at 12.500000 s: robot drop 5 % for 1 s"
+    assert begin_now("now: robot drop 5 % for 1 s", 12.5) == "at 12.500000000 s: robot drop 5 % for 1 s"
     assert begin_now("at 1 s: robot drop 5 %", 12.5) == "at 1 s: robot drop 5 %"
+
+
+def test_what_begins_now_acts_on_a_clock_that_stands() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    world.clock.sleep(1 / 60)  # as after a frame of the tracker: no whole microsecond
+    world.set_fault_script(begin_now("robot drop 5 %", world.clock.now_s()))
+    assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
+
+
+def test_what_was_cleared_and_asked_for_again_happens_again_though_the_clock_stands() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    board = FaultBoard(world, "robot")
+    happened = []
+    for script in ("at 0 s: robot collision", "", "at 0 s: robot collision", "at 0 s: robot drives off"):
+        world.set_fault_script(script)
+        happened.append(len(board.happened("collision")) + len(board.happened("drives_off")))
+    assert happened == [1, 0, 1, 1]
 
 
 def test_the_example_of_every_kind_is_a_line_that_the_language_reads() -> None:
