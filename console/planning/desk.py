@@ -14,19 +14,28 @@ from console.bell import Bell
 from console.pictures.head import head_surface, stl
 from console.planning.draft import Draft, History
 from console.planning.judging import Judged, judge
+from console.planning.unsaved import UnsavedFile
 from procedures.imaging import Candidate, Volume, likeliest_first, localize, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker
-from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, WrongSeries
+from procedures.planning.errors import (
+    PlanInUse,
+    PlanMistakes,
+    PlanNotSaved,
+    UnsavedChanges,
+    WrongSeries,
+)
 from procedures.planning.plan import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.plan_file import parse_plan, read_plan, write_plan
-from procedures.planning.plan_lock import plan_in_use
+from procedures.planning.plan_lock import plan_in_use, replaced_plan
 from procedures.planning.seal import sealed
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.tissue import sampled_hu
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
+
+KEEPING_S = 0.3  # host time between two writings of what is not saved
 
 
 class PlanDesk(Bell):
@@ -42,12 +51,16 @@ class PlanDesk(Bell):
         self.head = b""
         self.problem: RonnaError | None = None  # why the file is left as it is
         self.notice: RonnaError | None = None  # of the CT or the plan, to be read before anything else
+        self.not_kept: RonnaError | None = None  # why a crash would lose what is not saved
         self._on_disk = ""
         draft = self._opened() or Draft(volume.patient_position, FEWEST_MARKERS)
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
-        self.judged = Judged(draft)
-        self._changed = asyncio.Event()
+        self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
+        if self.read_only is None:
+            self._take_up()
+        self.judged = Judged(self.draft)
+        self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
 
     @property
     def read_only(self) -> RonnaError | None:
@@ -87,13 +100,39 @@ class PlanDesk(Bell):
             self.notice = altered
         return Draft.of(plan)
 
+    def _take_up(self) -> None:
+        """Go on with what was drawn and not saved when the planner ended."""
+        try:
+            drawn = self._unsaved.take_up(self._on_disk, self.draft)
+        except UnsavedChanges as aside:
+            self.notice = self.notice or aside
+            return
+        if drawn is not None and drawn != self.draft:
+            self.history.change(drawn)
+            self.notice = UnsavedChanges("what was drawn and not saved the last time is taken up")
+
+    def keep(self) -> Path | None:
+        """Keep what is not saved beside the plan; the file, or None where nothing is to be kept."""
+        self.not_kept = None
+        saved = None if self._saved is None else replace(self._saved, markers=())
+        try:
+            if self.problem is None and self.history.can_undo and replace(self.draft, markers=()) != saved:
+                self._unsaved.keep(self.draft, self._on_disk)
+                return self._unsaved.path
+            if self.problem is None:
+                self._unsaved.forget()
+        except OSError as error:
+            why = f"what is not saved cannot be kept beside the plan: {error.strerror}"
+            self.not_kept = PlanNotSaved(why)
+        return None
+
     @property
     def is_saved(self) -> bool:
         """Whether the file holds the draft as it stands."""
         return self._saved is not None and self._saved.content("") == self.draft.content("")
 
     async def save(self, author: str) -> None:
-        """Write the plan, sealed. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025."""
+        """Write the plan, sealed. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
         if self.read_only is not None:
             raise self.read_only
         name = " ".join(author.split())
@@ -107,22 +146,26 @@ class PlanDesk(Bell):
                 action="Choose both, or take the trajectory away.",
             )
         plan = parse_plan(draft.content(self.volume.series_instance_uid), self.file.name)
-        if self.file.exists() and _digest(self.file) != self._on_disk:
-            raise PlanNotSaved(
-                f"{self.file.name} was changed by another program since it was opened",
-                action="Nothing was overwritten. Move that file away, then save again.",
-            )
-        await asyncio.to_thread(self._write, sealed(plan, name, self.volume), draft)
+        async with self._saving:
+            await asyncio.to_thread(self._write, plan, name, draft)
         self._saved, self.notice = draft, None
-        self.tell()
+        self.altered()
 
-    def _write(self, plan: Plan, draft: Draft) -> None:
+    def _write(self, plan: Plan, author: str, draft: Draft) -> None:
+        plan = sealed(plan, author, self.volume)
         spheres = (
             f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
             for number, one in enumerate(draft.markers, start=1)
         )
-        write_plan(self.file, plan, ("Saved by the planner. Coordinates are LPS mm of the series.", *spheres))
-        self._on_disk = _digest(self.file)
+        with replaced_plan(self.file):  # a case that began since wins
+            if self.file.exists() and _digest(self.file) != self._on_disk:
+                raise PlanNotSaved(
+                    f"{self.file.name} was changed by another program since it was opened",
+                    action="Nothing was overwritten. Move that file away, then save again.",
+                )
+            notes = ("Saved by the planner. Coordinates are LPS mm of the series.", *spheres)
+            write_plan(self.file, plan, notes)
+            self._on_disk = _digest(self.file)
 
     # The draft
 
@@ -133,26 +176,26 @@ class PlanDesk(Bell):
 
     def change(self, draft: Draft, *, goes_on: bool = False) -> None:
         """Take a change of the draft; see `History.change`. Refused while it can only be looked at."""
-        if self.read_only is not None:
-            return
-        self.history.change(draft, goes_on=goes_on)
+        if self.read_only is None:
+            self.history.change(draft, goes_on=goes_on)
         self.altered()
 
     def undo(self) -> None:
         """Take the last change back. Refused while the draft can only be looked at."""
         if self.read_only is None:
             self.history.undo()
-            self.altered()
+        self.altered()
 
     def redo(self) -> None:
         """Make it again; as `undo`."""
         if self.read_only is None:
             self.history.redo()
-            self.altered()
+        self.altered()
 
     def altered(self) -> None:
-        """Have the draft judged, and pages told."""
+        """Have the draft judged and kept, and pages told."""
         self._changed.set()
+        self._to_keep.set()
         self.tell()
 
     async def add_marker(self, place_mm: Point) -> None:
@@ -172,8 +215,8 @@ class PlanDesk(Bell):
     # The work beside the pages
 
     async def work(self) -> None:
-        """Make the head, look for the spheres, and judge the draft whenever it changes; never ends."""
-        await asyncio.gather(self._prepare(), self._judge_all())
+        """Make the head, look for the spheres, judge and keep the draft whenever it changes; never ends."""
+        await asyncio.gather(self._prepare(), self._judge_all(), self._keep_all())
 
     async def _prepare(self) -> None:
         try:
@@ -215,6 +258,13 @@ class PlanDesk(Bell):
                 judged = await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
                 self.judged = judged
                 self.tell()
+
+    async def _keep_all(self) -> None:
+        while True:
+            await self._to_keep.wait()
+            self._to_keep.clear()
+            await asyncio.to_thread(self.keep)
+            await asyncio.sleep(KEEPING_S)
 
 
 def _digest(path: Path) -> str:

@@ -63,7 +63,7 @@ class PlannerPage:
 
     def __init__(self, desk: PlanDesk, session: Session, *, low: bool) -> None:
         self._desk, self._low = desk, low
-        self._may_edit = session.role is Role.OPERATOR and desk.read_only is None
+        self._may_edit = session.role is Role.OPERATOR and desk.problem is None
         self._look = Look(desk.volume.geometry)
         self._beat = 0
         self._looked_event = asyncio.Event()
@@ -230,7 +230,7 @@ class PlannerPage:
     def _show(self) -> None:
         desk = self._desk
         self._case.set_content(_case_line(desk))
-        notice = desk.read_only or desk.notice
+        notice = desk.read_only or desk.not_kept or desk.notice
         self._notice.set_content("" if notice is None else _told(notice))
         self._undo.set_enabled(desk.history.can_undo)
         self._redo.set_enabled(desk.history.can_redo)

@@ -39,13 +39,17 @@ def open_planner(
     with console.progress_bar("reading the series") as advance:
         volume = read_series(asked.series, progress=advance)
     desk = PlanDesk(volume, asked.plan, theatre)
-    serve_pages(
-        lambda application: add_planner(application, desk),
-        asked.port,
-        desk.work,
-        lambda ready: console.tell(f"CONSOLE {json.dumps(ready)}"),
-        largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
-    )
+    try:
+        serve_pages(
+            lambda application: add_planner(application, desk),
+            asked.port,
+            desk.work,
+            lambda ready: console.tell(f"CONSOLE {json.dumps(ready)}"),
+            largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
+        )
+    finally:
+        if (kept := desk.keep()) is not None:
+            console.tell(f"not saved; kept in {kept}: open the plan again to go on")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-028.
+"""What can be wrong with a plan, PLAN-001 to PLAN-029.
 
 Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
 PLAN-002.
@@ -202,6 +202,13 @@ class StructureUnreadable(PlanError):
 
     code = "PLAN-028"
     action = "Give CSV rows or a JSON list of L, P, S in mm, or a 3D Slicer point list, of at most 1 MB."
+
+
+class UnsavedChanges(PlanError):
+    """The planner ended with changes that nobody had saved."""
+
+    code = "PLAN-029"
+    action = "Look at them; Save keeps them, Undo goes back to the plan as it was saved."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

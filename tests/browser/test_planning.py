@@ -24,6 +24,8 @@ from open_planner import (
     type_place,
 )
 
+from procedures.planning.plan_lock import held_plan
+
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[..., dict[str, str]]
 
@@ -163,3 +165,19 @@ def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_to
     names = [one["name"] for one in tomllib.loads(file.read_text())["structures"]]
     assert names == ["S1", "vessel"]
     assert page.complaints == []
+
+
+def test_a_case_that_begins_on_the_plan_ends_the_editing_until_it_is_over(
+    opened: Open, page: Any, patient: Path, tmp_path: Path
+) -> None:
+    file = tmp_path / "plan.toml"
+    file.write_bytes((patient / "plan.toml").read_bytes())
+    enter_planner(page, opened("--plan", file)["url"])
+    with held_plan(file):
+        type_number(page, "target L", "-3.0")
+        assert "only be looked at" in said(page, "PLAN-026")
+        page.wait_for_function("document.querySelector('[data-field=\"target L\"]').value === '-2.2'")
+        assert page.locator("[data-do=save]").is_disabled()
+    page.wait_for_selector("[data-do=save]:enabled")
+    type_number(page, "target L", "-3.0")
+    page.wait_for_selector("[data-saved='not saved']")

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from console.planning import desk as desk_module
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
 from console.planning.judging import judge
@@ -17,6 +21,7 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
 from procedures.planning.plan_file import read_plan
 from procedures.planning.plan_lock import held_plan
+from procedures.planning.seal import sealed
 from ronna_hw.errors import RonnaError
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"
@@ -146,6 +151,106 @@ def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: 
     draw(desk, standoff_mm=31.0)
     save(desk)
     assert read_plan(file).standoff_mm == 31.0
+
+
+def test_a_case_that_begins_on_the_plan_while_it_is_saved_wins(
+    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw(desk)
+    save(desk)
+    before = file.read_bytes()
+    draw(desk, standoff_mm=31.0)
+    with ExitStack() as case:
+
+        def meanwhile(*arguments: object) -> object:
+            case.enter_context(held_plan(file))
+            return sealed(*arguments)  # type: ignore[arg-type]
+
+        monkeypatch.setattr(desk_module, "sealed", meanwhile)
+        with pytest.raises(PlanInUse, match="PLAN-026"):
+            save(desk)
+        assert file.read_bytes() == before
+    monkeypatch.undo()
+    save(desk)
+    assert read_plan(file).standoff_mm == 31.0
+
+
+@pytest.fixture
+def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
+    """Nothing can be written until it is undone."""
+
+    def full(_descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    return monkeypatch
+
+
+def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk: pytest.MonkeyPatch) -> None:
+    desk = PlanDesk(scan(), file, None)
+    draw(desk)
+    assert desk.keep() is None
+    assert desk.not_kept is not None
+    assert desk.not_kept.code == "PLAN-025"
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025.*No space left.*stays on this page"):
+        save(desk)
+    assert not file.exists()
+    assert not desk.is_saved
+    full_disk.undo()
+    assert desk.keep() is not None
+    assert desk.not_kept is None
+    save(desk)
+    assert read_plan(file).trajectory("T1").entry_mm == ENTRY
+
+
+def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan(
+    desk: PlanDesk, file: Path
+) -> None:
+    draw(desk)
+    save(desk)
+    assert desk.keep() is None
+    draw(desk, standoff_mm=31.0)
+    half, name = desk.draft.with_new_way()
+    desk.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
+    kept = desk.keep()
+    assert kept is not None
+
+    again = PlanDesk(scan(), file, None)
+    assert again.notice is not None
+    assert again.notice.code == "PLAN-029"
+    assert again.draft == desk.draft
+    assert not again.is_saved
+    again.undo()
+    assert again.draft.standoff_mm == 30.0
+    assert again.keep() is None
+    assert not kept.exists()
+
+
+def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told(
+    desk: PlanDesk, file: Path
+) -> None:
+    draw(desk)
+    kept = desk.keep()
+    assert kept is not None
+    content = kept.read_bytes()
+    other = PlanDesk(scan(), file.with_name("other.toml"), None)
+    draw(other, standoff_mm=35.0)
+    save(other)
+    file.write_bytes(other.file.read_bytes())
+    again = PlanDesk(scan(), file, None)
+    assert again.draft.standoff_mm == 35.0
+    assert again.notice is not None
+    assert "plan.toml.unsaved-1" in str(again.notice)
+    assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
+
+
+@pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
+def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: bytes) -> None:
+    file.with_name("plan.toml.unsaved").write_bytes(content)
+    desk = PlanDesk(scan(), file, None)
+    assert desk.notice is not None
+    assert desk.notice.code == "PLAN-029"
+    assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
 def test_a_place_without_a_sphere_is_refused_and_no_marker(desk: PlanDesk) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,10 @@ import pytest
 
 from procedures.imaging.volume import Volume
 from procedures.planning.check import check_plan
-from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanNotSaved
+from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
 from procedures.planning.plan import Plan
 from procedures.planning.plan_file import read_plan, write_plan
-from procedures.planning.plan_lock import held_plan, plan_in_use
+from procedures.planning.plan_lock import held_plan, plan_in_use, replaced_plan
 from procedures.planning.seal import sealed
 
 
@@ -91,6 +93,19 @@ def test_a_plan_that_a_case_holds_is_in_use_until_the_case_has_ended(saved: Path
         assert plan_in_use(saved)
     assert not plan_in_use(saved)
     assert not plan_in_use(saved.with_name("none"))
+
+
+def test_a_case_that_waited_for_a_plan_to_be_replaced_holds_the_new_one(saved: Path) -> None:
+    plan = read_plan(saved)
+    with ThreadPoolExecutor(1) as beside, ExitStack() as case:
+        with replaced_plan(saved):
+            waiting = beside.submit(case.enter_context, held_plan(saved))
+            write_plan(saved, plan)
+            assert not waiting.done()
+        waiting.result(10.0)
+        with pytest.raises(PlanInUse, match="PLAN-026"), replaced_plan(saved):
+            pass
+    assert not plan_in_use(saved)
 
 
 def test_the_seal_does_not_depend_on_how_numbers_are_written(saved: Path) -> None:

@@ -1,0 +1,82 @@
+"""What has been drawn and not yet saved: kept beside the plan, so that no crash and no Ctrl-C loses it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from console.planning.draft import Draft, Way
+from procedures.planning.errors import UnsavedChanges
+from procedures.planning.plan import FiducialKind
+from procedures.planning.structures import Structure
+from procedures.strategies.trajectory import Point
+from ronna_hw.bounded_input import InputRefused, read_json_bytes
+from ronna_hw.records import write_whole
+
+LARGEST_BYTES = 1_000_000  # as many structures as a plan takes need a fifth
+
+
+class _Kept(BaseModel):
+    """A draft without its spheres, which are found again, and what it was drawn upon."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    series_instance_uid: str
+    plan_sha256: str  # of the file that it changes; empty for a new one
+    patient_orientation: str
+    implanted: int
+    fiducials: FiducialKind
+    template_mm: tuple[Point, ...] | None
+    tool: str
+    standoff_mm: float
+    instrument_length_mm: float | None
+    ways: tuple[Way, ...]
+    structures: tuple[Structure, ...]
+
+
+class UnsavedFile:
+    """The file beside a plan in which its unsaved changes are kept."""
+
+    def __init__(self, plan: Path, series_instance_uid: str) -> None:
+        self.path = plan.with_name(f"{plan.name}.unsaved")
+        self._series = series_instance_uid
+
+    def keep(self, draft: Draft, plan_sha256: str) -> None:
+        """Keep a draft that changes the plan file of that digest. Raises OSError."""
+        values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
+        write_whole(self.path, kept.model_dump_json(indent=1).encode())
+
+    def forget(self) -> None:
+        """Nothing is unsaved."""
+        self.path.unlink(missing_ok=True)
+
+    def take_up(self, plan_sha256: str, draft: Draft) -> Draft | None:
+        """The draft that was kept, with the spheres of `draft`; None without one.
+
+        Raises PLAN-029 for one of another plan or CT, or that cannot be read; it is put aside.
+        """
+        if not self.path.exists():
+            return None
+        try:
+            kept = _Kept.model_validate_json(read_json_bytes(self.path, LARGEST_BYTES))
+        except (OSError, InputRefused, ValidationError):
+            raise self._put_aside("cannot be read") from None
+        if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
+            raise self._put_aside("belong to another CT, or to the plan as it stood before")
+        values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
+        return replace(draft, **values)
+
+    def _put_aside(self, why: str) -> UnsavedChanges:
+        aside = next(
+            one for k in range(1, 1000) if not (one := self.path.with_name(f"{self.path.name}-{k}")).exists()
+        )
+        try:
+            self.path.rename(aside)
+        except OSError:
+            aside = self.path
+        return UnsavedChanges(
+            f"unsaved changes {why}; they are kept in {aside.name}", action="Draw on the plan as it stands."
+        )
