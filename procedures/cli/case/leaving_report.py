@@ -20,6 +20,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed
 from ronna_hw.evidence.journal_reading import Entry, read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, seal
+from ronna_hw.records import PARTIAL
 
 if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
@@ -79,8 +80,12 @@ def _keep_raw_if_wanted(folder: Path) -> None:
     try:
         from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
 
+        beside = folder / f".{RAW_FOLDER}{PARTIAL}"  # the former ones go when these are whole
+        shutil.rmtree(beside, ignore_errors=True)
+        fresh, whole = write_raw(folder, beside / RAW_FOLDER)
         shutil.rmtree(folder / RAW_FOLDER, ignore_errors=True)
-        _, whole = write_raw(folder, folder / RAW_FOLDER)
+        fresh.rename(folder / RAW_FOLDER)
+        beside.rmdir()
         if not whole:
             tell(f"{folder / RAW_FOLDER} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
     except Exception as problem:  # a damaged tape must not hide how the run has ended

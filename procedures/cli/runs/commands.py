@@ -229,11 +229,14 @@ def raw_command(
 ) -> None:
     """Write what devices answered in a run as files: pictures as PNG, tracker frames and arm states as CSV.
 
-    Pictures show what the cameras saw. They are in no export: only this command takes them out of a run.
+    Pictures show what the cameras saw. They are in no export: only this command takes them out of a run, and
+    of one that was changed since it ended nothing.
     """
     from procedures.exchange.raw_readings import write_raw
     from ronna_hw.command_line.console import print_json, tell
+    from ronna_hw.evidence.inspection import inspected
 
+    inspected(run_folder).require_unchanged()
     folder, whole = write_raw(run_folder, out)
     if as_json:
         print_json({"folder": str(folder), "whole": whole})

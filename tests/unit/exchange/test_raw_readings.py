@@ -13,6 +13,7 @@ import pytest
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
+from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.replay.sections import section_follower
@@ -30,6 +31,7 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
+from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
@@ -157,6 +159,22 @@ def test_a_run_that_was_asked_for_them_has_them_in_its_folder_and_is_whole(
         seal_run(run)
         assert (run / RAW_FOLDER / "tracker.csv").exists() == keep_raw
         assert inspected(run).problems == ()
+
+
+def test_what_a_run_has_is_kept_where_it_cannot_be_written_anew(tmp_path: Path) -> None:
+    run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
+    seal_run(run)
+    (run / READINGS_FOLDER / READINGS_FILE).unlink()
+    seal_run(run)
+    assert (run / RAW_FOLDER / "tracker.csv").exists()
+
+
+def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path: Path) -> None:
+    tape = run / READINGS_FOLDER / READINGS_FILE
+    tape.write_bytes(tape.read_bytes().replace(b"-1000.0", b"-1001.0"))
+    with pytest.raises(RunChanged, match=r"PRO-033.*readings\.jsonl: changed"):
+        raw_command(run, tmp_path / "raw")
+    assert not (tmp_path / "raw").exists()
 
 
 def test_a_folder_that_is_there_is_left_alone(run: Path, tmp_path: Path) -> None:
