@@ -49,6 +49,8 @@ class Fault:
         if self.cycle is not None:
             begins = f"from cycle {self.cycle} on"
         lasts = "until it is cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
+        if self.step is not None and not self.lasts:
+            lasts = "until that step ends" if math.isinf(self.duration_s) else f"{lasts} of that step"
         return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"
 
     def onset_s(

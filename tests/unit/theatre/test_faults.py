@@ -152,6 +152,9 @@ def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
     assert parse_request("when step == set_up: tracker bump").effect.startswith(
         "tracker bump, whenever the step set_up begins, once. "
     )
+    assert parse_request("when step == registration: room loosen marker 2 1 0 0 mm").effect.startswith(
+        "room loosen marker 2 1 0 0 mm, whenever the step registration begins, until that step ends. "
+    )
 
 
 @pytest.mark.parametrize("step", ["tea", "relocalization:left-STN"])
