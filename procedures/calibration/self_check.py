@@ -22,7 +22,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
 from procedures.calibration.head_model import cameras_of, intersected
@@ -172,7 +172,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
             tuple(shift.tolist()),
             tuple(np.sqrt(np.diag(shift_covariance)).tolist()),
             float(shift @ np.linalg.solve(shift_covariance, shift)),
-            float(chi2.isf(FALSE_ALARM, 3)),
+            float(chdtri(3, FALSE_ALARM)),
         ),
         gap=_scalar(
             "gap of the lines of sight", "mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
@@ -193,7 +193,7 @@ def _scalar(name: str, unit: str, value: float, variance: float) -> Sign:
         (value,),
         (float(np.sqrt(variance)),),
         value * value / variance,
-        float(chi2.isf(FALSE_ALARM, 1)),
+        float(chdtri(1, FALSE_ALARM)),
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.arm.identification import whitening_of
 from procedures.calibration.arm.looks import ArmLooks, arrays_of
@@ -80,5 +80,5 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
         error_mm=float(np.sqrt(np.mean(np.sum(seen**2, axis=1)))),
         expected_mm=float(np.sqrt(np.mean(np.einsum("mii->m", covariances)))),
         statistic=float(np.sum(whitened**2)),
-        limit=float(chi2.isf(FALSE_ALARM, 3 * (count - spheres))) * (1.0 + MODEL_SHARE),
+        limit=float(chdtri(3 * (count - spheres), FALSE_ALARM)) * (1.0 + MODEL_SHARE),
     )

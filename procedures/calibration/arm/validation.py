@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
@@ -59,7 +59,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
             got=f"{model_mm:.2f} mm",
         )
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
-    statistic, limit = float(np.sum(whitened**2)), float(chi2.isf(ACCEPTED, 3 * count)) * (1.0 + MODEL_SHARE)
+    statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
         raise DoesNotFit(
             "the identified arm does not hold for looks that it has not seen",

@@ -8,7 +8,7 @@ from datetime import timedelta
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.errors import (
     BadObservations,
@@ -118,7 +118,7 @@ def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
     statistic = float(np.sum(misses**2) / variance)
-    limit = float(chi2.isf(ACCEPTED, 3 * kept.count)) * (1.0 + MODEL_SHARE)
+    limit = float(chdtri(3 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
         raise DoesNotFit(
             "the tip does not hold for readings that it was not fitted to",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.bundle import orientation_spread
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, FrameNotCarried, TooFewPoses
@@ -29,7 +29,7 @@ FIRST_SCATTER_MM, FIRST_SCATTER_RAD = 0.2, 5e-4
 LEAST_SCATTER_MM, LEAST_SCATTER_RAD = 0.003, 1e-5  # no arm and no tracker is better
 LARGEST_SCATTER_MM = 0.6  # per axis: uncalibrated arms show up to 0.3
 LARGEST_SCATTER_RAD = float(np.radians(0.15))  # per axis: uncalibrated arms show up to 0.04 degrees
-OUTLIER_CHI2 = float(chi2.isf(0.001, 6))
+OUTLIER_CHI2 = float(chdtri(6, 0.001))
 MOST_OUTLIERS = 0.1
 STEP = 1e-6  # of a derivative, mm or rad
 UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and translation (mm)

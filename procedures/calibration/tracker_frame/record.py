@@ -9,7 +9,7 @@ from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM
 from procedures.calibration.errors import DoesNotFit, FarFromRecord, TooFewPoses, TrackerMoved
@@ -125,7 +125,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
     random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
     covariances = slopes @ fit.covariance @ slopes.transpose(0, 2, 1) + random
     statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
-    limit = float(chi2.isf(ACCEPTED, 6 * kept.count)) * (1.0 + MODEL_SHARE)
+    limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
         rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
         raise DoesNotFit(
