@@ -11,9 +11,9 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import Rotation
 
-from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.frames import Frame, FrameMismatch, Transform, rigid_of
 
 Array = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
 
 def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
     """The pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
-    return Transform(Frame.ROBOT, Frame.TOOL, RigidTransform.from_components(origin_mm, orientation))
+    return Transform(Frame.ROBOT, Frame.TOOL, rigid_of(origin_mm, orientation))
 
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
@@ -71,7 +71,7 @@ def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
     return Transform(
         Frame.ROBOT,
         Frame.TOOL,
-        RigidTransform.from_components(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
+        rigid_of(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
     )
 
 
