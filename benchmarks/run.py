@@ -46,6 +46,7 @@ MEASUREMENTS = {
     "mini-case": "mini_case",
     "recording": "recording",
     "console": "console_page",
+    "planner": "planner_page",
 }
 PEERS = (
     "ndicapi", "scikit-surgerynditracker", "RSIPI", "opencv-contrib-python-headless", "scipy", "numpy",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import tomllib
 from collections.abc import Callable, Iterator
@@ -27,7 +28,7 @@ from open_planner import (
 from procedures.planning.plan_lock import held_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
-Open = Callable[..., dict[str, str]]
+Open = Callable[[Path], dict[str, str]]
 
 
 @pytest.fixture(scope="module")
@@ -37,13 +38,19 @@ def patient(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def opened(tmp_path: Path, patient: Path) -> Iterator[Open]:
-    """Open the planner on the patient's CT, or another one, with a plan of its own."""
+    """Open the planner on the patient's CT with a file, new or a copy of the patient's plan."""
     with ExitStack() as stack:
 
-        def start(*options: object, series: Path = patient / "ct") -> dict[str, str]:
-            return stack.enter_context(open_planner(tmp_path, series, *options))
+        def start(file: Path) -> dict[str, str]:
+            return stack.enter_context(open_planner(tmp_path, patient / "ct", "--plan", file))
 
         yield start
+
+
+@pytest.fixture
+def plan(patient: Path, tmp_path: Path) -> Path:
+    """The patient's plan, to be drawn on."""
+    return Path(shutil.copy(patient / "plan.toml", tmp_path))
 
 
 def said(page: Any, code: str) -> str:
@@ -59,8 +66,8 @@ def save(page: Any, name: str = "Dr Test") -> None:
 def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_its_target(
     opened: Open, page: Any, patient: Path, tmp_path: Path
 ) -> None:
-    file = tmp_path / "plan.toml"
-    addresses = opened("--plan", file)
+    file = tmp_path / "new.toml"
+    addresses = opened(file)
     enter_planner(page, addresses["url"])
     assert page.locator("[data-found]").get_attribute("data-found") == "3"
     page.get_by_role("button", name="set the target").click()
@@ -77,9 +84,9 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_it
     save(page)
     page.wait_for_selector("[data-saved=saved]")
 
-    plan = tomllib.loads(file.read_text())
-    assert plan["trajectories"][0]["entry_mm"] == [8.4, -112.7, 871.8]
-    assert plan["seal"]["author"] == "Dr Test"
+    saved = tomllib.loads(file.read_text())
+    assert saved["trajectories"][0]["entry_mm"] == [8.4, -112.7, 871.8]
+    assert saved["seal"]["author"] == "Dr Test"
     subprocess.run(
         command("procedures.cli.plan", "check", file, "--ct", patient / "ct", "--markers"), check=True
     )
@@ -97,8 +104,10 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_it
     assert page.complaints == []
 
 
-def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(opened: Open, page: Any) -> None:
-    enter_planner(page, opened()["url"])  # the phantom's own plan, beside its CT
+def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(
+    opened: Open, page: Any, plan: Path
+) -> None:
+    enter_planner(page, opened(plan)["url"])
     assert field_value(page, "target L") == "-2.2"
     page.get_by_label("reject 3").click()
     page.wait_for_selector("[data-found='2']")
@@ -117,8 +126,8 @@ def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(opene
     assert page.complaints == []
 
 
-def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any) -> None:
-    enter_planner(page, opened()["viewer_url"])
+def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any, plan: Path) -> None:
+    enter_planner(page, opened(plan)["viewer_url"])
     assert page.locator("[data-do=save]:visible").count() == 0
     assert page.get_by_role("button", name="set the entry").count() == 0
     assert page.locator('[data-field="target L"]').is_disabled()
@@ -133,11 +142,9 @@ def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any
 
 
 def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_too_near(
-    opened: Open, page: Any, patient: Path, tmp_path: Path
+    opened: Open, page: Any, plan: Path
 ) -> None:
-    file = tmp_path / "plan.toml"
-    file.write_bytes((patient / "plan.toml").read_bytes())
-    enter_planner(page, opened("--plan", file)["url"])
+    enter_planner(page, opened(plan)["url"])
     page.get_by_label("crosshair to the target").click()
     page.get_by_role("button", name="draw a structure").click()
     box = page.locator("[data-plane=axial]").bounding_box()
@@ -158,22 +165,20 @@ def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_to
     page.wait_for_selector(".verdictbox >> text=PLAN-027")
     type_number(page, "target S", "824.1")
     page.wait_for_function(
-        "document.querySelector('[data-distance=\"vessel/T1\"]').innerText === '5.2'", timeout=30_000
+        "document.querySelector('[data-distance=\"vessel/T1\"]').innerText === '6.0'", timeout=30_000
     )
     save(page)
     page.wait_for_selector("[data-saved=saved]")
-    names = [one["name"] for one in tomllib.loads(file.read_text())["structures"]]
+    names = [one["name"] for one in tomllib.loads(plan.read_text())["structures"]]
     assert names == ["S1", "vessel"]
     assert page.complaints == []
 
 
 def test_a_case_that_begins_on_the_plan_ends_the_editing_until_it_is_over(
-    opened: Open, page: Any, patient: Path, tmp_path: Path
+    opened: Open, page: Any, plan: Path
 ) -> None:
-    file = tmp_path / "plan.toml"
-    file.write_bytes((patient / "plan.toml").read_bytes())
-    enter_planner(page, opened("--plan", file)["url"])
-    with held_plan(file):
+    enter_planner(page, opened(plan)["url"])
+    with held_plan(plan):
         type_number(page, "target L", "-3.0")
         assert "only be looked at" in said(page, "PLAN-026")
         page.wait_for_function("document.querySelector('[data-field=\"target L\"]').value === '-2.2'")

@@ -65,5 +65,6 @@ def with_console(
             pilot.attach(engine)
             link.follow(engine.events)
             link.show_looks(engine.setting.workcell)
+            link.await_ready()
 
         yield replace(watcher, opened=opened, pilot=pilot)

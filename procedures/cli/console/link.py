@@ -61,6 +61,7 @@ class ConsoleLink:
                 timeout_s=None,
                 inherited=(theirs.fileno(),),
             )
+        self._answered = threading.Event()
         self._followed = threading.Event()
         self._over = threading.Event()
         self._start(self._await_ready, "console ready")
@@ -70,6 +71,13 @@ class ConsoleLink:
         """Send everything that happens from now on."""
         self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
+
+    def await_ready(self) -> None:
+        """Wait, as long as it may take at most, until the console serves or is known not to.
+
+        It starts beside the theatre; a case that does not wait may be over before anybody can look at it.
+        """
+        self._answered.wait(READY_S)
 
     def show_looks(self, workcell: Workcell) -> None:
         """Send what the stereo head sees from now on."""
@@ -105,8 +113,10 @@ class ConsoleLink:
             if not self._ending:
                 self._say(f"no console: {error}")
             self._gone()
+            self._answered.set()
             return
         self._say(f"CONSOLE {json.dumps(ready)}")
+        self._answered.set()
         self._hear()
 
     def _hear(self) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import socket
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -41,3 +43,29 @@ def test_a_console_hears_that_the_program_lives_before_the_theatre_is_open(
     finally:
         console.close()
     assert heard.startswith(b'{"beat":1}\n')
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_a_case_waits_until_its_console_serves_or_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: bool
+) -> None:
+    may_answer, said = threading.Event(), []
+
+    class Slow(Listening):
+        def await_ready(self, limit_s: float) -> dict[str, str]:
+            may_answer.wait(limit_s)
+            if fails:
+                raise ValueError("it says nothing")
+            return {}
+
+    monkeypatch.setattr(link, "ChildProcess", Slow)
+    console = link.ConsoleLink(tmp_path, Desk(waits=False), 0, said.append)
+    try:
+        with ThreadPoolExecutor(1) as beside:
+            waiting = beside.submit(console.await_ready)
+            assert said == []
+            may_answer.set()
+            waiting.result(10.0)
+        assert said[0].startswith("no console" if fails else "CONSOLE")
+    finally:
+        console.close()

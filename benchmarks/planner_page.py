@@ -1,0 +1,100 @@
+"""How fast the planner answers on its page: a scroll, a drag, and the head after opening.
+
+A CT of 512 x 512 x 200 voxels in headless Chromium with software graphics; times are those of the page's own
+clock, from a person's event to what is seen of it.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from benchmarks.figures import Figure
+
+ROOT = Path(__file__).resolve().parents[1]
+if str(ROOT / "tests" / "support") not in sys.path:
+    sys.path.append(str(ROOT / "tests" / "support"))
+
+# These stand beside the tests, whose folder is on the path only now.
+from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
+from open_planner import enter_planner, make_phantom, open_planner  # noqa: E402
+
+OURS = "planner"
+SCROLLS, DRAGS = 60, 30
+SCROLL_MS, HEAD_S, DRAG_MS = 50.0, 2.0, 200.0
+HANDLE = "[data-plane=axial] svg circle[r='6.0']"  # of the target
+WATCH = """
+window.times = {};
+window.noted = (name) => { const at = performance.now(); (window.times[name] ||= []).push(at); };
+for (const name of ["wheel", "mousemove"])
+  document.addEventListener(name, () => noted(name), {capture: true, passive: true});
+document.addEventListener("load", (e) => {
+  if (e.target.closest?.("[data-plane=axial]")) noted("picture");
+}, true);
+new MutationObserver(() => {
+  const rms = document.querySelector("[data-expected=T1]")?.dataset.rms;
+  if (rms && rms !== window.rms) { window.rms = rms; noted("expected"); }
+}).observe(document, {childList: true, subtree: true, attributes: true});
+"""
+
+
+def measure() -> list[Figure]:
+    """Empty without Chromium."""
+    if MISSING:
+        return []
+    with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:
+        place = Path(name)
+        patient = make_phantom(place / "case", "--scene", "default", "--protocol", "good")
+        with open_planner(place, patient / "ct") as addresses:
+            page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
+            page.add_init_script(WATCH)
+            began_s = time.monotonic()
+            with page.expect_response("**/picture/head.stl") as head:
+                page.goto(addresses["url"])
+            head.value.finished()
+            head_s = time.monotonic() - began_s
+            enter_planner(page, page.url)
+            shape = page.locator(".case .dim").inner_text()
+            scrolls_ms = [_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(SCROLLS)]
+            page.get_by_label("crosshair to the target").click()
+            page.wait_for_selector(HANDLE, state="attached")
+            drags_ms = [_drag_ms(page, 3 if number % 2 else -3) for number in range(DRAGS)]
+    told = shape.split(",")[0].removeprefix("CT of ")
+    return [
+        _of(f"scroll to picture, {told}", scrolls_ms).at_most(SCROLL_MS),
+        _of("drag to expected error", drags_ms).at_most(DRAG_MS),
+        Figure("page to head", OURS, head_s, "s").at_most(HEAD_S),
+    ]
+
+
+def _of(what: str, times_ms: list[float]) -> Figure:
+    p95_ms = sorted(times_ms)[int(0.95 * len(times_ms))]
+    return Figure(what, OURS, median(times_ms), "ms", more={"p95": p95_ms})
+
+
+def _scroll_ms(page: Any, steps: int) -> float:
+    picture = page.locator("[data-plane=axial]").bounding_box()
+    page.mouse.move(picture["x"] + 20, picture["y"] + 20)
+    page.evaluate("window.times = {}")
+    page.mouse.wheel(0, 100 * steps)
+    page.wait_for_function("window.times.picture")
+    return float(page.evaluate("window.times.picture[0] - window.times.wheel[0]"))
+
+
+def _drag_ms(page: Any, right_px: int) -> float:
+    handle = page.locator(HANDLE).last.bounding_box()
+    x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.wait_for_timeout(100)
+    page.evaluate("window.times = {}")
+    page.mouse.move(x + right_px, y)
+    page.wait_for_function("window.times.expected")
+    found = float(page.evaluate("window.times.expected[0] - window.times.mousemove[0]"))
+    page.mouse.up()
+    page.wait_for_selector("[data-state=judged]")
+    return found
