@@ -56,7 +56,7 @@ def measure() -> list[Figure]:
         with served_console(Path(place)) as (process, address):
             ready_s = time.monotonic() - began_s
             ours = _by_tabs(process, address, Path(place))
-        with _bare() as (process, address):
+        with bare_page() as (process, address):
             bare = _by_tabs(process, address, Path(place))
     figures.append(Figure("start of the console's server", OURS, ready_s, "s").at_most(3.0))
     most_percent, most_ms = {1: 10.0, 3: 30.0}, {1: 20.0, 3: 120.0}
@@ -107,7 +107,7 @@ def _share_percent(process: psutil.Process) -> float:
 
 
 @contextmanager
-def _bare() -> Iterator[tuple[psutil.Process, str]]:
+def bare_page() -> Iterator[tuple[psutil.Process, str]]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

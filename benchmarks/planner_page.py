@@ -1,7 +1,8 @@
 """How fast the planner answers on its page: a scroll, a drag, and the head after opening.
 
 A CT of 512 x 512 x 200 voxels in headless Chromium with software graphics; times are those of the page's own
-clock, from a person's event to what is seen of it.
+clock, from a person's event to what is seen of it. Beside the head: how long a bare page of the same library
+takes to show its number.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from statistics import median
 from typing import Any
 
 from benchmarks.figures import Figure
+from console.planning.overlay import CHOSEN
 
 ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "tests" / "support") not in sys.path:
@@ -23,10 +25,12 @@ if str(ROOT / "tests" / "support") not in sys.path:
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from open_planner import enter_planner, make_phantom, open_planner  # noqa: E402
 
+from benchmarks.console_page import BARE, bare_page  # noqa: E402  # it needs what stands there as well
+
 OURS = "planner"
 SCROLLS, DRAGS = 60, 30
 SCROLL_MS, HEAD_S, DRAG_MS = 50.0, 2.0, 200.0
-HANDLE = "[data-plane=axial] svg circle[r='6.0']"  # of the target
+HANDLE = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"  # of the target that is worked on
 WATCH = """
 window.times = {};
 window.noted = (name) => { const at = performance.now(); (window.times[name] ||= []).push(at); };
@@ -48,6 +52,13 @@ def measure() -> list[Figure]:
         return []
     with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:
         place = Path(name)
+        with bare_page() as (_, address):
+            page = opened_context(browser).new_page()
+            began_s = time.monotonic()
+            page.goto(address)
+            page.wait_for_selector("#clock", state="attached")
+            bare_s = time.monotonic() - began_s
+            page.close()
         patient = make_phantom(place / "case", "--scene", "default", "--protocol", "good")
         with open_planner(place, patient / "ct") as addresses:
             page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
@@ -67,7 +78,8 @@ def measure() -> list[Figure]:
     return [
         _of(f"scroll to picture, {told}", scrolls_ms).at_most(SCROLL_MS),
         _of("drag to expected error", drags_ms).at_most(DRAG_MS),
-        Figure("page to head", OURS, head_s, "s").at_most(HEAD_S),
+        Figure("page to head", OURS, head_s, "s", head_s / bare_s, BARE).at_most(HEAD_S),
+        Figure("page to its number", BARE, bare_s, "s"),
     ]
 
 
@@ -86,7 +98,7 @@ def _scroll_ms(page: Any, steps: int) -> float:
 
 
 def _drag_ms(page: Any, right_px: int) -> float:
-    handle = page.locator(HANDLE).last.bounding_box()
+    handle = page.locator(HANDLE).bounding_box()
     x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
     page.mouse.move(x, y)
     page.mouse.down()

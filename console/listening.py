@@ -17,7 +17,8 @@ SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of
 
 def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> socket.socket:
     """A listening socket; port 0 is any free one. Raises CON-001."""
-    listening = socket.socket(family, socket.SOCK_STREAM)
+    # By its protocol the loop knows it for TCP, and lets no answer wait 40 ms for the one before to be heard.
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((address, port))

@@ -203,11 +203,13 @@ class PlannerPage:
         self._looked()
 
     def _looked(self) -> None:
-        """Show at once where this page looks now; the others are not concerned."""
+        """Show at once where this page looks now; the others are not concerned.
+
+        The scene follows at the next beat: drawn by the processor it would hold up a scroll.
+        """
         draft = self._desk.draft
         for one in self._slices:
             one.show(draft)
-        self._stage.show()
         self._ways.show()
         self._at.set_text(self._place_in_words())
 
@@ -236,6 +238,7 @@ class PlannerPage:
         self._redo.set_enabled(desk.history.can_redo)
         self._save.set_enabled(desk.read_only is None)
         self._looked()
+        self._stage.show()
         self._markers.show()
         self._structures.show(desk.judged.distances)
         self._verdict.set_content(verdict(desk.judged, desk.draft))
