@@ -101,8 +101,8 @@ class PlannerPage:
                 self._expected = self._section("Expected error", "accuracy")
             with ui.element("div").classes("right"):
                 self._stage = HeadStage(desk, look, low=self._low)
-                self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
                 self._structures = StructurePanel(desk, look, self._go, self._say, may_edit=self._may_edit)
+                self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
                 ProposalPanel(desk, self._go)
         client = ui.context.client
         changed = desk.subscribe()
@@ -128,6 +128,7 @@ class PlannerPage:
             does = DOES if self._may_edit else {LOOK: DOES[LOOK]}
             ui.label("A click is to")
             self._mode = ui.toggle(does, value=LOOK).props('no-caps unelevated aria-label="A click is to"')
+            self._mode.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
             window = ui.select(list(WINDOWS_HU), value=self._look.window, label="grey window")
             window.props("dense outlined options-dense").classes("window")
             window.on_value_change(lambda event: self._set_window(str(event.value)))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "support"))
@@ -17,7 +18,7 @@ from modest_chromium import MISSING, modest_chromium  # noqa: E402
 from open_planner import await_judged, enter_planner, make_phantom, open_planner  # noqa: E402
 
 DRAWN_MS = 2500  # for software graphics to have drawn the scene
-PAGES = (("light", (1280, 720)), ("dark", (1280, 720)), ("light", (390, 844)))
+PAGES = tuple((scheme, size) for size in ((1280, 720), (390, 844)) for scheme in ("light", "dark"))
 
 
 def main() -> None:
@@ -37,9 +38,27 @@ def main() -> None:
                 enter_planner(page, addresses["url"])
                 await_judged(page)
                 page.get_by_label("crosshair to the target").click()
+                if page.locator("[data-distance]").count() == 0:
+                    _draw(page)
+                page.mouse.move(0, 0)  # no words of a button that is pointed at
+                page.evaluate("window.scrollTo(0, 0)")
                 page.wait_for_timeout(DRAWN_MS)
                 page.screenshot(path=str(out / f"planner-{scheme}-{width}.png"))
                 context.close()
+
+
+def _draw(page: Any) -> None:
+    """Draw a structure beside the target, as a vessel would be."""
+    page.get_by_role("button", name="draw a structure").click()
+    picture = page.locator("[data-plane=axial]").bounding_box()
+    for number, (across, down) in enumerate(((0.36, 0.5), (0.40, 0.56), (0.41, 0.63), (0.39, 0.70))):
+        page.mouse.move(
+            picture["x"] + across * picture["width"], picture["y"] + down * picture["height"], steps=3
+        )
+        if number == 0:
+            page.mouse.down()
+    page.mouse.up()
+    page.wait_for_selector("[data-distance]")
 
 
 if __name__ == "__main__":
