@@ -7,8 +7,9 @@ stay as they are.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -47,12 +48,16 @@ def choose_free_angles(
     own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
     start = setting.kinematics.branch_of(setting.start_rad)
     seen = _seen_along(setting, axes, fiducials, sight, start)
-    nearest = {name: next(iter(turns), 0.0) for name, turns in seen.items()}
+    nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
     blind = set(own)
     for branch in branches_for(setting, axes.turned(nearest), fiducials):
         options = _seen_along(setting, axes, fiducials, sight, branch)
-        blind -= {name for name, turns in options.items() if turns}
-        found = _in_branch(setting, axes, fiducials, options, branch) if all(options.values()) else None
+        first = {name: turn for name, turns in options.items() if (turn := next(turns, None)) is not None}
+        blind -= first.keys()
+        if first.keys() < options.keys():
+            continue
+        turns = {name: chain((first[name],), others) for name, others in options.items()}
+        found = _in_branch(setting, axes, fiducials, turns, branch)
         if found is not None:
             return found
     if blind:
@@ -72,7 +77,7 @@ def _in_branch(
     setting: ArmSetting,
     axes: Axes,
     fiducials_mm: Array,
-    options: Mapping[str, Sequence[float]],
+    options: Mapping[str, Iterable[float]],
     branch: Branch,
 ) -> TurnedPaths | None:
     """The best turns that this branch drives, one axis after the other; None when it cannot."""
@@ -101,7 +106,7 @@ def _in_branch(
 
 
 def _ranked(
-    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Sequence[float], branch: Branch
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
 ) -> Iterator[float]:
     """The turns this branch drives: those with a good wrist in their order, then the others, best first."""
     others: list[tuple[float, float]] = []
@@ -120,17 +125,21 @@ def _ranked(
 
 def _seen_along(
     setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
-) -> dict[str, list[float]]:
-    """By axis, the turns in which every sphere is seen, in the order of the strategy."""
+) -> dict[str, Iterator[float]]:
+    """By axis, the turns in which every sphere is seen, in the order of the strategy.
+
+    Mostly the first will do, and to look along the others takes most of the time: each is looked at when
+    it is asked for.
+    """
     arm = setting.in_branch(branch)
-    seen: dict[str, list[float]] = {}
-    for one in axes.each:
-        turns = setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm)
+
+    def along(one: Trajectory) -> Iterator[float]:
         axis = axes.only(one.identifier)
-        seen[one.identifier] = [
-            turn for turn in turns if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
-        ]
-    return seen
+        for turn in setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm):
+            if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch):
+                yield turn
+
+    return {one.identifier: along(one) for one in axes.each}
 
 
 def _hidden(
