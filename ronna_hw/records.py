@@ -11,7 +11,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ class Record:
     @property
     def sha256(self) -> str:
         """Hash of everything in it."""
-        return hashlib.sha256(canonical_json(asdict(self))).hexdigest()
+        return hashlib.sha256(canonical_json(vars(self))).hexdigest()
 
 
 def canonical_json(content: Any) -> bytes:
@@ -84,7 +84,7 @@ def write_record(record: Record, folder: Path) -> Path:
 def _as_written(record: Record) -> bytes:
     """The one form of a record's file."""
     content = {
-        **asdict(record),
+        **vars(record),
         "parents": list(record.parents),
         "parents_sha256": list(record.parents.values()),
     }

@@ -5,6 +5,7 @@ A file that nobody touched is not read again; one that somebody did is compared 
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,7 +20,8 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 
-Stamps = tuple[tuple[str, int, int, int], ...]  # of each file: name, inode, bytes, time of the last change
+Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
+Stamps = tuple[Stamp, ...]
 
 
 class UnchangedInputs:
@@ -67,7 +69,14 @@ def _stamps(path: Path) -> Stamps:
     return tuple(sorted(_each(path)))
 
 
-def _each(path: Path) -> Iterator[tuple[str, int, int, int]]:
-    for file in path.iterdir() if path.is_dir() else (path,):
-        seen = file.stat()
-        yield file.name, seen.st_ino, seen.st_size, seen.st_mtime_ns
+def _each(path: Path) -> Iterator[Stamp]:
+    if not path.is_dir():
+        yield _stamp(path.name, path.stat())
+        return
+    with os.scandir(path) as files:  # a series has hundreds of slices, and this is asked before each motion
+        for file in files:
+            yield _stamp(file.name, file.stat())
+
+
+def _stamp(name: str, seen: os.stat_result) -> Stamp:
+    return name, seen.st_ino, seen.st_size, seen.st_mtime_ns
