@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -49,6 +50,11 @@ class PosedShape:
 
     def bounds(self) -> Bounds:
         """A box that holds the turned box of the body."""
+        return self._box
+
+    @cached_property
+    def _box(self) -> Bounds:
+        """Asked for by each slice of the scan."""
         corners = apply(self.pose.scan_from_head, list(product(*zip(*self.shape.bounds(), strict=True))))
         return _point(corners.min(axis=0)), _point(corners.max(axis=0))
 
