@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -15,6 +16,9 @@ WALL_CLOCK = {
     "datetime.now", "datetime.utcnow", "datetime.today", "date.today",
     "datetime.datetime.now", "datetime.datetime.utcnow", "datetime.date.today",
 }  # fmt: skip
+ASKED = {name.rpartition(".")[2] for name in WALL_CLOCK}
+# A source without any of these words need not be parsed.
+WORDS = re.compile(rf"\.\s*({'|'.join(sorted(ASKED))})\b|\bfrom\s+time\b")
 # Where a date is wanted: on records, journal, events, recorded bytes, reports, and against an expiry date.
 DATING = {
     "ronna_hw/records.py",
@@ -45,8 +49,10 @@ def _wall_clock_uses() -> Iterator[str]:
             where = path.relative_to(ROOT).as_posix()
             if where in DATING or path.parent.relative_to(ROOT).as_posix() in DATING:
                 continue
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Attribute) and ast.unparse(node) in WALL_CLOCK:
+            source = path.read_text(encoding="utf-8")
+            for node in ast.walk(ast.parse(source)) if WORDS.search(source) else ():
+                asks = isinstance(node, ast.Attribute) and node.attr in ASKED
+                if asks and ast.unparse(node) in WALL_CLOCK:
                     yield f"{where}:{node.lineno} {ast.unparse(node)}"
                 if isinstance(node, ast.ImportFrom) and node.module == "time":
                     names = {alias.name for alias in node.names}

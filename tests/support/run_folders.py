@@ -25,6 +25,8 @@ def await_motion_in(out: Path, step: str) -> None:
         folder = run_folder(out)
         if folder is None or not (folder / JOURNAL_FILE).exists():
             return False
+        if step.encode() not in (folder / JOURNAL_FILE).read_bytes():
+            return False  # looked at two hundred times a second: it is checked and parsed at the end only
         lines = [(line["entry"], line.get("step")) for line in read_journal(folder / JOURNAL_FILE)]
         return ("intent", step) in lines and ("motion", None) in lines[lines.index(("intent", step)) :]
 

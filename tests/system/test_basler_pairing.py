@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -65,14 +66,29 @@ class Theatre:
         self._pairs.clear()
 
 
-@pytest.fixture
-def theatre(request: pytest.FixtureRequest) -> Iterator[Theatre]:
+@contextmanager
+def started(at_ns: int) -> Iterator[Theatre]:
+    """A theatre whose cameras were powered on so long ago."""
     world = World.create(named_scene("bench"), paced=False)
-    world.clock.wait_until_ns(getattr(request, "param", POWERED_ON_NS))
+    world.clock.wait_until_ns(at_ns)
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--world", world.endpoint)) as child:
         made = Theatre(world, child)
         yield made
         made.close()
+
+
+@pytest.fixture(scope="module")
+def running_theatre() -> Iterator[Theatre]:
+    """For all tests of this file that do not ask for the moment of powering on."""
+    with started(POWERED_ON_NS) as made:
+        yield made
+
+
+@pytest.fixture
+def theatre(running_theatre: Theatre) -> Iterator[Theatre]:
+    """Without faults and under nobody's control."""
+    yield running_theatre
+    running_theatre.close()
 
 
 def skew_ms(reading: StereoReading) -> float:
@@ -147,13 +163,13 @@ def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
     assert skew_ms(reading) >= late_ms - SKEW_MS
 
 
-@pytest.mark.parametrize("theatre", [0], indirect=True, ids=["just powered on"])
-def test_the_first_pair_is_judged_although_the_counters_stood_at_zero(theatre: Theatre) -> None:
-    pair = theatre.streaming(trigger="action")
-    theatre.script("expose late right 4 ms")
-    assert pair.grab_pair(LIMIT_S).validity is Validity.UNPAIRED
-    theatre.script()
-    assert pair.grab_pair(LIMIT_S).validity is Validity.OK
+def test_the_first_pair_is_judged_although_the_counters_stood_at_zero() -> None:
+    with started(at_ns=0) as theatre:
+        pair = theatre.streaming(trigger="action")
+        theatre.script("expose late right 4 ms")
+        assert pair.grab_pair(LIMIT_S).validity is Validity.UNPAIRED
+        theatre.script()
+        assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
 @pytest.mark.parametrize(

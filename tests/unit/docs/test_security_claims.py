@@ -11,6 +11,9 @@ PAGE = (ROOT / "docs/explanation/security.md").read_text(encoding="utf-8")
 TEST = re.compile(r"`(tests/[\w/]+\.py)::(\w+)`")
 OURS = ("ronna_hw", "drivers", "sim", "procedures", "console")
 SERVERS = {"create_server", "ThreadingTCPServer", "ThreadingHTTPServer", "HTTPServer", "TCPServer"}
+LISTENING = re.compile(
+    rf"\b({'|'.join((*sorted(SERVERS), 'bind'))})\b"
+)  # a source without it need not be parsed
 
 
 def test_every_claim_names_a_test_that_is_there() -> None:
@@ -29,7 +32,7 @@ def test_every_module_that_opens_a_listening_socket_is_named() -> None:
         path.relative_to(ROOT).as_posix()
         for package in OURS
         for path in (ROOT / package).rglob("*.py")
-        if _listens(ast.parse(path.read_text(encoding="utf-8")))
+        if LISTENING.search(source := path.read_text(encoding="utf-8")) and _listens(ast.parse(source))
     }
     named = re.findall(r"`((?:ronna_hw|drivers|sim|procedures|console)/[\w/.]*)`", PAGE)
     assert [module for module in sorted(found) if not any(module.startswith(name) for name in named)] == []
