@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.bounded_input import parse_json, read_json_bytes
+from ronna_hw.bounded_input import MOST_VALUES, parse_json, read_json_bytes
 from ronna_hw.errors import DataError
 
 PARTIAL = ".partial"  # how the name of a file ends while it is written
@@ -119,7 +119,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
 def read_record(path: Path) -> Record:
     """Read a record back and check its hash and its form, to the byte; raises REC-001."""
     try:
-        found = read_json_bytes(path, linked=False)
+        found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
         content = parse_json(found)
         claimed = content.pop("sha256")
         parents = dict(zip(content.pop("parents"), content.pop("parents_sha256"), strict=True))

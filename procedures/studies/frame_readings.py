@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from procedures.studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
 from procedures.studies.localization import SEED_BOUND
 from procedures.studies.thesis_scans import FRAME_MM
-from ronna_hw.bounded_input import parse_json, parse_toml, read_json_bytes
+from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.new_frames import new_frames
@@ -61,12 +61,12 @@ def recorded_readings(
         write_whole(path, json.dumps({"seed": seed, "readings_mm": taken.tolist()}).encode())
         return taken
     try:
-        content = parse_json(read_json_bytes(path))
+        content = parse_json(read_json_bytes(path, most_values=MOST_VALUES))
         readings = np.array(content["readings_mm"], dtype=float)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise LedgerUnreadable(f"{path} is damaged: {error}") from error
     if readings.shape != (count, SPHERES, 3) or content.get("seed") != seed:
-        raise OtherStudy(f"{folder} holds {len(readings)} readings, drawn otherwise")
+        raise OtherStudy(f"{folder} holds {len(readings)} readings, drawn with another count or seed")
     return readings
 
 

@@ -8,13 +8,20 @@ of his own can refuse with his own code.
 from __future__ import annotations
 
 from ronna_hw.bounded_input.files import read_bounded
-from ronna_hw.bounded_input.json_text import check_json, parse_json, read_json_bytes, read_json_lines
+from ronna_hw.bounded_input.json_text import (
+    MOST_VALUES,
+    check_json,
+    parse_json,
+    read_json_bytes,
+    read_json_lines,
+)
 from ronna_hw.bounded_input.refusal import InputRefused
 from ronna_hw.bounded_input.toml_text import parse_toml, read_toml
 from ronna_hw.bounded_input.unpacking import inflate, unzip
 from ronna_hw.bounded_input.xml_tree import parse_xml
 
 __all__ = [
+    "MOST_VALUES",
     "InputRefused",
     "check_json",
     "inflate",

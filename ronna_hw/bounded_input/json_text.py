@@ -15,7 +15,9 @@ from ronna_hw.bounded_input.files import read_bounded
 from ronna_hw.bounded_input.refusal import InputRefused
 
 LARGEST_JSON_BYTES = 100_000_000  # a journal of a case has one hundredth of it
-MOST_VALUES = 3_000_000  # up to 80 bytes each in memory
+MOST_VALUES = 2_000_000  # up to 120 bytes each in memory
+MOST_VALUES_OF_A_MODEL = 100_000  # each may be a mistake, and a mistake takes up to two kilobytes
+MOST_VALUES_OF_LINES = 3_000_000  # of which one line at a time is parsed
 DEEPEST = 64  # records nest some ten deep
 MOST_DIGITS = 20  # of a whole number: nanoseconds since 1970 have 19
 
@@ -25,36 +27,44 @@ _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 
 def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
     """The value of a JSON text. Raises INP-001, and ValueError for what is no JSON."""
-    content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes)
+    content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
     try:
         return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
     except RecursionError as error:  # of brackets that never close
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
 
 
-def read_json_bytes(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
+def read_json_bytes(
+    path: Path,
+    limit_bytes: int = LARGEST_JSON_BYTES,
+    most_values: int = MOST_VALUES_OF_A_MODEL,
+    *,
+    linked: bool = True,
+) -> bytes:
     """A JSON file as bytes, for a model to read; `linked` as in `read_bounded`. Raises INP-001, OSError."""
-    return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes)
+    return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes, most_values)
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
     """A file of JSON lines, the last of which may be torn; `linked` as there. Raises INP-001, OSError."""
-    return _check_count(read_bounded(path, limit_bytes, linked=linked))
+    return _check_count(read_bounded(path, limit_bytes, linked=linked), MOST_VALUES_OF_LINES)
 
 
-def check_json(content: bytes, limit_bytes: int = LARGEST_JSON_BYTES) -> bytes:
+def check_json(
+    content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
+) -> bytes:
     """The same bytes, if their bounds are kept; raises INP-001."""
     if len(content) > limit_bytes:
-        raise InputRefused("too much JSON", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
-    _check_count(content)
+        raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
+    _check_count(content, most_values)
     if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")
     return content
 
 
-def _check_count(content: bytes) -> bytes:
-    if sum(content.count(mark) for mark in (b"[", b"{", b",", b":")) > MOST_VALUES:
-        raise InputRefused("too many values in JSON", limit=str(MOST_VALUES))
+def _check_count(content: bytes, most_values: int) -> bytes:
+    if sum(content.count(mark) for mark in (b"[", b"{", b",", b":")) > most_values:
+        raise InputRefused("too many values in JSON", limit=str(most_values))
     return content
 
 
@@ -70,7 +80,7 @@ def _deeper_than_allowed(content: bytes) -> bool:
 
 def _whole(digits: str) -> int:
     if len(digits) > MOST_DIGITS:
-        raise InputRefused("a whole number without end in JSON", limit=f"{MOST_DIGITS} digits")
+        raise InputRefused("a whole number in JSON has too many digits", limit=f"{MOST_DIGITS} digits")
     return int(digits)
 
 

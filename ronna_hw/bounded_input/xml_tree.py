@@ -14,7 +14,7 @@ NAMES_BYTES = 20_000_000  # together: the name of a namespace is repeated in tha
 def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
     """The root element. Raises INP-001, also for what is no XML."""
     if len(data) > limit_bytes:
-        raise InputRefused("too much XML", limit=f"{limit_bytes} bytes", got=str(len(data)))
+        raise InputRefused("the XML is too large", limit=f"{limit_bytes} bytes", got=str(len(data)))
     parser = ElementTree.XMLParser(target=_Builder())
     try:
         parser.feed(data)
@@ -22,7 +22,7 @@ def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
     except InputRefused:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two of an encoding
-        raise InputRefused(f"this is no XML: {error}") from error
+        raise InputRefused(f"not valid XML: {error}") from error
     return root
 
 

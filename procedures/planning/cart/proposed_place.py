@@ -5,20 +5,24 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
 from procedures.planning.errors import PlaceUnfit
 from ronna_hw.arm.pose import Pose
-from ronna_hw.bounded_input import InputRefused, read_bounded
+from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
 
 LARGEST_FILE_BYTES = 4_000_000  # a map of the largest extent has some 18,000 squares and nodes
-Numbers2 = tuple[float, float]
-Numbers6 = tuple[float, float, float, float, float, float]
+MOST_VALUES = 400_000
+FURTHEST_MM = 10_000.0  # of any place in the room
+Coordinate = Annotated[float, Field(ge=-FURTHEST_MM, le=FURTHEST_MM)]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Turn = Annotated[float, Field(ge=0.0, le=180.0)]
 
 
 @dataclass(frozen=True)
@@ -46,11 +50,13 @@ class ProposedPlace(Strict):
     model_config = ConfigDict(extra="ignore")
 
     series_instance_uid: str
-    assumed_robot_from_ct: Numbers6 = Field(description="X Y Z A B C in mm and deg, at the assumed place.")
-    best_mm: Numbers2
-    turned_deg: float
-    free_mm: float = Field(ge=0.0)
-    turns_deg: Numbers2 = Field(description="That it may be turned further, the other way and this.")
+    assumed_robot_from_ct: tuple[Coordinate, Coordinate, Coordinate, Degrees, Degrees, Degrees] = Field(
+        description="X Y Z A B C in mm and deg, at the assumed place."
+    )
+    best_mm: tuple[Coordinate, Coordinate]
+    turned_deg: Degrees
+    free_mm: float = Field(ge=0.0, le=FURTHEST_MM)
+    turns_deg: tuple[Turn, Turn] = Field(description="That it may be turned further, the other way and this.")
 
     def beside(self, robot_from_ct: Transform) -> BesideProposal:
         """Where a cart stands from which the CT is seen in this pose ROBOT <- CT."""
@@ -85,7 +91,7 @@ TURNED_SHARE = 0.5  # of what an unturned cart may miss its place by, at which t
 def read_place(path: Path) -> ProposedPlace:
     """Read it. Raises PLAN-022."""
     try:
-        return ProposedPlace.model_validate_json(read_bounded(path, LARGEST_FILE_BYTES))
+        return ProposedPlace.model_validate_json(read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES))
     except OSError as error:
         raise PlaceUnfit(f"cannot read {path.name}: {error.strerror}") from error
     except InputRefused as error:

@@ -19,8 +19,10 @@ from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import read_picks
-from procedures.planning.errors import PlanUnreadable
+from procedures.planning.cart.proposed_place import read_place
+from procedures.planning.errors import PlaceUnfit, PlanUnreadable
 from procedures.planning.plan_file import read_plan
+from procedures.reporting.calibration import RESULT_FILE, read_figures
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
@@ -111,6 +113,27 @@ HOSTILE_JSON = {
     "NaN": b"[[NaN,0,0]]",
     "many values": b"[" + b"[]," * 1_600_000 + b"0]",
 }
+
+
+MANY_VALUES = {  # each was a mistake of its own to the model that reads it: five gigabytes, 41 s
+    "lists": b'{"position_mm": [' + b"[]," * 1_000_000 + b"0]}",
+    "objects": b'{"position_mm": [' + b'{"a":1},' * 400_000 + b"0]}",
+    "keys": b"{" + b",".join(b'"%x":1' % number for number in range(400_000)) + b"}",
+}
+
+
+@pytest.mark.parametrize("content", MANY_VALUES.values(), ids=MANY_VALUES)
+def test_as_many_values_as_no_model_has_are_counted_before_it_reads_them(
+    tmp_path: Path, content: bytes
+) -> None:
+    for name in (RESULT_FILE, "place.json", "scene.json"):
+        (tmp_path / name).write_bytes(content)
+    with bounded_cost(100 << 20, 1.0):
+        assert read_figures(tmp_path) is None
+        with pytest.raises(PlaceUnfit, match="too many values"):
+            read_place(tmp_path / "place.json")
+        with pytest.raises(RonnaError, match="too many values"):
+            read_scene(tmp_path / "scene.json")
 
 
 @pytest.mark.parametrize("content", HOSTILE_JSON.values(), ids=HOSTILE_JSON)
