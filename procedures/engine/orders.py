@@ -27,7 +27,7 @@ class _Order(BaseModel):
     quotes: ClassVar[bool] = False  # whether it says which step the session saw as the next
 
     nonce: Nonce
-    expires_s: float | None = Field(default=None, description="Monotonic host time; too late after it.")
+    expires_s: Finite | None = Field(default=None, description="Monotonic host time; too late after it.")
     session: Annotated[str, Field(min_length=8, max_length=64)]
 
 

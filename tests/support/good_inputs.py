@@ -61,6 +61,9 @@ PARSER_NAMES = (
     "DICOM JPEG",
     "DICOM JPEG-LS",
     "DICOM JPEG 2000",
+    "proposed place",
+    "marker template",
+    "order",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">
@@ -120,6 +123,11 @@ target_mm = [5.0, -20.0, 20.0]
 free_angle_deg = 30.0
 margin_mm = 1.5
 """
+STRUCTURES = b"""[[structures]]
+name = "a vessel"
+margin_mm = 2.0
+points_mm = [[10.0, -40.5, 50.0], [12.0, -41.0, 49.5]]
+"""
 TOOL = b'part_number = "P"\nmarkers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 1.5]]\nmade_on = 2025-01-01\n'
 ANSWERS = b'default = "first"\n[answers]\nregistration = "yes"\n"approach:T1" = "no"\n'
 FAULTS = b"at 12.5 s: tracker occlude marker 3 for 2 s\nwhen step == relocalization: robot drop 5 % for 1 s\n"
@@ -174,5 +182,28 @@ JOURNAL_OF_A_RUN = b"".join(
         {"entry": "failed", "step": "fit:T1", "code": "PRO-007", "what": "too far", "files": ["a.txt"]},
         {"entry": "closed", "outcome": "failed", "files": {"request.json": "3" * 64}, "instrument_in": "T1"}
         | {"inputs": {"/nowhere/plan.toml": "4" * 64}},
+    )
+)
+
+PLACE = json.dumps(
+    {
+        "series_instance_uid": "1.2.826.0.1.3680043.8.498.7",
+        "assumed_robot_from_ct": [520.0, 0.0, 480.0, 10.0, 0.0, -5.0],
+        "best_mm": [12.5, -20.0],
+        "turned_deg": 0.0,
+        "free_mm": 15.0,
+        "turns_deg": [5.0, 7.5],
+        "squares": [{"x_mm": 1.0, "y_mm": 2.0, "serves": True}],
+    }
+).encode()
+TEMPLATE = b"schema = 1\n" + b"".join(
+    b"[[markers]]\ncentre_mm = [%d.0, 10.0, 60.0]\npost = [0.0, 0.0, 1.0]\n" % place for place in (-50, 0, 90)
+)
+ORDERS = tuple(
+    json.dumps({"nonce": "0123456789ab", "session": "0123456789ab", **order}).encode()
+    for order in (
+        {"kind": "next", "upcoming": "registration:T1"},
+        {"kind": "answer", "question": 3, "answer": "yes", "shown": "0" * 64, "readings": [0.01, -1e-3]},
+        {"kind": "claim", "name": "A. Person", "expires_s": 12.5},
     )
 )

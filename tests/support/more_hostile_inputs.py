@@ -7,20 +7,23 @@ import contextlib
 import hashlib
 import io
 import json
+import math
 import struct
 from collections.abc import Callable
 from pathlib import Path
 
 import gdcm
 import numpy as np
-from good_inputs import JOURNAL_OF_A_RUN
+from good_inputs import JOURNAL_OF_A_RUN, ORDERS, PLACE, TEMPLATE
 from painted_ct import write_series
 
 from drivers.basler_stereo.images import pixels_of
+from procedures.engine.orders import read_order
 from procedures.engine.replay.recorded_answers import read_answers
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
+from procedures.planning.cart.proposed_place import ProposedPlace, read_place
 from procedures.reporting.calibration import read_figures
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
@@ -34,6 +37,8 @@ from ronna_hw.conformance.polaris.bx_reply import read_body
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import FIRST
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.marker_template import read_marker_template
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.polaris.line.framing import LineBuffer, parse_request
 from sim.polaris.unit.refusal import Refusal
@@ -115,6 +120,12 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "Polaris host line": ((b"TSTART:5423\rAPIREV \rTX 0001\r",), _host_line),
         "conformance BX": ((body[:46],), _conformance),
         **{name: _compressed(folder / name, syntax) for name, syntax in LIBRARY_SYNTAXES.items()},
+        "proposed place": ((PLACE,), of("place.json", lambda _run: _placed(read_place(run / "place.json")))),
+        "marker template": (
+            (TEMPLATE,),
+            of("template.toml", lambda _run: read_marker_template(run / "template.toml")),
+        ),
+        "order": (ORDERS, _order),
     }
 
 
@@ -138,6 +149,17 @@ def _read_run(run: Path) -> None:
     questions(reading.run.journal)
     timeline(reading.run.journal)
     sessions(reading.log)
+
+
+def _placed(proposal: ProposedPlace) -> None:
+    beside = proposal.beside(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(500.0, 0.0, 480.0)))
+    assert math.isfinite(beside.off_mm)
+    proposal.allows(beside)
+
+
+def _order(data: bytes) -> None:
+    with contextlib.suppress(ValueError):
+        read_order(data)
 
 
 def _asked(room: Room) -> Take:

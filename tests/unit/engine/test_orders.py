@@ -26,6 +26,7 @@ def test_an_order_is_read_as_what_it_is() -> None:
         f'{{"kind":"answer","question":"1","answer":"yes","shown":"{"0" * 64}",{GOOD}}}',
         f'{{"kind":"answer","question":1,"answer":"yes","shown":"short",{GOOD}}}',
         f'{{"kind":"claim","name":"{"a" * LONGEST_BYTES}",{GOOD}}}',
+        f'{{"kind":"stop","expires_s":NaN,{GOOD}}}',
         "[" * 5000,
     ],
 )
