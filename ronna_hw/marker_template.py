@@ -44,7 +44,7 @@ class TemplateMarker(Strict):
     @model_validator(mode="after")
     def _has_a_direction(self) -> Self:
         if abs(math.hypot(*self.post) - 1.0) > UNIT_TOLERANCE:
-            raise ValueError(f"post is no unit vector: its length is {math.hypot(*self.post):.3f}")
+            raise ValueError(f"post is not a unit vector: its length is {math.hypot(*self.post):.3f}")
         return self
 
 

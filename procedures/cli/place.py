@@ -58,7 +58,10 @@ def place(
     turned: Annotated[
         float,
         typer.Option(
-            metavar="DEG", min=-180.0, max=180.0, help="How far the cart is turned, left seen from above."
+            metavar="DEG",
+            min=-180.0,
+            max=180.0,
+            help="How far the cart is turned counter-clockwise, from above.",
         ),
     ] = 0.0,
     home: Annotated[

@@ -79,7 +79,7 @@ class PlannedTrajectory(Strict):
     @model_validator(mode="after")
     def _has_a_way(self) -> PlannedTrajectory:
         if self.depth_mm < LEAST_DEPTH_MM:
-            raise PydanticCustomError("trajectory_geometry", "entry and target are one point")
+            raise PydanticCustomError("trajectory_geometry", "entry and target are the same point")
         if self.depth_mm > MOST_DEPTH_MM:
             raise PydanticCustomError(
                 "trajectory_geometry",
@@ -162,7 +162,9 @@ class Plan(Strict):
                     {"spheres": spheres, "implanted": self.implanted},
                 )
             if self.template_mm is not None:
-                raise PydanticCustomError("frame", "template_mm is for free spheres: the frame is its own")
+                raise PydanticCustomError(
+                    "frame", "template_mm is for free spheres, not for the x-shaped frame"
+                )
         return self
 
     @model_validator(mode="after")
@@ -184,7 +186,7 @@ class Plan(Strict):
     def _are_apart(self) -> Plan:
         names = [one.name for one in self.structures or ()]
         if len(set(names)) < len(names):
-            raise PydanticCustomError("structure", "two structures have one name")
+            raise PydanticCustomError("structure", "two structures have the same name")
         points = sum(len(one.points_mm) for one in self.structures or ())
         if points > MOST_POINTS_TOGETHER:
             raise PydanticCustomError(

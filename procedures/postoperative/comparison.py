@@ -92,7 +92,7 @@ def proof_by(
         raise FitFailed(
             "what lies along "
             + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
-            + " is no straight rod and no round hole"
+            + " is neither a straight rod nor a round hole"
         )
     return Proof(registration, tuple(proven(name, way, found[name]) for name, way in ways.items()))
 

@@ -161,7 +161,7 @@ class Registration:
         of all shares add up to the square of the whole. Raises REG-001, REG-007 without covariances.
         """
         if self.covariance_mm2 is None:
-            raise BadParameter("a share needs covariances")
+            raise BadParameter("a shared residual needs covariances")
         targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
         fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
         part = np.broadcast_to(np.asarray(part_mm2, dtype=float), self.covariance_mm2.shape)

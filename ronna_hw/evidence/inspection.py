@@ -223,7 +223,7 @@ def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, 
         return False
     went_on = chain.lines[sealed.count(b"\n") :]
     if went_on and went_on[0]["entry"] != Entry.RESTARTED:
-        yield Problem(JOURNAL_FILE, "goes on after its seal, and nobody took the run up again")
+        yield Problem(JOURNAL_FILE, "continues after its seal, but the run was not resumed")
     return not after
 
 

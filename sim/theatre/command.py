@@ -47,7 +47,11 @@ def theatre(
         Carrier, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
     ] = Carrier.FREE,
     calibrated: Annotated[
-        bool, typer.Option("--calibrated", help="With a calibration record of the arm, and the head's by it.")
+        bool,
+        typer.Option(
+            "--calibrated",
+            help="With a calibration record of the arm, and one of the stereo head made with it.",
+        ),
     ] = False,
     first_day: Annotated[
         bool,

@@ -121,7 +121,7 @@ class CommandLink:
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
-            raise MalformedReply(f"text reply to {name}, which has a binary one", wire=reply.encode())
+            raise MalformedReply(f"text reply to {name}, whose reply is binary", wire=reply.encode())
         return reply
 
     def limit_s(self, name: str, sent_bytes: int, reply_bytes: int) -> float:

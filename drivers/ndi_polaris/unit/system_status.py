@@ -68,7 +68,7 @@ def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
     """Alerts raised since they were last read; reading clears the pending bit."""
     value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
     if not value.isdecimal():
-        raise MalformedReply("unknown form of the alerts", got=value)
+        raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(int(value))
 
 

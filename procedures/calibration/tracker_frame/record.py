@@ -97,7 +97,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
     """Raise CAL-002 without a return, CAL-016 when the frame was not where it was before."""
     if len(returns) < 2:
         raise TooFewPoses(
-            "the arm did not return to its first pose: nobody knows whether the tracker stood still",
+            "the arm did not return to its first pose, so it is unknown whether the tracker stood still",
             expected="at least 2 looks from there",
             got=str(len(returns)),
         )

@@ -99,7 +99,7 @@ def _stated(context: StepContext) -> Outcome[BallPlace]:
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
         raise NoBall(
-            "nobody says where the calibration stand is",
+            "the place of the calibration stand is not given",
             action="Give the place of its ball with --ball X Y Z, or as stand_mm in [procedure].",
         )
     return Outcome(BallPlace(ball_mm=stand_mm, others_mm=()), "as the theatre file says")

@@ -149,7 +149,7 @@ def _work(context: StepContext, stage: Stage, stop: DepthStop) -> None:
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
     if answer != DONE:
-        raise NotConfirmed(f"nobody said at {trajectory} that {stage.confirms}", action=STAYS)
+        raise NotConfirmed(f"it was not confirmed at {trajectory} that {stage.confirms}", action=STAYS)
 
 
 def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:

@@ -38,7 +38,7 @@ def tried(kind: MethodKind, text: str) -> OwnMethod:
         raise MethodRefused(
             f"{text} answers differently to the same input",
             expected="the same answer every time",
-            got="another one the second time",
+            got="a different one the second time",
             action="Seed its random numbers, and keep nothing from one call to the next.",
         )
     return method

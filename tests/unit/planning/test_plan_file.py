@@ -96,7 +96,7 @@ def test_a_plan_without_trajectories_is_a_mistake(trajectories, plan_text, plan_
 
 
 def test_entry_and_target_must_differ(plan_text, plan_path):
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*one point"):
+    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*the same point"):
         read_plan(
             plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60.2]"))
         )

@@ -94,7 +94,7 @@ def test_a_plan_with_structures_is_written_and_read_as_it_was(plan: Plan, tmp_pa
 
 def test_two_structures_of_one_name_and_too_many_points_are_refused(plan: Plan) -> None:
     one = structure_of("vessel", 2.0, [(0.0, 0.0, 0.0)])
-    with pytest.raises(PlanMistakes, match=r"PLAN-002.*one name"):
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*the same name"):
         avoiding(plan, one, one)
     clouds = [structure_of(f"S{k}", 2.0, np.arange(3000.0).reshape(-1, 3)) for k in range(4)]
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*4000 points together, limit 3000"):

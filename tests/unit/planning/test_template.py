@@ -100,7 +100,7 @@ def test_a_template_comes_back_from_its_file(tmp_path: Path) -> None:
         ("{", "not TOML"),
         (
             "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 2.0]\n" * 3,
-            "no unit vector: its length is 2.000",
+            "not a unit vector: its length is 2.000",
         ),
         (
             "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 1.0]\n" * 3,

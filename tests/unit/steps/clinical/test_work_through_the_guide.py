@@ -135,7 +135,7 @@ def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell
 def test_work_that_was_left_goes_on_where_it_was(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.DRILL,)
-    with pytest.raises(NotConfirmed, match="nobody said at T1 that the skull is drilled"):
+    with pytest.raises(NotConfirmed, match="it was not confirmed at T1 that the skull is drilled"):
         work(engine)
     assert engine.instrument_in == FIRST
     cell.operator.refusing = ()
