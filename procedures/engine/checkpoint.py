@@ -13,6 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from procedures.engine.errors import GuardUnmet, OperatorAborted
 from procedures.engine.operator import Question, Topic
+from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
@@ -62,10 +63,10 @@ class Checkpoint:
         self,
         ask: Callable[[Question], str],
         rest: Callable[[str, str], AbstractContextManager[None]],
-        sleep: Callable[[float], None],
+        clock: Clock,
         guards: Sequence[Guard] = (),
     ) -> None:
-        """`rest` is held, with state and reason, while the case rests; `sleep` takes theatre time."""
+        """`rest` is held, with state and reason, while the case rests."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
         # Held, with what is done and whether the arm moves, also while an instrument is at its target.
@@ -74,7 +75,7 @@ class Checkpoint:
         )
         self._ask = ask
         self._rest = rest
-        self._sleep = sleep
+        self._clock = clock
         self._wishes = threading.RLock()  # a signal handler may wish while its thread meets a wish
         self._pause: str | None = None
         self._abort = False
@@ -148,18 +149,17 @@ class Checkpoint:
             return
         patience_s = guard.patience_s if isinstance(guard, DispensableGuard) else PATIENCE_S
         with self._rest(SUSPENDED, f"{guard.name}: {reason}"):
-            waited_s = 0.0
+            since_s = self._clock.now_s()  # a look takes its time as well
             while (reason := guard.unmet()) is not None:
-                if waited_s >= patience_s:
+                if self._clock.now_s() - since_s >= patience_s:
                     answer = self._ask(_question(guard, reason, where))
                     if answer == GO_ON and isinstance(guard, DispensableGuard):
                         guard.excuse()
                         continue
                     if answer != WAIT:
                         raise GuardUnmet(f"{guard.name}: {reason}")
-                    waited_s, patience_s = 0.0, PATIENCE_S
-                self._sleep(LOOK_AGAIN_S)
-                waited_s += LOOK_AGAIN_S
+                    since_s, patience_s = self._clock.now_s(), PATIENCE_S
+                self._clock.sleep(LOOK_AGAIN_S)
 
 
 def _question(guard: Guard, reason: str, where: str) -> Question:

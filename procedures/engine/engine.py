@@ -64,7 +64,7 @@ class Engine:
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
         self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
-        self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock.sleep)
+        self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock)
         self._journal = journal
         self._logged = order.without_names
         self._on_ending = on_ending

@@ -87,6 +87,8 @@ class Person:
             return re.findall(r"moves\s+(\d+)\s+mm", text)[-1]
         if asked.startswith("the patient"):
             return self.patient
+        if asked.startswith("wait, continue") and asked in text[: text.rindex("Type ")]:
+            return "continue"  # it did not help to wait
         if " or " in asked:
             return re.split(r", | or ", asked)[0]
         assert read_off, f"nothing was read off for: {asked}"

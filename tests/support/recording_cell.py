@@ -288,7 +288,7 @@ class RecordingCell:
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
         agree = RecordingOperator().ask
-        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock.sleep)
+        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
         self.workcell.ask_before_motion(resting, agree)  # until an engine asks
 
     @property

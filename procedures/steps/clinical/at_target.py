@@ -92,7 +92,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
                 context.progress(share, f"{stage.confirms} at {trajectory}")
                 begun.done.append(stage.task)
         context.have_instrument_out()
-        context.progress(1.0, f"the instrument is out of {trajectory}")
+    context.progress(1.0, f"the instrument is out of {trajectory}")
     if begun.pushed_mm > PUSHED_MM:
         context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
     too_deep_mm = begun.stop.too_deep_mm

@@ -28,7 +28,7 @@ class Rig:
         self.asked: list[Question] = []
         self.slept_s = 0.0
         self.answer = answer
-        self.checkpoint = Checkpoint(self.ask, self.rest, self.sleep)
+        self.checkpoint = Checkpoint(self.ask, self.rest, self)
 
     def ask(self, question: Question) -> str:
         self.asked.append(question)
@@ -39,8 +39,15 @@ class Rig:
         self.rests.append((state, reason))
         yield
 
-    def sleep(self, seconds: float) -> None:
-        self.slept_s += seconds
+    @property
+    def paced(self) -> bool:
+        return False
+
+    def now_s(self) -> float:
+        return self.slept_s
+
+    def sleep(self, duration_s: float) -> None:
+        self.slept_s += duration_s
 
 
 def test_without_a_wish_nothing_is_asked() -> None:
@@ -89,6 +96,21 @@ def test_a_guard_suspends_until_it_is_met() -> None:
     assert rig.rests == [("suspended", "disk space: 1 MB left")]
     assert 0.1 < rig.slept_s < 1.0
     assert rig.asked == []
+
+
+def test_the_patience_with_a_guard_counts_the_time_that_its_looks_take() -> None:
+    rig = Rig(lambda question: question.silence)
+
+    class Slow(Disk):
+        def unmet(self) -> str | None:
+            rig.sleep(5.0)
+            return super().unmet()
+
+    guard = Slow(1000)
+    rig.checkpoint.guards.append(guard)
+    with pytest.raises(GuardUnmet):
+        rig.checkpoint.here("before a motion")
+    assert guard.unmet_looks > 990
 
 
 @pytest.mark.branch("GUARD_UNMET")
