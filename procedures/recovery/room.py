@@ -24,7 +24,8 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     """Compare both; False when the tracker sees too little of the head from here. Raises what it raises."""
     stored = engine.case.find(GlobalLocalization, None)
     if stored is None:
-        comparison.note("patient and robot base: not recorded yet, nothing to compare")
+        what = "patient" if engine.setting.clinical is not None else "stand"
+        comparison.note(f"{what} and robot base: not recorded yet, nothing to compare")
         return True
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs

@@ -16,12 +16,14 @@ from procedures.engine.hands import IN_GAUGE
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.operator import YES, Question, Topic
-from procedures.engine.step import StepKey
+from procedures.recovery.calibration import leave_divot, over_divot_mm, surround_calibration
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
 from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
+from procedures.steps.calibration.stand_ball import ObservedStand
+from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -31,6 +33,9 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.left_arm import left_arm
+
+EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
+LOOKS = (Relocalization.kind, ObservedStand.kind)  # those that the head must have done before
 
 
 def recover(engine: Engine, left: LeftRun) -> None:
@@ -76,6 +81,7 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
         return False
     _have_accepted(engine, comparison, "bring the arm home", first)
     _surround(engine)
+    leave_divot(engine)
     engine.retreat_home()
     return True
 
@@ -125,11 +131,11 @@ def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
 
     Where the journal's end is lost and every sphere is localized, the lost lines can have said so.
     """
-    exchange = StepKey(MountedGuide.kind)
-    if engine.case.stands(exchange):
+    exchange = next((key for key in engine.order.sequence if key.name in EXCHANGES), None)
+    if exchange is None or engine.case.stands(exchange):
         return False
     begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in left.run.journal)
-    looks = [key for key in engine.order.sequence if key.name == Relocalization.kind]
+    looks = [key for key in engine.order.sequence if key.name in LOOKS]
     return begun or (bool(left.chain.torn) and all(map(engine.case.stands, looks)))
 
 
@@ -141,6 +147,8 @@ def _first(engine: Engine) -> tuple[str, ...]:
         first.append(f"first the instrument is taken out of {trajectory} by hand")
     if (on := workcell.insertion) is not None:
         first.append(f"the guide comes back from {on.trajectory} along its axis")
+    if over_divot_mm(engine) is not None:
+        first.append("the divot is lowered by hand, and the guide leaves it along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
@@ -155,6 +163,9 @@ def _surround(engine: Engine) -> None:
     """Say where the head is, before anything moves. Where that is not known yet, the arm is still home."""
     workcell, case = engine.setting.workcell, engine.case
     keys = engine.order.sequence
+    if engine.setting.clinical is None:
+        surround_calibration(engine)
+        return
     if workcell.tool is MountedTool.STEREO_HEAD and case.find(Correspondence, None) is not None:
         surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
         return
@@ -187,5 +198,6 @@ def _way_out(engine: Engine) -> bool:
         engine.run_step(following)  # the work at the target is done: what remains is the retreat itself
     if workcell.insertion is None and workcell.at_home:
         return False
+    leave_divot(engine)
     engine.retreat_home()
     return True

@@ -33,12 +33,14 @@ class Killed:
     records: tuple[Record, ...]
 
 
-def killed_at(commands: Commands, case: tuple[str, ...], out: Path, says: str) -> Killed:
+def killed_at(
+    commands: Commands, case: tuple[str, ...], out: Path, says: str, program: str = "ronna-procedure"
+) -> Killed:
     """Start a case and kill it as soon as its journal says that, or with "" when its folder is there.
 
     Nothing of it lives then.
     """
-    process = commands.start("ronna-procedure", *case, "--out", str(out))
+    process = commands.start(program, *case, "--out", str(out))
 
     def reached() -> bool:
         folder = run_folder(out)

@@ -121,12 +121,12 @@ def check(
         write_payload(files.check_payload(results[0]), folder)
         results[0].require()
 
-    request = theatre_request(sim, scene, seed, config, calibrated=True)
+    request = theatre_request(sim, scene, seed, config, calibrated=True, answers=answers)
     folder = new_folder(out, "check")
     try:
         with leaving_report(folder, with_truth=False):
             recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
-            observe(files.CHECK, recipe, request, folder, conclude, answers=answers)
+            observe(files.CHECK, recipe, request, folder, conclude)
     finally:
         for result in results:
             if as_json:

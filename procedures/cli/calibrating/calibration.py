@@ -12,11 +12,14 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from procedures.calibration.observations import read_strict
-from procedures.cli.calibrating.files import write_payload, write_records, write_theatre
-from procedures.cli.calibrating.running import concluded, new_folder, run_steps
-from procedures.cli.case.request import TheatreRequest
+from procedures.cli.calibrating.files import read_payload, write_payload, write_records, write_theatre
+from procedures.cli.calibrating.running import new_folder, run_steps
+from procedures.cli.case.leaving_report import leaving_report
+from procedures.cli.case.opening import Resumption
+from procedures.cli.case.request import CalibrationRun, TheatreRequest
 from procedures.engine.case import Case
 from procedures.engine.engine import Engine
+from procedures.engine.run_lock import held_run
 from procedures.reporting.calibration import Figure
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.calibration import Strict
@@ -49,6 +52,7 @@ class CalibrationKind(Generic[Looks, Result]):
     figures: Callable[[dict[str, Any]], Iterable[Figure]]
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
+    warnings: Callable[[dict[str, Any]], Iterable[str]] = lambda _payload: ()
 
     def read_looks(self, path: Path) -> Looks:
         """Stored looks, from their file or folder. Raises CAL-005."""
@@ -67,40 +71,67 @@ class CalibrationRequest:
     recorded: Path | None
     config: Path | None
     write: Path | None
-    life: timedelta
+    days: int
     out: Path
     as_json: bool
-    answers: Path | None = None
 
 
-def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: CalibrationRequest) -> Result:
+def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: CalibrationRequest) -> None:
     """Look or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-019."""
-    recorded = None if request.recorded is None else kind.read_looks(request.recorded)
-    folder = new_folder(request.out, kind.name)
-
-    def conclude(looks: Looks) -> Result:
-        kind.write_looks(looks, folder)
-        result = kind.compute(looks, request.life)
-        kind.keep(looks, result, folder)
-        write_records(kind.records(result), folder)
-        write_payload(kind.payload(result), folder)
-        return result
-
-    def look(then: Callable[[Looks], None]) -> None:
-        assert request.theatre is not None, "without recorded looks there is a theatre"
-        observe(kind, recipe, request.theatre, folder, then, answers=request.answers)
-
-    result = concluded(folder, recorded, look, conclude)
-    if request.write is not None and request.config is not None:
-        write_theatre(request.config, request.write, kind.records(result))
-    payload = kind.payload(result)
-    if request.as_json:
-        console.print_json({**payload, "folder": str(folder)})
+    theatre = request.theatre or TheatreRequest(config=request.config)
+    run = CalibrationRun(
+        config=theatre.config,
+        choice=theatre.choice,
+        answers=theatre.answers,
+        recipe=recipe.model_dump(mode="json"),
+        days=request.days,
+        write=request.write,
+    )
+    if request.recorded is not None:
+        recorded = kind.read_looks(request.recorded)
+        folder = new_folder(request.out, kind.name)
+        conclude(kind, run, recorded, folder)
     else:
-        rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
-        console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
-        console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
-    return result
+        folder = new_folder(request.out, kind.name, run)
+        with held_run(folder), leaving_report(folder, with_truth=False):
+            looked(kind, recipe, run, folder)
+    show(kind, read_payload(folder), folder, as_json=request.as_json)
+
+
+def looked(
+    kind: CalibrationKind[Looks, Result],
+    recipe: Recipe,
+    run: CalibrationRun,
+    folder: Path,
+    resumption: Resumption | None = None,
+) -> None:
+    """Observe, or go on with that, and conclude within the run."""
+    observe(kind, recipe, run, folder, lambda looks: conclude(kind, run, looks, folder), resumption)
+
+
+def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: Looks, folder: Path) -> None:
+    """Compute and leave the files, the looks first. Raises what the computation raises."""
+    kind.write_looks(looks, folder)
+    result = kind.compute(looks, timedelta(days=run.days))
+    kind.keep(looks, result, folder)
+    write_records(kind.records(result), folder)
+    write_payload(kind.payload(result), folder)
+    if run.write is not None and run.config is not None:
+        write_theatre(run.config, run.write, kind.records(result))
+
+
+def show(
+    kind: CalibrationKind[Looks, Result], payload: dict[str, Any], folder: Path, *, as_json: bool
+) -> None:
+    """The figures of a calibration that is finished."""
+    if as_json:
+        console.print_json({**payload, "folder": str(folder)})
+        return
+    rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
+    console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
+    console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
+    for warning in kind.warnings(payload):
+        console.tell(f"warning: {warning}")
 
 
 def observe(
@@ -109,8 +140,7 @@ def observe(
     theatre: TheatreRequest,
     folder: Path,
     conclude: Callable[[Looks], None],
-    *,
-    answers: Path | None = None,
+    resumption: Resumption | None = None,
 ) -> None:
     """Run the steps and tell their remarks; what `conclude` raises is how the run has ended."""
 
@@ -124,10 +154,10 @@ def observe(
             recipe.steps,
             advance,
             title=kind.title,
-            answers=answers,
             in_use=kind.in_use,
             recipe=recipe,
             judge=judge,
+            resumption=resumption,
         )
     for remark in kind.remarks(engine.case):
         console.tell(remark)

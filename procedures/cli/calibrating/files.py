@@ -51,6 +51,15 @@ def write_payload(payload: dict[str, Any], folder: Path) -> None:
     write_whole(folder / RESULT_FILE, json.dumps(payload, indent=1, allow_nan=False).encode())
 
 
+def read_payload(folder: Path) -> dict[str, Any]:
+    """The same of a calibration that is finished. Raises CAL-005."""
+    try:
+        payload: dict[str, Any] = json.loads((folder / RESULT_FILE).read_bytes())
+    except (OSError, ValueError) as error:
+        raise BadObservations(f"cannot read {folder / RESULT_FILE}: {error}") from error
+    return payload
+
+
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     """The theatre file `source` with new calibration records, as `target`; only comments are lost.
 

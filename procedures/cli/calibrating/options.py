@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -80,11 +79,16 @@ def calibration_request(
     theatre = None
     if recorded is None:
         theatre = theatre_request(
-            sim, scene, seed, config, calibrated=calibrated, first_day=first_day, records=records
+            sim,
+            scene,
+            seed,
+            config,
+            calibrated=calibrated,
+            first_day=first_day,
+            records=records,
+            answers=answers,
         )
-    return CalibrationRequest(
-        theatre, recorded, config, write, life=timedelta(days=days), out=out, as_json=as_json, answers=answers
-    )
+    return CalibrationRequest(theatre, recorded, config, write, days=days, out=out, as_json=as_json)
 
 
 def theatre_request(
@@ -96,8 +100,9 @@ def theatre_request(
     calibrated: bool = False,
     first_day: bool = False,
     records: Sequence[Path] = (),
+    answers: Path | None = None,
 ) -> TheatreRequest:
-    """The theatre that the options name; raises CLI-001 unless it is one."""
+    """The theatre that the options name, and who answers; raises CLI-001 unless it is one, PRO-026."""
     if sim == (config is not None):
         raise UsageMistake("choose one: --sim, or --config FILE")
     from procedures.cli.case.request import TheatreRequest
@@ -114,7 +119,12 @@ def theatre_request(
     choice = SceneChoice(scene, seed, calibrated=calibrated, first_day=first_day, records=tuple(records))
     if sim:
         choice.check()
-    return TheatreRequest(config=config, choice=choice)
+    scripted = None
+    if answers is not None:
+        from procedures.cli.case.answers import read_answers
+
+        scripted = read_answers(answers)
+    return TheatreRequest(config=config, choice=choice, answers=scripted)
 
 
 def finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:

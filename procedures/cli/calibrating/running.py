@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime, timedelta
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING
 
-from procedures.cli.case.answers import read_answers
 from procedures.cli.case.event_follower import EventFollower
-from procedures.cli.case.opening import Procedure, Watcher, opened_engine
-from procedures.cli.case.request import TheatreRequest, forget_if_empty, forget_if_refused
+from procedures.cli.case.opening import Procedure, Resumption, Watcher, opened_engine
+from procedures.cli.case.request import CalibrationRun, TheatreRequest, forget_if_empty, forget_if_refused
+from procedures.cli.case.request_file import write_request
 from procedures.engine.events import Event, Progress
 
 if TYPE_CHECKING:
@@ -21,16 +22,22 @@ if TYPE_CHECKING:
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 
-Observed = TypeVar("Observed")  # what was observed
-Result = TypeVar("Result")  # what is concluded from it
-GRACE = timedelta(hours=1)  # how long a record that only serves as a start is taken for valid
+NEVER = datetime(9999, 1, 1, tzinfo=UTC)  # when a record that only serves as a start expires
 
 
-def new_folder(out: Path, what: str) -> Path:
-    """Make `OUT/<what>-<id>`; the id is the moment and four random hex digits."""
+def new_folder(out: Path, what: str, request: CalibrationRun | None = None) -> Path:
+    """Make `OUT/<what>-<id>`; the id is the moment and four random hex digits.
+
+    With a request it can be taken up again.
+    """
     folder = out / f"{what}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(2)}"
-    folder.mkdir(parents=True)
-    return folder
+    if request is None:
+        folder.mkdir(parents=True)
+        return folder
+    made = folder.with_name(f".{folder.name}")  # never seen without its request
+    made.mkdir(parents=True)
+    write_request(request, made)
+    return made.rename(folder)
 
 
 def run_steps(
@@ -40,24 +47,16 @@ def run_steps(
     progress: Callable[[float], None],
     *,
     title: str,
-    answers: Path | None = None,
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre,
     recipe: Recipe | None = None,
     judge: Callable[[Engine], None] = lambda _engine: None,
+    resumption: Resumption | None = None,
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
 
-    `judge` is called when every step is done; what it raises is how the run has ended.
-
-    `title` names it in its report; `in_use` says which records to work with, given those of the theatre;
-    `recipe` is what a replay makes the steps from; without one there is none.
-    `answers` is a file of answers, of which PRO-026 says what does not fit.
+    `judge` is called when every step is done; what it raises is how the run has ended. With `resumption` the
+    steps that stand are not repeated, and nothing moves before what was found is accepted.
     """
-
-    def procedure(theatre: Theatre) -> Procedure:
-        from procedures.engine.order import order_of
-
-        return Procedure(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations), recipe=recipe)
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:
@@ -66,8 +65,20 @@ def run_steps(
 
     watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start())
     try:
-        scripted = None if answers is None else read_answers(answers)
-        with opened_engine(request, folder, procedure, watcher, answers=scripted) as engine:
+        with opened_steps(
+            request,
+            folder,
+            steps,
+            watcher,
+            title=title,
+            in_use=in_use,
+            recipe=recipe,
+            resumption=resumption,
+        ) as engine:
+            if resumption is not None and not resumption.left.untouched:
+                from procedures.recovery import recover
+
+                recover(engine, resumption.left)
             engine.run_to()
             judge(engine)
     except BaseException as problem:  # also an interruption: a folder that holds nothing is no run
@@ -77,33 +88,40 @@ def run_steps(
     return engine
 
 
-def concluded(
+@contextmanager
+def opened_steps(
+    request: TheatreRequest,
     folder: Path,
-    recorded: Observed | None,
-    look: Callable[[Callable[[Observed], None]], None],
-    conclude: Callable[[Observed], Result],
-) -> Result:
-    """What `conclude` makes of recorded observations, or else of those that `look` hands on.
+    steps: Steps,
+    watcher: Watcher,
+    *,
+    title: str,
+    in_use: Callable[[Calibrations], Calibrations],
+    recipe: Recipe | None,
+    resumption: Resumption | None = None,
+) -> Iterator[Engine]:
+    """The engine of a calibration's steps, ready to run the first that does not stand.
 
-    `look` calls back within its run: what `conclude` raises is how that run has ended.
+    `title` names it in its report; `in_use` says which records to work with, given those of the theatre;
+    `recipe` is what a replay makes the steps from; without one there is none.
     """
-    from procedures.cli.case.leaving_report import leaving_report
 
-    if recorded is not None:
-        return conclude(recorded)
-    results: list[Result] = []
-    with leaving_report(folder, with_truth=False):
-        look(lambda observed: results.append(conclude(observed)))
-    (result,) = results
-    return result
+    def procedure(theatre: Theatre) -> Procedure:
+        from procedures.engine.order import order_of
+
+        return Procedure(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations), recipe=recipe)
+
+    with opened_engine(
+        request, folder, procedure, watcher, answers=request.answers, resumption=resumption
+    ) as engine:
+        yield engine
 
 
 def valid_now(calibrations: Calibrations, *names: str) -> Calibrations:
     """The same records; those named, or else all, only serve as a start, and their age does not matter."""
-    later = datetime.now(UTC) + GRACE
     return calibrations.model_copy(
         update={
-            name: record.model_copy(update={"expires": later})
+            name: record.model_copy(update={"expires": NEVER})
             for name, record in calibrations.records.items()
             if not names or name in names
         }

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.request import forget_if_refused
+from procedures.cli.case.request import CaseRequest, forget_if_refused
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.truth import truth_if_any
 from procedures.engine.journal import JOURNAL_FILE
@@ -74,7 +74,8 @@ def _keep_raw_if_wanted(folder: Path) -> None:
     """Pictures and frames as files, where the run was begun so; again after each session of a run."""
     wanted = False
     with contextlib.suppress(RonnaError, OSError):  # of another version, or of no case
-        wanted = read_request(folder).keep_raw
+        request = read_request(folder)
+        wanted = isinstance(request, CaseRequest) and request.keep_raw
     if not wanted:
         return
     try:

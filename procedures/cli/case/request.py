@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,6 +20,8 @@ from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
+    from pydantic import JsonValue
+
     from procedures.cli.case.answers import Answers
 
 
@@ -32,6 +34,7 @@ class TheatreRequest:
     speed: str = "max"
     faults: Path | None = None
     measure_targets: bool = False  # on a phantom with a ball at each; a simulated one brings them
+    answers: Answers | None = None  # of a scripted operator
 
     @property
     def seed(self) -> int | None:
@@ -47,8 +50,16 @@ class CaseRequest(TheatreRequest):
     strategy: str = "ocs"
     case: Path | None = None  # folder with ct/ and plan.toml, with `config`
     plan: Path | None = None  # for the simulated patient, instead of the one that it brings
-    answers: Answers | None = None  # of a scripted operator
     keep_raw: bool = False  # pictures and frames as files
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationRun(TheatreRequest):
+    """A calibration in that theatre, whose records hold for so many days."""
+
+    recipe: Mapping[str, JsonValue]  # as `Recipe` writes it
+    days: int
+    write: Path | None = None  # the theatre file with the new records
 
 
 def check_request(request: CaseRequest) -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import os
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
 
 from procedures.cli.case.scene_choice import FREE, SceneChoice
 from procedures.engine.errors import BadRequestFile, OtherProgram
@@ -16,10 +16,20 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:
-    from procedures.cli.case.request import CaseRequest
+    from procedures.cli.case.request import CalibrationRun, CaseRequest, TheatreRequest
 
 REQUEST_FILE = "request.json"
 PROGRAM = "ronna-hw"
+
+
+class CalibrationFile(BaseModel):
+    """What was asked for by a calibration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
+    days: int = Field(ge=1, description="How long its records hold.")
+    write: Path | None = Field(default=None, description="Theatre file to write, with the new records.")
 
 
 class RequestFile(BaseModel):
@@ -37,7 +47,7 @@ class RequestFile(BaseModel):
     calibrated: bool = False
     first_day: bool = False
     records: tuple[Path, ...] = ()
-    strategy: str
+    strategy: str | None = Field(default=None, description="Of a case.")
     measure_targets: bool = False
     keep_raw: bool = Field(default=False, description="Pictures and frames of the tracker as files.")
     speed: str
@@ -45,30 +55,12 @@ class RequestFile(BaseModel):
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
+    calibration: CalibrationFile | None = Field(default=None, description="What is no case.")
 
 
-def write_request(request: CaseRequest, folder: Path) -> None:
+def write_request(request: CaseRequest | CalibrationRun, folder: Path) -> None:
     """Write what was asked for into a new run folder, and have it on disk."""
-    choice = request.choice
-    content = RequestFile(
-        program=version(PROGRAM),
-        scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
-        seed=choice.seed,
-        markers=choice.markers,
-        targets=choice.targets,
-        fiducials=choice.fiducials,
-        calibrated=choice.calibrated,
-        first_day=choice.first_day,
-        records=tuple(folder.resolve() for folder in choice.records),
-        strategy=request.strategy,
-        measure_targets=request.measure_targets,
-        keep_raw=request.keep_raw,
-        speed=request.speed,
-        faults=request.faults and request.faults.resolve(),
-        config=request.config and request.config.resolve(),
-        case=request.case and request.case.resolve(),
-        plan=request.plan and request.plan.resolve(),
-    )
+    content = RequestFile(program=version(PROGRAM), **_theatre(request), **_procedure(request))
     write_whole(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
     for place in (folder, folder.parent):  # a name is on disk only when its folder is
         directory = os.open(place, os.O_RDONLY)
@@ -78,9 +70,41 @@ def write_request(request: CaseRequest, folder: Path) -> None:
             os.close(directory)
 
 
-def read_request(folder: Path) -> CaseRequest:
-    """What was asked for; raises PRO-034, and PRO-031 for another version of this program."""
+def _theatre(request: TheatreRequest) -> dict[str, Any]:
+    choice = request.choice
+    return dict(
+        scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
+        seed=choice.seed,
+        markers=choice.markers,
+        targets=choice.targets,
+        fiducials=choice.fiducials,
+        calibrated=choice.calibrated,
+        first_day=choice.first_day,
+        records=tuple(folder.resolve() for folder in choice.records),
+        measure_targets=request.measure_targets,
+        speed=request.speed,
+        faults=request.faults and request.faults.resolve(),
+        config=request.config and request.config.resolve(),
+    )
+
+
+def _procedure(request: CaseRequest | CalibrationRun) -> dict[str, Any]:
     from procedures.cli.case.request import CaseRequest
+
+    if isinstance(request, CaseRequest):
+        return dict(
+            strategy=request.strategy,
+            keep_raw=request.keep_raw,
+            case=request.case and request.case.resolve(),
+            plan=request.plan and request.plan.resolve(),
+        )
+    write = request.write and request.write.resolve()
+    return {"calibration": CalibrationFile(recipe=dict(request.recipe), days=request.days, write=write)}
+
+
+def read_request(folder: Path) -> CaseRequest | CalibrationRun:
+    """What was asked for; raises PRO-034, and PRO-031 for another version of this program."""
+    from procedures.cli.case.request import CalibrationRun, CaseRequest
 
     path = folder / REQUEST_FILE
     try:
@@ -93,18 +117,30 @@ def read_request(folder: Path) -> CaseRequest:
         raise OtherProgram(
             f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
         )
+    choice = SceneChoice(
+        content.scene,
+        content.seed,
+        content.markers,
+        content.targets,
+        content.fiducials,
+        content.calibrated,
+        content.first_day,
+        content.records,
+    )
+    if (asked := content.calibration) is not None:
+        return CalibrationRun(
+            config=content.config,
+            choice=choice,
+            speed=content.speed,
+            recipe=asked.recipe,
+            days=asked.days,
+            write=asked.write,
+        )
+    if content.strategy is None:
+        raise BadRequestFile(f"{path}: it names neither the strategy of a case nor a calibration")
     return CaseRequest(
         out=folder.parent,
-        choice=SceneChoice(
-            content.scene,
-            content.seed,
-            content.markers,
-            content.targets,
-            content.fiducials,
-            content.calibrated,
-            content.first_day,
-            content.records,
-        ),
+        choice=choice,
         strategy=content.strategy,
         measure_targets=content.measure_targets,
         keep_raw=content.keep_raw,

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Resumption, Watcher, opened_case
-from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
+from procedures.cli.case.opening import Resumption, Watcher
+from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
 from procedures.engine.acknowledging import acknowledged
 from ronna_hw.command_line.console import print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -28,7 +28,7 @@ def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
             return
         make_ready(left)
         path = left.run.path
-        with leaving_report(path), opened_case(request, path, Watcher(), Resumption(left, False)) as engine:
+        with leaving_report(path), opened_left(request, path, Watcher(), Resumption(left, False)) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.acknowledge(by),

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Resumption, opened_case
-from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
+from procedures.cli.case.opening import Resumption
+from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun
 from ronna_hw.command_line.console import print_json
@@ -28,7 +28,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
         with leaving_report(left.run.path), following(quiet=as_json) as watcher:
             from procedures.recovery import bring_home
 
-            with opened_case(request, left.run.path, watcher, Resumption(left, accept)) as engine:
+            with opened_left(request, left.run.path, watcher, Resumption(left, accept)) as engine:
                 moved = bring_home(engine, left)
         _say(left, "the arm is home" if moved else "the arm was home already", moved=moved, as_json=as_json)
 

@@ -9,9 +9,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.opening import Resumption, Watcher, opened_case
+from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.case.request_file import read_request
+from procedures.engine.closing import close_run
+from procedures.engine.context import ClinicalInput
+from procedures.engine.engine import Engine
 from procedures.engine.errors import JournalNotWritable
+from procedures.engine.journal import Entry, Journal, JournalValue, theatre_time_s
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.errors import UsageMistake
@@ -22,7 +27,9 @@ PROBE_FILE = ".writable"
 PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
-def request_of(folder: Path, *, accept: bool = False, answers: Path | None = None) -> CaseRequest:
+def request_of(
+    folder: Path, *, accept: bool = False, answers: Path | None = None
+) -> CaseRequest | CalibrationRun:
     """What the run was asked for, answered by that file. Raises CLI-001, PRO-026, 031 and 034."""
     request = read_request(folder.resolve())
     if answers is not None:
@@ -45,6 +52,33 @@ def held_left_run(folder: Path) -> Iterator[LeftRun]:
     folder = folder.resolve()
     with held_run(folder):
         yield read_left_run(folder)
+
+
+@contextmanager
+def opened_left(
+    request: CaseRequest | CalibrationRun, folder: Path, watcher: Watcher, resumption: Resumption
+) -> Iterator[Engine]:
+    """The engine of a run that was left, whatever it is of, before anything is compared."""
+    if isinstance(request, CaseRequest):
+        opened = opened_case(request, folder, watcher, resumption)
+    else:
+        from procedures.cli.calibrating.resuming import opened_calibration
+
+        opened = opened_calibration(request, folder, watcher, resumption)
+    with opened as engine:
+        yield engine
+
+
+def close_left(
+    left: LeftRun, clinical: ClinicalInput | None, outcome: str = "done", **more: JournalValue
+) -> LeftRun:
+    """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
+    moment_s = theatre_time_s(left.run.journal[-1])
+    folder = left.run.path
+    journal = Journal.taken_up(folder, left.chain)
+    journal.write(Entry.RESTARTED, moment_s, **left.as_plain())
+    close_run(folder, journal, moment_s, outcome, clinical, **more)
+    return read_left_run(folder)
 
 
 def make_ready(left: LeftRun) -> None:

@@ -10,13 +10,13 @@ from procedures.cli.case.display import follow, show_outcome
 from procedures.cli.case.leaving_report import leave_report, seal_run
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.runs.left_runs import held_left_run, make_ready, request_of
-from procedures.engine.closing import close_run
-from procedures.engine.journal import Entry, Journal, theatre_time_s
-from procedures.engine.left_run import LeftRun, read_left_run
+from procedures.cli.case.request import CalibrationRun, CaseRequest
+from procedures.cli.runs.left_runs import close_left, held_left_run, make_ready, request_of
+from procedures.engine.journal import theatre_time_s
+from procedures.engine.left_run import LeftRun
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
 
@@ -41,6 +41,9 @@ def resume(
     """
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder) as left:
+        if isinstance(request, CalibrationRun):
+            _resume_calibration(request, left, console, accepted=accept, as_json=as_json)
+            return
         if left.finished:
             outcome = _as_it_ended(request, left)
             if not is_sealed(left.run.path):  # it was killed between its last line and its seal
@@ -60,6 +63,18 @@ def resume(
         )
 
 
+def _resume_calibration(
+    request: CalibrationRun, left: LeftRun, console: ConsoleRequest | None, *, accepted: bool, as_json: bool
+) -> None:
+    if console is not None:
+        raise UsageMistake(
+            "--console operates cases, and this is a calibration", action="Leave --console out."
+        )
+    from procedures.cli.calibrating.resuming import resume_calibration
+
+    resume_calibration(request, left, accepted=accepted, as_json=as_json)
+
+
 def _operated(
     request: CaseRequest, left: LeftRun, watcher: Watcher, console: ConsoleRequest | None, *, accepted: bool
 ) -> FinishedRun:
@@ -73,7 +88,7 @@ def _operated(
 
 def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: bool) -> FinishedRun:
     if not left.untouched and _nothing_remains(request, left):
-        return _as_it_ended(request, close_left(request, left))
+        return _as_it_ended(request, close_left(left, clinical_input(request, left.run.path)))
     return run_case(request, left.run.path, watcher, Resumption(left, accepted))
 
 
@@ -83,16 +98,6 @@ def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
     case = left.restored(order)
     gone = {one.trajectory for one in case.left_out}
     return all(case.stands(key) or key.trajectory in gone for key in order.sequence)
-
-
-def close_left(request: CaseRequest, left: LeftRun) -> LeftRun:
-    """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
-    moment_s = theatre_time_s(left.run.journal[-1])
-    folder = left.run.path
-    journal = Journal.taken_up(folder, left.chain)
-    journal.write(Entry.RESTARTED, moment_s, **left.as_plain())
-    close_run(folder, journal, moment_s, "done", clinical_input(request, folder))
-    return read_left_run(folder)
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

@@ -89,13 +89,10 @@ def calibrate_head(
         as_json=as_json,
     )
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.cli.stereo.display import warn_of_arm
     from procedures.cli.stereo.files import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    result = calibrate(KIND, Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball), request)
-    if not as_json:
-        warn_of_arm(result)
+    calibrate(KIND, Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball), request)
 
 
 @app.command()

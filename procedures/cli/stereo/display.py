@@ -4,22 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from procedures.calibration import CheckResult, HeadResult
-from procedures.calibration.bundle import REPEATABILITY_MM
+from procedures.calibration import CheckResult
 from procedures.relocalization import SphereImage, StereoPoint
 from procedures.relocalization.errors import NoSphere, NotTrusted
 from procedures.workcell.stereo_look import Look
 from ronna_hw.command_line import console
-
-
-def warn_of_arm(result: HeadResult) -> None:
-    """Say it when the arm that carried the head was worse than it repeats."""
-    if result.fit.arm_error_mm > REPEATABILITY_MM:
-        console.tell(
-            f"warning: the arm error over these poses, {result.fit.arm_error_mm:.2f} mm per axis, exceeds "
-            f"its repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
-            "adds to the tool centre; calibrate the arm before using a strategy that turns the tool"
-        )
 
 
 def print_check(result: CheckResult) -> None:

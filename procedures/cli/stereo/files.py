@@ -5,12 +5,14 @@ OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronn
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet, calibrate_head
+from procedures.calibration.bundle import REPEATABILITY_MM
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import CalibrationKind
@@ -87,6 +89,16 @@ def check_payload(result: CheckResult, baseline: Baseline) -> dict[str, Any]:
     }
 
 
+def warnings_of(payload: dict[str, Any]) -> Iterator[str]:
+    """When the arm that carried the head was worse than it repeats."""
+    if payload["arm_error_mm"] > REPEATABILITY_MM:
+        yield (
+            f"the arm error over these poses, {payload['arm_error_mm']:.2f} mm per axis, exceeds "
+            f"its repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
+            "adds to the tool centre; calibrate the arm before using a strategy that turns the tool"
+        )
+
+
 KIND = CalibrationKind(
     name="stereo",
     title="Calibration of the stereo head",
@@ -101,4 +113,5 @@ KIND = CalibrationKind(
     figures=lambda payload: HeadFigures.model_validate(payload).figures(),
     in_use=valid_now,
     keep=write_baseline,
+    warnings=warnings_of,
 )

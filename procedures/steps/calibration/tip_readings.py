@@ -19,7 +19,7 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.conditions import exchangeable
 from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.workcell import MountedTool
@@ -167,5 +167,5 @@ def readings_step(validation: int) -> StepSpec[ReadTip]:
         TipReadings(validation).run,
         reads=(CheckedSetUp, BallPlace, ObservedStand),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=exchangeable,
     )

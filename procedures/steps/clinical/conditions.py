@@ -25,6 +25,15 @@ def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
     return unmet
 
 
+def exchangeable(context: StepContext) -> tuple[str, ...]:
+    """The arm carries the stereo head; or an exchange was begun, and the arm is parked and cannot move."""
+    workcell = context.workcell
+    unmet = carries(MountedTool.STEREO_HEAD)(context)
+    if not unmet or workcell.insertion is not None or context.done_before:
+        return unmet
+    return () if not workcell.streaming and workcell.at_home else unmet
+
+
 def localizable(context: StepContext) -> tuple[str, ...]:
     """Nothing that the localizations descend from is repeated when they could not be made again."""
     if context.workcell.tool is MountedTool.GUIDE:

@@ -8,7 +8,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.steps.clinical.conditions import carries
+from procedures.steps.clinical.conditions import exchangeable
 from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.link_health import LinkHealth, link_health
@@ -56,15 +56,6 @@ def _park(context: StepContext) -> None:
     workcell.return_home()
 
 
-def _exchangeable(context: StepContext) -> tuple[str, ...]:
-    """The arm carries the stereo head; or an exchange was begun, and the arm is parked and cannot move."""
-    workcell = context.workcell
-    unmet = carries(MountedTool.STEREO_HEAD)(context)
-    if not unmet or workcell.insertion is not None or context.done_before:
-        return unmet
-    return () if not workcell.streaming and workcell.at_home else unmet
-
-
 STEP = StepSpec(
     MountedGuide,
     "Exchange the stereo head for the guide",
@@ -72,5 +63,5 @@ STEP = StepSpec(
     run,
     reads=(CheckedSetUp, *ROOM_READS, *READS),
     moves=True,
-    preconditions=_exchangeable,
+    preconditions=exchangeable,
 )

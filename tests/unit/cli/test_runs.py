@@ -14,10 +14,12 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process, one_error
 
+from procedures.cli.calibrating.running import new_folder
 from procedures.cli.case import display, stepping
+from procedures.cli.case.case_inputs import clinical_input
 from procedures.cli.case.display import follow_case
 from procedures.cli.case.leaving_report import seal_run
-from procedures.cli.case.request import CaseRequest, new_run_folder
+from procedures.cli.case.request import CalibrationRun, CaseRequest, new_run_folder
 from procedures.cli.case.request_file import REQUEST_FILE, read_request, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
@@ -25,8 +27,8 @@ from procedures.cli.procedure import app
 from procedures.cli.runs import report as runs_report
 from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.commands import COMMANDS
+from procedures.cli.runs.left_runs import close_left
 from procedures.cli.runs.report import make_report
-from procedures.cli.runs.resume import close_left
 from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import read_left_run
@@ -34,6 +36,7 @@ from procedures.engine.run_lock import held_run
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth
 from procedures.reporting.outcome import Truth
+from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -73,6 +76,19 @@ def test_the_request_is_the_first_file_and_says_what_was_asked_for(tmp_path: Pat
     folder = new_run_folder(asked)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
     assert read_request(folder) == asked
+
+
+def test_the_request_of_a_calibration_says_what_its_steps_are_made_from(tmp_path: Path) -> None:
+    recipe = Recipe(of=Calibrated.TIP, looks=8, more=3, ball_mm=(500.0, 0.0, 200.0)).model_dump(mode="json")
+    asked = CalibrationRun(
+        choice=SceneChoice("mini", 7, first_day=True), recipe=recipe, days=30, write=Path("/a/tip.toml")
+    )
+    folder = new_folder(tmp_path, "tool-tip", asked)
+    assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
+    assert read_request(folder) == asked
+    refused = in_this_process(app, "resume", folder, "--accept", "--console")
+    assert refused.returncode == EXIT_USAGE
+    assert "--console operates cases" in one_error(refused.stderr)[0]
 
 
 @pytest.mark.hazard(2)
@@ -249,7 +265,8 @@ def test_an_end_that_is_written_later_names_ct_and_plan_where_they_are(tmp_path:
     cell = RecordingCell(folder)
     cell.engine(plain_order()).run_to()
     cell.journal.close()  # killed before its end
-    close_left(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=case), read_left_run(folder))
+    request = CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=case)
+    close_left(read_left_run(folder), clinical_input(request, folder))
     assert inspected(folder).changes == ()
     (case / "plan.toml").write_text("another")
     assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]

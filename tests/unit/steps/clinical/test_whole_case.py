@@ -1,5 +1,6 @@
 """From the path check to the last retreat: localized once for all trajectories, and without one of them."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from clinical_case import (
     plan,
 )
 
+from procedures.engine.events import StepState
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
 from procedures.planning.guide_hold import held_trajectory
@@ -44,13 +46,30 @@ def steps(*instead: StepResult) -> tuple[StepSpec[StepResult] | StepResult, ...]
 
 
 @pytest.fixture(scope="module")
-def once(tmp_path_factory: pytest.TempPathFactory) -> ClinicalCell:
-    """The finished case."""
+def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[ClinicalCell, dict[str, str]]:
+    """The finished case, and what each step has said of its result."""
     cell = ClinicalCell(tmp_path_factory.mktemp("once"), strategy=NeutralOrientation())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-        cell.begin(*steps()).run_to()
-    return cell
+        engine = cell.begin(*steps())
+        reader = engine.events.subscribe()
+        engine.run_to()
+    told = [one.what for one in reader.read(0.0).events]
+    return cell, {one.step: one.summary for one in told if isinstance(one, StepState) and one.summary}
+
+
+@pytest.fixture
+def once(finished: tuple[ClinicalCell, dict[str, str]]) -> ClinicalCell:
+    return finished[0]
+
+
+def test_a_step_says_what_its_figures_are(finished: tuple[ClinicalCell, dict[str, str]]) -> None:
+    said = finished[1]
+    assert re.fullmatch(r"\d+ poses in one branch, nothing nearer than \d+ mm", said["path_check"])
+    assert re.fullmatch(r"\d+ spheres, last residuals at most [\d.]+ mm", said["relocalization"])
+    assert "predicted target error" in said["registration"]
+    words = re.findall(r"\w+", " ".join(said.values()))
+    assert not {"look", "looks", "well", "clear", "estimators", "apart"} & set(words)
 
 
 def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed(
