@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -88,3 +91,21 @@ def test_a_line_without_a_tracker_leaves_an_example(cell: dict[str, Any], tmp_pa
     assert done.returncode == EXIT_NOT_FOUND
     assert "# tracker: NOT FOUND" in lab.read_text()
     assert read_theatre_file(lab).tracker is None
+
+
+NAMESPACE = ("unshare", "--user", "--map-root-user", "--net")
+
+
+@pytest.mark.slow
+def test_a_controller_is_found_in_the_network_that_was_named_and_no_other_is_asked(tmp_path: Path) -> None:
+    if not shutil.which("ip") or subprocess.run((*NAMESPACE, "true"), check=False).returncode != 0:
+        pytest.skip("this computer allows no network namespace, or has no `ip`")
+    lab = tmp_path / "lab.toml"
+    program = Path(__file__).parents[1] / "support" / "controller_in_a_network.py"
+    done = subprocess.run(
+        (*NAMESPACE, sys.executable, "-P", program, lab), capture_output=True, text=True, check=False
+    )
+    said = json.loads(done.stdout or "{}")
+    assert said.get("code") == EXIT_NOT_FOUND, done.stderr  # there is neither tracker nor camera
+    assert read_theatre_file(lab).robot["master"].endpoints["eki_project"] == "tcp://10.77.0.4:54602"
+    assert not said["knocked"]
