@@ -7,6 +7,8 @@ accuracy: the mean error of many readings of a marker at rest.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -77,8 +79,9 @@ def _fitting_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
     return (low + high) / 2.0
 
 
+@cache
 def _grid(volume: Volume) -> Vectors:
-    """Points (n, 3) evenly spread over the volume."""
+    """Points (n, 3) evenly spread over the volume, read-only."""
     near, far = volume.depths_mm
     x, y = volume.half_widths_mm(far)
     middles = (np.arange(GRID_POINTS) + 0.5) / GRID_POINTS
@@ -86,4 +89,5 @@ def _grid(volume: Volume) -> Vectors:
     points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     inside = [volume.holds(*point) for point in points.tolist()]
     grid: Vectors = points[np.array(inside)]
+    grid.flags.writeable = False
     return grid

@@ -24,6 +24,7 @@ POINTER = TrackerTool(
     part_number="8700340",
     markers_mm=((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
 )
+BENCH = named_scene("bench")
 ROM_BYTES_SENT = 768  # clients pad to whole blocks
 EVERY_FRAME = 2  # illuminator rate of 60 Hz: each count is a new measurement
 
@@ -97,7 +98,7 @@ def make_bench() -> Callable[..., Bench]:
         wired: WiredPorts | None = None,
         **behaviour: Any,
     ) -> Bench:
-        world = World.create(scene or named_scene("bench"), paced=paced)
+        world = World.create(scene or BENCH, paced=paced)
         behaviour.setdefault("saved_illuminator_rate", EVERY_FRAME)
         unit = Unit(world, model, UnitBehaviour(**behaviour), wired)
         return Bench(world, unit, CommandInterpreter(unit))
