@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
+RUNS := $(VENV)/.runs
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 # Many tests wait for processes and ports: four workers keep two cores busy, and a worker that has nothing left
 # takes over from the others.
 PYTEST := $(BIN)/python -m pytest -n 4 --dist worksteal
@@ -16,15 +18,25 @@ test test-all test-browser test-browser-all soak: export PYTHONDONTWRITEBYTECODE
 
 setup: $(STAMP)
 
-# The stamp depends on the lock and on the project's metadata: a second run installs nothing.
+# The stamps depend on the locks and on the project's metadata: a second run installs nothing.
 $(STAMP): requirements/locked.txt pyproject.toml
 	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "installing the locked dependencies into $(VENV) (once)"
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements/locked.txt
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
-	@touch $(STAMP)
+	@$(PIP) --require-hashes -r requirements/locked.txt
+	@$(PIP) --no-deps --no-build-isolation --editable .
+	@touch $(RUNS) $(STAMP)
 
-demo: setup
+# What a case needs, without the tools of who works on the code: a third of all modules. Each is compiled when it
+# is first imported, for most never are.
+$(RUNS): requirements/run.txt pyproject.toml
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@echo "installing what a case needs into $(VENV) (once)"
+	@$(PIP) --no-compile --require-hashes -r requirements/run.txt
+	@$(PIP) --no-compile --no-deps --no-build-isolation --editable .
+	@touch $(RUNS)
+
+demo: export PYTHONDONTWRITEBYTECODE :=
+demo: $(RUNS)
 	@$(BIN)/ronna-procedure run --sim --seed 7 --out runs
 
 test: setup
@@ -59,6 +71,9 @@ docs: setup
 lock:
 	uv pip compile --universal --generate-hashes --no-header --no-emit-index-url --no-emit-find-links \
 	  --python-version 3.11 --extra dev pyproject.toml -o requirements/locked.txt
+	uv pip compile --universal --generate-hashes --no-header --no-emit-index-url --no-emit-find-links --no-annotate \
+	  --python-version 3.11 --extra build --extra compressed --extra console \
+	  -c requirements/locked.txt pyproject.toml -o requirements/run.txt
 
 clean:
 	rm -rf $(VENV) build dist runs *.egg-info .pytest_cache .mypy_cache .ruff_cache

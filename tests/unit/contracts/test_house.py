@@ -52,10 +52,20 @@ def test_every_folder_says_what_lives_in_it(package: str) -> None:
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path.relative_to(ROOT)
 
 
-def test_the_lock_names_no_package_index() -> None:
-    lock = (ROOT / "requirements" / "locked.txt").read_text(encoding="utf-8")
+@pytest.mark.parametrize("name", ["locked.txt", "run.txt"])
+def test_a_lock_names_no_package_index(name: str) -> None:
+    lock = (ROOT / "requirements" / name).read_text(encoding="utf-8")
     assert "://" not in lock
     assert lock.count("--hash=sha256:") > lock.count("==")
+
+
+def test_a_case_runs_on_the_versions_that_are_tested() -> None:
+    run, every = (
+        set(re.findall(r"^([\w.-]+==\S+)", (ROOT / "requirements" / name).read_text(), re.MULTILINE))
+        for name in ("run.txt", "locked.txt")
+    )
+    assert run
+    assert run < every
 
 
 @pytest.mark.parametrize(
