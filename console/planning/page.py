@@ -104,6 +104,7 @@ class PlannerPage:
                 self._structures = StructurePanel(desk, look, self._go, self._say, may_edit=self._may_edit)
                 self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
                 ProposalPanel(desk, self._go)
+        self._show()  # at once, with the page itself
         client = ui.context.client
         changed = desk.subscribe()
         task = asyncio.create_task(self._keep_fresh(client, changed))

@@ -42,16 +42,20 @@ class UnsavedFile:
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")
         self._series = series_instance_uid
+        self._is_ours = False  # another planner on the same plan keeps its own
 
     def keep(self, draft: Draft, plan_sha256: str) -> None:
         """Keep a draft that changes the plan file of that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_whole(self.path, kept.model_dump_json(indent=1).encode())
+        self._is_ours = True
 
     def forget(self) -> None:
-        """Nothing is unsaved."""
-        self.path.unlink(missing_ok=True)
+        """Nothing of ours is unsaved."""
+        if self._is_ours:
+            self.path.unlink(missing_ok=True)
+        self._is_ours = False
 
     def take_up(self, plan_sha256: str, draft: Draft) -> Draft | None:
         """The draft that was kept, with the spheres of `draft`; None without one.
@@ -66,6 +70,7 @@ class UnsavedFile:
             raise self._put_aside("cannot be read") from None
         if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
             raise self._put_aside("belong to another CT, or to the plan as it stood before")
+        self._is_ours = True
         values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         return replace(draft, **values)
 

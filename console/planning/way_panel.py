@@ -43,7 +43,7 @@ class WayPanel:
             with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):
                 ui.label("Axis").classes("rowname")
                 self._field("azimuth", "az. °", self._set_azimuth)
-                self._field("elevation", "elev. °", self._set_elevation)
+                self._field("elevation", "el. °", self._set_elevation)
                 self._field("depth", "mm", self._set_depth)
             with ui.element("div").classes("numbers").props('role=group aria-label="Guide"'):
                 ui.label("Guide").classes("rowname")

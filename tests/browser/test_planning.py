@@ -24,6 +24,7 @@ from open_planner import (
     type_number,
     type_place,
 )
+from waiting import eventually
 
 from procedures.planning.plan_lock import held_plan
 
@@ -186,3 +187,4 @@ def test_a_case_that_begins_on_the_plan_ends_the_editing_until_it_is_over(
     page.wait_for_selector("[data-do=save]:enabled")
     type_number(page, "target L", "-3.0")
     page.wait_for_selector("[data-saved='not saved']")
+    eventually(plan.with_name("plan.toml.unsaved").exists)

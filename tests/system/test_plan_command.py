@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import socket
 import subprocess
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +18,7 @@ from painted_ct import write_series
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
+from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.marker_template import read_marker_template
 
 PLAN = f"""
@@ -321,3 +324,27 @@ def test_a_place_of_the_head_that_is_no_number_is_a_usage_error(case, theatre, v
     assert done.returncode == 2
     assert one_line(done).startswith("CLI-001")
     assert "finite" in done.stderr
+
+
+def test_a_structure_beside_a_trajectory_is_told_or_refuses_the_plan(case):
+    vessel = '\n[[structures]]\nname = "vessel"\nmargin_mm = {}\npoints_mm = [[9.0, -20.0, 20.0]]\n'
+    case[0].write_text(PLAN + vessel.format(3.0))
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert done.returncode == 0, done.stderr
+    assert "vessel\tT1\t4.0\t3.0" in done.stdout
+    case[0].write_text(PLAN + vessel.format(5.0))
+    done = ronna_plan("check", case[0], "--ct", case[1])
+    assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-027")
+
+
+def test_a_planner_whose_port_is_taken_says_so_and_leaves_the_plan(case):
+    before = case[0].read_bytes()
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        line = [sys.executable, "-P", "-m", "procedures.cli.plan", "open", str(case[1])]
+        done = subprocess.run(
+            [*line, "--plan", str(case[0]), "--port", port], capture_output=True, text=True, check=False
+        )
+    assert done.returncode == EXIT_USAGE
+    assert one_line(done).startswith("CON-001: port")
+    assert case[0].read_bytes() == before

@@ -226,6 +226,15 @@ def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan
     assert not kept.exists()
 
 
+def test_a_second_planner_leaves_what_the_first_has_not_saved(desk: PlanDesk, file: Path) -> None:
+    other = PlanDesk(scan(), file, None)
+    draw(desk)
+    kept = desk.keep()
+    assert kept is not None
+    assert other.keep() is None
+    assert kept.exists()
+
+
 def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told(
     desk: PlanDesk, file: Path
 ) -> None:
