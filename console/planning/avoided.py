@@ -22,7 +22,7 @@ from procedures.planning.structures import (
 from procedures.strategies.trajectory import Point
 from ronna_hw.config import describe_mistakes
 
-STEP_MM = 1.0  # between two points of a stroke: the line lies within half of it
+STEP_MM = 1.0  # between two points of a stroke
 USUAL_MARGIN_MM = 3.0  # to a vessel
 
 
@@ -30,10 +30,10 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
     """With a stroke from `start_mm`, or with its first point, on the structure of that name; PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
-    known, within_mm, margin_mm = draft.structure(name), STEP_MM / 2.0, USUAL_MARGIN_MM
+    known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
     if known is not None:
         points = np.concatenate([np.array(known.points_mm), points])
-        within_mm, margin_mm = max(known.within_mm, within_mm), known.margin_mm
+        within_mm, margin_mm = known.within_mm, known.margin_mm
     with _mistakes_told():
         return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
 

@@ -56,18 +56,18 @@ class PlanDesk(Bell):
         draft = self._opened() or Draft(volume.patient_position, FEWEST_MARKERS)
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
+        self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
         if self.read_only is None:
             self._take_up()
         self.judged = Judged(self.draft)
-        self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
 
     @property
     def read_only(self) -> RonnaError | None:
         """Why nothing can be changed."""
         if self.problem is not None:
             return self.problem
-        if plan_in_use(self.file):
+        if not self._saving.locked() and plan_in_use(self.file):  # our own save is no case
             return PlanInUse(f"a case runs on {self.file.name}: it can only be looked at")
         return None
 

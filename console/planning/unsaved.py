@@ -45,7 +45,9 @@ class UnsavedFile:
         self._is_ours = False  # another planner on the same plan keeps its own
 
     def keep(self, draft: Draft, plan_sha256: str) -> None:
-        """Keep a draft that changes the plan file of that digest. Raises OSError."""
+        """Keep a draft that changes the plan file of that digest; puts aside what is not ours. OSError."""
+        if not self._is_ours and self.path.exists():
+            self._put_aside("were never taken up")
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_whole(self.path, kept.model_dump_json(indent=1).encode())

@@ -55,8 +55,12 @@ def structure_findings(
         outside = _outside(one.points_mm, volume.geometry)
         if outside > MOST_OUTSIDE:
             findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} lie outside the CT"))
-        if (gap_mm := widest_gap_mm(one)) > max(2.0 * one.margin_mm, 2.0 * one.within_mm):
-            warnings.append(f"points of {one.name} lie {gap_mm:.0f} mm apart: nothing is known between them")
+        elif outside:
+            warnings.append(f"{outside:.0%} of the points of {one.name} lie outside the CT")
+        if (gap_mm := widest_gap_mm(one.points_mm)) > one.margin_mm:
+            warnings.append(
+                f"points of {one.name} lie up to {gap_mm:.1f} mm apart: half of it is taken off its distances"
+            )
     return findings, warnings
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
@@ -53,7 +54,10 @@ class Structure(Strict):
 
 @dataclass(frozen=True)
 class StructureDistance:
-    """How near the axis between entry and target comes to a structure; `nearest_mm` is its point there."""
+    """How near the axis between entry and target may come to a structure; `nearest_mm` is its point there.
+
+    What may lie between the points is taken off: half the widest gap, and what was thinned.
+    """
 
     structure: str
     trajectory: str
@@ -86,18 +90,20 @@ def _distance(
     distances = np.linalg.norm(points - (start + share[:, None] * along), axis=1)
     nearest = int(distances.argmin())
     x, y, z = points[nearest].tolist()
-    distance_mm = max(0.0, float(distances[nearest]) - structure.within_mm)
+    unknown_mm = structure.within_mm + widest_gap_mm(structure.points_mm) / 2.0
+    distance_mm = max(0.0, float(distances[nearest]) - unknown_mm)
     return StructureDistance(structure.name, trajectory, distance_mm, structure.margin_mm, (x, y, z))
 
 
-def widest_gap_mm(structure: Structure) -> float:
-    """How far the loneliest point lies from its neighbour: nothing is known between them. 0 for one point."""
-    from scipy.spatial import cKDTree
+@lru_cache(maxsize=4 * MOST_STRUCTURES)
+def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
+    """The widest gap that must be bridged to go from every point to every other; 0 for one point.
 
-    if len(structure.points_mm) < 2:
-        return 0.0
-    distances, _ = cKDTree(np.array(structure.points_mm)).query(np.array(structure.points_mm), k=2)
-    return float(distances[:, 1].max())
+    The longest edge of the minimum spanning tree: also between slices whose own points lie close together.
+    """
+    from scipy.cluster.hierarchy import linkage
+
+    return float(linkage(np.array(points_mm), "single")[-1, 2]) if len(points_mm) > 1 else 0.0
 
 
 def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:

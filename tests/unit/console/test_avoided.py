@@ -25,7 +25,6 @@ def test_a_stroke_leaves_points_that_stand_for_its_line_and_keeps_its_margin() -
     assert vessel.points_mm[0] == (0.0, 0.0, 0.0)
     assert vessel.points_mm[-1] == (9.0, 0.0, 0.0)
     assert max(math.dist(a, b) for a, b in pairwise(vessel.points_mm)) <= STEP_MM
-    assert vessel.within_mm == STEP_MM / 2.0
 
 
 def test_an_imported_structure_never_takes_the_place_of_another() -> None:

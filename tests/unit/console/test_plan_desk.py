@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from console.planning.judging import judge
 from procedures.imaging.errors import PickRefused
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
-from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_file import read_plan, write_plan
 from procedures.planning.plan_lock import held_plan
 from procedures.planning.seal import sealed
 from ronna_hw.errors import RonnaError
@@ -253,6 +254,23 @@ def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told
     assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
+def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_not_lost(
+    desk: PlanDesk, file: Path
+) -> None:
+    draw(desk)
+    save(desk)
+    draw(desk, standoff_mm=31.0)
+    kept = desk.keep()
+    assert kept is not None
+    content = kept.read_bytes()
+    with held_plan(file):
+        again = PlanDesk(scan(), file, None)
+        assert again.keep() is None
+    draw(again, standoff_mm=32.0)
+    assert again.keep() == kept
+    assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
+
+
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
 def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: bytes) -> None:
     file.with_name("plan.toml.unsaved").write_bytes(content)
@@ -260,6 +278,23 @@ def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: byt
     assert desk.notice is not None
     assert desk.notice.code == "PLAN-029"
     assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
+
+
+def test_while_it_saves_the_planner_does_not_take_itself_for_a_case(
+    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    draw(desk)
+    save(desk)
+    draw(desk, standoff_mm=31.0)
+    seen = []
+
+    def meanwhile(*arguments: Any) -> None:
+        seen.append(desk.read_only)
+        write_plan(*arguments)
+
+    monkeypatch.setattr(desk_module, "write_plan", meanwhile)
+    save(desk)
+    assert seen == [None]
 
 
 def test_a_place_without_a_sphere_is_refused_and_no_marker(desk: PlanDesk) -> None:

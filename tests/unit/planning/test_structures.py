@@ -60,7 +60,7 @@ def test_a_trajectory_within_the_margin_refuses_the_plan(
 def test_a_structure_of_another_place_refuses_the_plan(
     plan: Plan, make_volume: Callable[..., Volume]
 ) -> None:
-    elsewhere = structure_of("vessel", 1.0, [(0.0, 0.0, 400.0), (0.0, 0.0, 410.0), (0.0, 0.0, 0.0)])
+    elsewhere = structure_of("vessel", 1.0, [(90.0, 90.0, 98.0), (90.0, 90.0, 101.0), (90.0, 90.0, 104.0)])
     with pytest.raises(OutsideField, match=r"PLAN-006.*67% of the points of vessel"):
         check_plan(avoiding(plan, elsewhere), make_volume()).require()
 
@@ -68,7 +68,22 @@ def test_a_structure_of_another_place_refuses_the_plan(
 def test_gaps_wider_than_the_margin_are_told(plan: Plan, make_volume: Callable[..., Volume]) -> None:
     sparse = structure_of("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
     (warning,) = check_plan(avoiding(plan, sparse), make_volume()).warnings
-    assert "vessel lie 20 mm apart" in warning
+    assert "vessel lie up to 20.0 mm apart" in warning
+
+
+def test_a_gap_between_slices_is_taken_off_where_the_points_of_each_lie_close(plan: Plan) -> None:
+    way = plan.trajectories[0]
+    middle = (np.array(way.entry_mm) + way.target_mm) / 2.0
+    turns = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
+    ring = 6.0 * np.stack([np.cos(turns), np.sin(turns), np.zeros(40)], axis=1)
+    rings = np.concatenate([middle + ring + (0.0, 0.0, up) for up in (-15.0, -5.0, 5.0, 15.0)])
+    along = np.subtract(way.target_mm, way.entry_mm) / way.depth_mm
+    across = np.cross(along, (1.0, 0.0, 0.0))
+    across /= np.linalg.norm(across)
+    line = [middle + 1.3 * across + step * np.array((1.0, 0.0, 0.0)) for step in (-8.25, -2.75, 2.75, 8.25)]
+    for points in (rings, line):
+        first, _ = structure_distances(avoiding(plan, structure_of("vessel", 3.0, points)))
+        assert not first.is_kept
 
 
 def test_what_is_thinned_never_seems_farther_than_it_is(plan: Plan) -> None:
