@@ -109,14 +109,12 @@ def _kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
 
 def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
     # outside the volume counts as air; the kernel is symmetric, so convolution is correlation
-    shape = [
-        fft.next_fast_len(n + k // 2, real=True) for n, k in zip(values.shape, kernel.shape, strict=True)
-    ]
-    centred = np.zeros(shape, dtype=np.float32)
-    centred[tuple(slice(0, k) for k in kernel.shape)] = kernel
-    centred = np.roll(centred, [-(k // 2) for k in kernel.shape], axis=(0, 1, 2))
-    spectrum = fft.rfftn(centred)
-    del centred
+    middle = [k // 2 for k in kernel.shape]
+    shape = [fft.next_fast_len(n + k, real=True) for n, k in zip(values.shape, middle, strict=True)]
+    # axis by axis: lines that hold nothing of the small kernel yet are not transformed
+    spectrum = fft.rfft(kernel, n=shape[2], axis=2)
+    for axis in (1, 0):
+        spectrum = fft.fft(spectrum, n=shape[axis], axis=axis, overwrite_x=True)
     spectrum *= fft.rfftn(values, s=shape)
     response = fft.irfftn(spectrum, s=shape, overwrite_x=True)
-    return np.asarray(response[tuple(slice(0, n) for n in values.shape)])
+    return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])

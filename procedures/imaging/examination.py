@@ -121,14 +121,16 @@ def with_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
         return judged
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     measured = measure_under_streaks(region, edge, radius_mm)
-    if measured is None:
+    if measured is None or not measured.evident:
         return judged
     again = _sphere(volume, measured, sphere.candidate.contrast_hu).doubted(_doubts(measured, region))
     return again if again.candidate.accepted else judged
 
 
 def _doubts(measured: Measured, region: Region) -> tuple[Doubt, ...]:
-    return shape_doubts(region, measured.combined.centre_mm, measured.edge, cleaned=measured.cleaned)
+    centre_mm, edge = measured.combined.centre_mm, measured.edge
+    cleaned = measured.cleaned if measured.evident else None
+    return shape_doubts(region, centre_mm, edge, measured.stretch, cleaned=cleaned)
 
 
 def _sphere(volume: Volume, measured: Measured, contrast_hu: float) -> Sphere:

@@ -7,13 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.blurred_ball import fit_blurred_ball
-from procedures.imaging.sphere_centre.combination import CombinedCentre, combine, is_streaked
+from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
+from procedures.imaging.sphere_centre.combination import STREAKED, CombinedCentre, combine, is_streaked
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, fit_radial_edge, ray_directions
 from procedures.imaging.sphere_centre.streaked_ball import fit_streaked_ball
+from procedures.imaging.sphere_centre.stretch import Stretch
 
 UNSCANNED_FLAG = 0.02  # share of rays that leave the field
 SURFACE_FLAG = 0.70  # share of the surface seen
+STREAKED_AT_SIGHT = 0.12  # of the contrast, that a robust fit finds uneven: noise and posts are below 0.08
+MORE_SEEN = 0.1  # of the surface
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,35 +24,67 @@ class Measured:
     """A sphere in grid mm; `metal_share` of its surface is too near metal to be used.
 
     `cleaned` is the region without its streaks where these had to be taken away, and `edge` the edge in it.
+    `evident` tells that the streaks are seen elsewhere too than at the edge, and may excuse its shape.
+    `stretch` is None where too little of the surface shows to tell it by the voxels.
     """
 
     edge: RadialEdge
     combined: CombinedCentre
     metal_share: float
+    stretch: Stretch | None
     cleaned: Region | None = None
+    evident: bool = False
 
 
 def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
     """The sphere to whose surface `edge` was fitted; None when no ball fits."""
     hidden = edge.surface_share < SURFACE_FLAG and edge.unscanned_share < UNSCANNED_FLAG
-    ball = fit_blurred_ball(
+    unseen = ray_directions()[~edge.seen]
+    rough = fit_rough_ball(
         region,
         edge.centre_mm,
         edge.radius_mm,
         edge.inside_hu,
         edge.outside_hu,
-        hidden_ways=ray_directions()[~edge.seen] if hidden else None,
+        hidden_ways=unseen if hidden else None,
     )
-    if ball is not None and (hidden or not is_streaked(edge, ball)):
-        return Measured(edge, combine(edge, ball, region.spacing_mm), ball.metal_share)
-    under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
-    if under_streaks is None and ball is not None:
-        return Measured(edge, combine(edge, ball, region.spacing_mm), ball.metal_share)
-    return under_streaks
+    if rough is None:
+        return measure_under_streaks(region, edge, nominal_radius_mm)
+    if hidden:
+        return _by_both(region, edge, rough.refined(unseen), told_by_rays=True)
+    under_streaks = None
+    if rough.uneven > STREAKED_AT_SIGHT:
+        under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
+        if under_streaks is not None and under_streaks.evident:
+            return under_streaks
+    ball = rough.refined(unseen, most_streaks=STREAKED)
+    if ball is not None and not is_streaked(edge, ball):
+        return _by_both(region, edge, ball)
+    under_streaks = under_streaks or measure_under_streaks(region, edge, nominal_radius_mm)
+    return under_streaks or _by_both(region, edge, ball or rough.refined(unseen))
+
+
+def _by_both(
+    region: Region, edge: RadialEdge, ball: BlurredBall | None, *, told_by_rays: bool = False
+) -> Measured | None:
+    if ball is None:
+        return None
+    combined = combine(edge, ball, region.spacing_mm)
+    return Measured(edge, combined, ball.metal_share, None if told_by_rays else ball.stretch)
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
-    """The same together with the streaks in each slice."""
+    """The same together with the streaks in each slice.
+
+    Streaks hide directions from the rays: what shows without them takes part when the ball is fitted again.
+    """
+    first = _without_streaks(region, edge, nominal_radius_mm)
+    if first is None or first.edge.surface_share < edge.surface_share + MORE_SEEN:
+        return first
+    return _without_streaks(region, first.edge, nominal_radius_mm) or first
+
+
+def _without_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
     ball = fit_streaked_ball(region, edge)
     if ball is None:
         return None
@@ -58,4 +93,4 @@ def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
         return None
     apart_mm = float(np.linalg.norm(cleaned.centre_mm - ball.centre_mm))
     combined = CombinedCentre(ball.centre_mm, ball.covariance_mm2, apart_mm, ball.radius_mm)
-    return Measured(cleaned, combined, ball.metal_share, ball.cleaned)
+    return Measured(cleaned, combined, ball.metal_share, ball.stretch, ball.cleaned, ball.evident)

@@ -25,6 +25,7 @@ from procedures.imaging.sphere_centre.radial_edge import (
     RadialEdge,
     ray_directions,
 )
+from procedures.imaging.sphere_centre.stretch import Stretch
 
 Array = NDArray[np.float64]
 Rays = NDArray[np.bool_]
@@ -44,11 +45,15 @@ EXTENT_PRIOR = 2.0  # rays by which the extents are drawn to be alike where few 
 # Where odds are even. Markers of the tuning families stay below a half of each, objects of `rounded` and
 # `joined` are above at least one by a half.
 AMISS_SHARE = 0.04  # of the surface, that lies off the sphere
+AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
 BORDER_HU = 20.0  # fall at the surface, where it falls least; to a moist bandage it is 40 HU
 NARROW_SHARE = 0.15  # of the surface: air around a narrow cover raises the fall beside it
 NARROW_BORDER_HU = 50.0
 LEAST_BORDER_HU = 5.0  # stands for none
-EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, 0.35 mm
+EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, told by rays
+STRETCH = 0.023  # the same, told by the voxels: 0.13 mm; a capsule that is 0.28 mm longer than wide has it
+STRETCH_DEVIATIONS = 5.0  # and by what noise makes of it, together
+MOST_SHIFTED = 0.15  # of the contrast, is the level of a ray by streaks: what is joined on lifts it by half
 NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something joined on, an end under a cover
 HOLLOW_SHARE = 0.20  # of the core
 METAL_CORE_SHARE = 0.015  # of the rays' way through the inner core
@@ -56,17 +61,30 @@ EARLY_FALL_HU = 25.0  # under a cover, before the surface: domes on skin show 50
 
 
 def shape_doubts(
-    region: Region, centre_mm: Array, edge: RadialEdge, *, cleaned: Region | None = None
+    region: Region,
+    centre_mm: Array,
+    edge: RadialEdge,
+    stretch: Stretch | None,
+    *,
+    cleaned: Region | None = None,
 ) -> tuple[Doubt, ...]:
     """Every way in which a body could fail to be a whole sphere, and how far it does.
 
-    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm. `cleaned` is the region without
+    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm. `stretch` is that of the voxels,
+    where they tell it; else rays do, which streaks and covers disturb more. `cleaned` is the region without
     its streaks: they bend a surface and darken a core, but neither join something to a sphere nor cut it off.
     """
-    if cleaned is not None:
-        without, with_them = (shape_doubts(one, centre_mm, edge) for one in (cleaned, region))
-        graver = [max(pair, key=lambda doubt: doubt.excess) for pair in zip(without, with_them, strict=True)]
-        return tuple(graver[k] if k in NOT_BY_STREAKS else without[k] for k in range(len(without)))
+    if cleaned is None:
+        return _doubts(region, centre_mm, edge, stretch)
+    without, with_them = (_doubts(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region))
+    graver = [max(pair, key=lambda doubt: doubt.excess) for pair in zip(without, with_them, strict=True)]
+    return tuple(graver[k] if k in NOT_BY_STREAKS else without[k] for k in range(len(without)))
+
+
+def _doubts(
+    region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
+) -> tuple[Doubt, ...]:
+    """What is left of streaks shifts the levels of a ray: the edge is half-way between its own."""
     shares = np.linspace(0.0, REACH, STEPS)
     ways = ray_directions()
     profiles = region.sample(
@@ -76,7 +94,10 @@ def shape_doubts(
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
     told = np.asarray(scanned & ~metal)
-    place, left = _first_fall(profiles, shares, 0.5 * (edge.inside_hu + edge.outside_hu))
+    levels_hu = np.full(len(ways), 0.5 * (edge.inside_hu + edge.outside_hu))
+    if streaked:
+        levels_hu += _own_levels_hu(profiles, shares, edge)
+    place, left = _first_fall(profiles, shares, levels_hu)
     opens = told & left
     covered = told & ~left
     border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), told)
@@ -88,38 +109,54 @@ def shape_doubts(
     # at the rim of a cover or of metal the edge is theirs as well
     clear = opens & ~_beside(ways, (covered & ~joined) | metal)
     amiss = clear & (np.abs(place - 1.0) > INLIER)
-    difference = _extent_difference(ways[clear], place[clear] - 1.0)
+    if stretch is None:
+        difference_mm = edge.radius_mm * _extent_difference(ways[clear], place[clear] - 1.0)
+        longer = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
+    else:
+        difference_mm = stretch.difference_mm
+        limit_mm = np.hypot(STRETCH * edge.radius_mm, STRETCH_DEVIATIONS * stretch.deviation_mm)
+        longer = difference_mm / float(limit_mm)
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
     hollow = float((odd[told][:, core] @ volume).sum() / (told.sum() * volume.sum())) if told.any() else 1.0
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
-        Doubt(f"{amiss.mean():.0%} of its surface lies off a sphere", amiss.mean() / AMISS_SHARE),
+        Doubt(
+            f"{amiss.mean():.0%} of its surface lies off a sphere",
+            amiss.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
+        ),
         Doubt("goes on where a sphere ends", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
         Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
-        Doubt(
-            f"is {edge.radius_mm * difference:.2f} mm longer one way than another",
-            difference / EXTENT_DIFFERENCE,
-        ),
+        Doubt(f"is {difference_mm:.2f} mm longer one way than another", longer),
         Doubt(f"{hollow:.0%} of its core is something else", hollow / HOLLOW_SHARE),
         Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 
 
-def _first_fall(profiles: Array, shares: Array, level_hu: float) -> tuple[Array, Rays]:
-    """Where each ray first falls below the level, in radii, and whether it is below it anywhere.
+def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
+    """How far each ray (rays,) lies above the usual levels on both sides of the edge, within limits."""
+    near, far = (
+        profiles[:, (shares > low) & (shares < high)].mean(axis=1)
+        for low, high in (STEP_INSIDE, STEP_OUTSIDE)
+    )
+    most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
+    return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
+
+
+def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
+    """Where each ray first falls below its level, in radii, and whether it is below it anywhere.
 
     A ray that is below it all the way has its edge at the core.
     """
     looked = (shares >= CORE) & (shares <= OUTSIDE_FROM)
     values, places = profiles[:, looked], shares[looked]
-    above = values >= level_hu
+    above = values >= levels_hu[:, None]
     falls = above[:, :-1] & ~above[:, 1:]
     first, rows = falls.argmax(axis=1), np.arange(len(values))
     before, after = values[rows, first], values[rows, first + 1]
     drop = np.where(before > after, before - after, 1.0)
-    place = places[first] + np.clip((before - level_hu) / drop, 0.0, 1.0) * (places[1] - places[0])
+    place = places[first] + np.clip((before - levels_hu) / drop, 0.0, 1.0) * (places[1] - places[0])
     return np.where(falls.any(axis=1), place, CORE), np.asarray(~above.all(axis=1))
 
 

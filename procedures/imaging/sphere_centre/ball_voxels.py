@@ -10,21 +10,33 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import BALL, SLOPE, SXY, SZ, intensities, polynomial
+from procedures.imaging.sphere_centre.ball_model import (
+    BALL,
+    RADIUS,
+    SLOPE,
+    SXY,
+    SZ,
+    intensities,
+    polynomial,
+)
 from procedures.imaging.sphere_centre.robust_fit import (
     cauchy_growth,
     cauchy_weights,
     flat_growth,
     flat_weights,
     minimise,
+    products,
     scale,
 )
 from procedures.imaging.sphere_centre.streak_background import FITTED_DEGREES
+from procedures.imaging.sphere_centre.stretch import Stretch, stretched_ball
 
 Array = NDArray[np.float64]
 
 BLUR_LIMITS_MM = (0.15, 2.0)
 MIN_VOXELS = 200
+SHAPE_STEPS = 3
+CORRELATED = 5.0  # variance against that of as many independent voxels: noise is alike within a few
 OUTLIER = 5.0  # deviations: noise alone reaches it in one sphere of a hundred
 OUTLIER_REACH_MM = 1.2  # and at least a voxel: the blur of something else is felt so far
 
@@ -100,6 +112,25 @@ class BallVoxels:
             places=self.places[clear],
             background=self.background[clear],
         )
+
+    def beyond_mm(self, unknowns: Array) -> Array:
+        """How far each voxel (n,) is outside a ball."""
+        return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
+
+    def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
+        """Of a fitted ball, from those of its voxels (n,) that are clear of other things."""
+        places = self.points_mm[clear]
+        modelled, derivatives = intensities(places, unknowns, self.background[clear])
+        derivatives = stretched_ball(places, unknowns, derivatives)
+        residuals = self.values[clear] - modelled
+        left, weights = residuals, np.ones(len(residuals))
+        for _ in range(SHAPE_STEPS):
+            normal = products(derivatives, weights[:, None] * derivatives)
+            answer = np.linalg.pinv(normal, hermitian=True)
+            step = answer @ (derivatives.T @ (weights * residuals))
+            left = residuals - derivatives @ step
+            weights = flat_weights(left, scale(left))
+        return Stretch.of_last_terms(step, CORRELATED * scale(left) ** 2 * np.asarray(answer))
 
     def at(self, unknowns: Array) -> tuple[Array, Array, Array, float]:
         """Derivatives (n, m), pull w·r (n,) of the residuals, weights (n,), and the noise in HU."""

@@ -15,8 +15,9 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
 from procedures.imaging.region import Region
-from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS
+from procedures.imaging.sphere_centre.ball_model import BALL, IN, OUT, RADIUS
 from procedures.imaging.sphere_centre.ball_voxels import MIN_VOXELS, BallVoxels
+from procedures.imaging.sphere_centre.stretch import Stretch
 from procedures.imaging.sphere_centre.whitened_ball import fit_whitened
 
 Array = NDArray[np.float64]
@@ -40,9 +41,55 @@ class BlurredBall:
     metal_share: float  # of the sphere's surface, too near metal to be used
     streak_hu: float  # usual size of the terms by which streaks bend the background, at the surface
     contrast_hu: float
+    stretch: Stretch  # where its surface borders on the outside
 
 
-def fit_blurred_ball(
+@dataclass(frozen=True, eq=False)
+class RoughBall:
+    """A ball as the robust fit leaves it: which voxels took part, and all unknowns."""
+
+    voxels: BallVoxels
+    unknowns: Array
+    metal_share: float
+
+    @property
+    def contrast_hu(self) -> float:
+        """Between ball and surroundings."""
+        return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
+
+    @property
+    def uneven(self) -> float:
+        """By how much the background slopes and bends over a radius, of the contrast."""
+        return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
+
+    def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
+        """The best fit near it; None if there is none, or if streaks bend more than that of the contrast.
+
+        `hidden_ways` (n, 3): directions in which nothing is to be told of its shape.
+        """
+        fitted = fit_whitened(
+            self.voxels.without_outliers(self.unknowns),
+            self.unknowns,
+            most_streak_hu=most_streaks * self.contrast_hu,
+        )
+        if fitted is None:
+            return None
+        unknowns = fitted.unknowns
+        outer = self.voxels.beyond_mm(unknowns) > -HIDDEN_DEPTH_MM
+        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_ways, outer)
+        return BlurredBall(
+            centre_mm=unknowns[:3],
+            covariance_mm2=fitted.covariance_mm2,
+            radius_mm=float(unknowns[RADIUS]),
+            noise_hu=fitted.noise_hu,
+            metal_share=self.metal_share,
+            streak_hu=fitted.streak_hu,
+            contrast_hu=float(unknowns[IN] - unknowns[OUT]),
+            stretch=self.voxels.stretch(unknowns, clear),
+        )
+
+
+def fit_rough_ball(
     region: Region,
     start_mm: Array,
     radius_mm: float,
@@ -50,7 +97,7 @@ def fit_blurred_ball(
     outside_hu: float,
     *,
     hidden_ways: Array | None = None,
-) -> BlurredBall | None:
+) -> RoughBall | None:
     """Fit from a centre within about 0.3 mm; None when too few voxels are usable or nothing converges.
 
     `hidden_ways` (n, 3): directions from the centre in which the surface borders on something else than the
@@ -63,18 +110,7 @@ def fit_blurred_ball(
     start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
     voxels = BallVoxels.of(region, taking.usable, radius_mm, covered=covered)
     settled = voxels.robust_fit(start)
-    fitted = None if settled is None else fit_whitened(voxels.without_outliers(settled), settled)
-    if fitted is None:
-        return None
-    return BlurredBall(
-        centre_mm=fitted.unknowns[:3],
-        covariance_mm2=fitted.covariance_mm2,
-        radius_mm=float(fitted.unknowns[RADIUS]),
-        noise_hu=fitted.noise_hu,
-        metal_share=taking.metal_share,
-        streak_hu=fitted.streak_hu,
-        contrast_hu=float(fitted.unknowns[IN] - fitted.unknowns[OUT]),
-    )
+    return None if settled is None else RoughBall(voxels, settled, taking.metal_share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +130,9 @@ def voxels_of_ball(
     clean = _far_from_metal(region)
     usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
     if hidden_ways is not None and len(hidden_ways) > 0:
-        usable &= ~_hidden(region, centre_mm, hidden_ways, distance > radius_mm - HIDDEN_DEPTH_MM)
+        offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
+        outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
+        usable[usable] = ~in_directions(offsets, hidden_ways, outer)
     at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
     metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
     return TakingPart(usable, metal_share)
@@ -115,12 +153,13 @@ def _far_from_metal(region: Region) -> NDArray[np.bool_]:
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
 
 
-def _hidden(region: Region, centre_mm: Array, ways: Array, outer: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Outer voxels that lie in one of these directions."""
-    where = np.argwhere(outer)
-    offsets = (where + region.start) * region.spacing_mm - centre_mm
-    offsets /= np.maximum(np.linalg.norm(offsets, axis=1, keepdims=True), 1e-6)
-    distance, _ = cKDTree(ways).query(offsets, distance_upper_bound=HIDDEN_REACH)
-    hidden = np.zeros(outer.shape, dtype=bool)
-    hidden[tuple(where[np.isfinite(distance)].T)] = True
-    return hidden
+def in_directions(offsets_mm: Array, ways: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which voxels (n, 3) from the centre, of those asked about (n,), lie in one of these directions."""
+    found = np.zeros(len(asked), dtype=bool)
+    if len(ways) == 0:
+        return found
+    looked = offsets_mm[asked]
+    looked /= np.maximum(np.linalg.norm(looked, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(ways).query(looked, distance_upper_bound=HIDDEN_REACH)
+    found[asked] = np.isfinite(distance)
+    return found

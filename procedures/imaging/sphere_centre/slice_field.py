@@ -22,11 +22,9 @@ Array = NDArray[np.float64]
 LENGTH_MM = 3.0
 HIGHEST = 0.2  # cycles per mm: beyond, such a process has a thousandth of its power
 NOISE_BAND = (0.1, 0.3)  # cycles per mm that tell the noise by which the edge is blurred
-ROOM_MM = 2.0  # from the voxels to the end of the cosines' period
 FEWEST_VOXELS = 40  # of a slice, to tell its noise
-CLEAR_SHARE = (
-    0.05  # of the largest eigenvalue: combinations of cosines that the voxels hardly see are left out
-)
+CLEAR_SHARE = 0.05  # of the largest eigenvalue: patterns of which the voxels see less are left out
+ROOM_MM = 2.0  # from the voxels to the end of the cosines' period
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +70,20 @@ class Waves:
 
 
 @dataclass(frozen=True, eq=False)
+class NoiseModes:
+    """Patterns (k, m) over k voxels of a slice, whose places among all voxels are `rows` (k,)."""
+
+    rows: NDArray[np.intp]
+    patterns: Array
+
+
+def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
+    """Mean square of residuals (n,) along the modes, HU² per voxel."""
+    squares = sum(float(((residuals[one.rows] @ one.patterns) ** 2).sum()) for one in modes)
+    return squares / max(sum(one.patterns.shape[1] for one in modes), 1)
+
+
+@dataclass(frozen=True, eq=False)
 class SliceField:
     """The field over the voxels of a fit: which of them each slice holds, and its waves there (n, m).
 
@@ -101,19 +113,17 @@ class SliceField:
         terms = tuple(waves.at(*place) * scales for place in places)
         return cls(waves, scales, slices, heights_mm, terms, tuple(noisy.at(*place) for place in places))
 
-    def noise_power(self, residuals: Array, clear: NDArray[np.bool_]) -> float:
-        """Mean square of residuals (n,) in the band of the noise, HU² per voxel, from clear voxels (n,)."""
-        squares, count = 0.0, 0
+    def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
+        """Combinations of waves in the band of the noise, orthonormal over a slice's clear voxels (n,)."""
+        modes = []
         for one, waves in zip(self.slices, self.noise_terms, strict=True):
             seen = clear[one]
             if seen.sum() < FEWEST_VOXELS:
                 continue
             values, vectors = np.linalg.eigh(waves[seen].T @ waves[seen])
             kept = values > CLEAR_SHARE * values[-1]
-            along = vectors[:, kept].T @ (waves[seen].T @ residuals[one][seen])
-            squares += float((along**2 / values[kept]).sum())
-            count += int(kept.sum())
-        return squares / max(count, 1)
+            modes.append(NoiseModes(one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept]))))
+        return tuple(modes)
 
     def over(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
         """The field over all voxels of a region (slices, rows, columns); 0 where nothing was fitted."""

@@ -17,10 +17,11 @@ from scipy.special import log_ndtr
 from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import IN, OUT, RADIUS, SXY, SZ, intensities
 from procedures.imaging.sphere_centre.ball_voxels import BLUR_LIMITS_MM, MIN_VOXELS
-from procedures.imaging.sphere_centre.blurred_ball import first_guess, voxels_of_ball
+from procedures.imaging.sphere_centre.blurred_ball import first_guess, in_directions, voxels_of_ball
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.sphere_centre.robust_fit import flat_weights, scale
-from procedures.imaging.sphere_centre.slice_field import SliceField
+from procedures.imaging.sphere_centre.slice_field import NoiseModes, SliceField, noise_power
+from procedures.imaging.sphere_centre.stretch import Stretch, stretched_ball
 
 Array = NDArray[np.float64]
 
@@ -29,7 +30,9 @@ DONE_MM, SETTLED_MM = 5e-4, 5e-3
 MOST_STEP_MM = 0.3
 FARTHEST_MM = 0.6  # from the start: streaks move the edges that rays find by less
 START_NOISE_HU, START_FIELD_HU = 30.0, 150.0
-FIELD_LIMITS_HU = (1.0, 800.0)
+FIELD_LIMITS_HU = (1.0, 1600.0)
+AWAY_MM = 1.3  # from the edge, where its blur ends
+EVIDENT = 0.75  # deviations of the noise: without streaks their field explains up to 0.4
 MOST_ODD = 0.008  # of the voxels, that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
 LEAST_NOISE_HU = 1.0
 NOISE_FROM_STEP = 2  # the first steps have the ball itself in their residuals
@@ -53,6 +56,8 @@ class StreakedBall:
     metal_share: float  # of the sphere's surface, too near metal to be used
     streak_hu: float  # of the slice that has most
     cleaned: Region
+    stretch: Stretch
+    evident: bool  # its streaks show where the sphere's edge is not
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,6 +91,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     streaks = np.zeros(len(values))
     field_hu2 = np.full(len(field.slices), START_FIELD_HU**2)
     white_hu, noise_hu2 = START_NOISE_HU, START_NOISE_HU**2
+    modes: tuple[NoiseModes, ...] = ()
     for number in range(STEPS):
         modelled, derivatives = intensities(points_mm, unknowns, no_background)
         working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
@@ -99,7 +105,8 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
         noise_hu2 = white_hu**2
         if number >= NOISE_FROM_STEP:
-            noise_hu2 = max(field.noise_power(left, (weights > 0.5) & ~censored), noise_hu2)
+            modes = modes or field.noise_modes((weights > 0.5) & ~censored)
+            noise_hu2 = max(noise_power(modes, left), noise_hu2)
         weights = flat_weights(left, scale(left[~censored]))
         step = solved.step
         step[:3] = np.clip(step[:3], -MOST_STEP_MM, MOST_STEP_MM)
@@ -112,6 +119,14 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         return None
     if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
         return None  # what is in the image besides the ball is no streak
+    modelled, derivatives = intensities(points_mm, unknowns, no_background)
+    working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
+    stretched = stretched_ball(points_mm, unknowns, derivatives)
+    evident = _is_evident(
+        points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
+    )
+    noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
+    shaped = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
     return StreakedBall(
         centre_mm=unknowns[:3],
         covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
@@ -121,7 +136,31 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
         metal_share=taking.metal_share,
         streak_hu=float(np.sqrt(field_hu2.max())),
         cleaned=_cleaned(region, field.over(region, solved.coefficients), floor_hu, float(unknowns[OUT])),
+        evident=evident,
+        stretch=Stretch.of_last_terms(shaped.step, shaped.covariance),
     )
+
+
+def _is_evident(
+    points_mm: Array,
+    unknowns: Array,
+    unseen: Array,
+    known: NDArray[np.bool_],
+    left_hu: Array,
+    streaks_hu: Array,
+    noise_hu: float,
+) -> bool:
+    """Do the streaks explain what is left of the image in the core and in the open, away from the edge?
+
+    What only looks like a streak is a surface that is not where that of a ball would be.
+    """
+    offsets_mm = points_mm - unknowns[:3]
+    away = np.abs(np.linalg.norm(offsets_mm, axis=1) - unknowns[RADIUS]) > AWAY_MM
+    away &= known & ~in_directions(offsets_mm, unseen, away)
+    if away.sum() < MIN_VOXELS:
+        return False
+    explained = float(np.mean(left_hu[away] ** 2 - (left_hu - streaks_hu)[away] ** 2))
+    return explained > (EVIDENT * noise_hu) ** 2
 
 
 def _floor_hu(region: Region) -> float | None:

@@ -42,8 +42,8 @@ class WhitenedBall:
     streak_hu: float
 
 
-def fit_whitened(voxels: BallVoxels, start: Array) -> WhitenedBall | None:
-    """The best fit near a robust one; None if that was none."""
+def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
+    """The best fit near a robust one; None if that was none, or if streaks bend more than that."""
     derivatives, pull, weights, noise_hu = voxels.at(start)
     derivatives *= weights[:, None]
     smooth = np.ones(len(start), dtype=bool)
@@ -62,6 +62,8 @@ def fit_whitened(voxels: BallVoxels, start: Array) -> WhitenedBall | None:
     if settled is None:
         return None
     prior = StreakPrior.of_bends(settled[BENT], step.covariance[BENT, BENT])
+    if prior.streak_hu > most_streak_hu:
+        return None
     if prior.bent_hu2 > 0.0:
         noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
         step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from procedures.imaging.region import Region
 from procedures.imaging.sphere_centre.ball_model import BALL, SXY, SZ, intensities, polynomial
-from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_blurred_ball
+from procedures.imaging.sphere_centre.blurred_ball import BlurredBall, fit_rough_ball
 from procedures.imaging.sphere_centre.robust_fit import products
 
 Array = NDArray[np.float64]
@@ -32,9 +32,11 @@ def bare(make_scan: Callable[..., Any]) -> Array:
 
 
 def fitted(values: Array) -> BlurredBall:
-    ball = fit_blurred_ball(
+    rough = fit_rough_ball(
         Region(values, np.zeros(3, dtype=np.int64), SPACING_MM), CENTRE_MM + 0.1, RADIUS_MM, 150.0, -1000.0
     )
+    assert rough is not None
+    ball = rough.refined(np.zeros((0, 3)))
     assert ball is not None
     return ball
 

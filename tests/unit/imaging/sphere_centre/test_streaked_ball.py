@@ -19,20 +19,21 @@ CENTRE_MM = np.array([12.1, 12.2, 11.9])
 RADIUS_MM, INSIDE_HU, NOISE_HU, LOWEST_HU = 5.75, 150.0, 20.0, -1024.0
 
 
-def ball_hu() -> Array:
-    """A blurred ball in air, without noise."""
+def ball_hu(squeezed: float = 1.0) -> Array:
+    """A blurred ball in air, without noise, its half-axis across the slices that much shorter."""
     axes = [np.arange(count) * step for count, step in zip(SHAPE, SPACING_MM, strict=True)]
     points_mm = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    points_mm[:, 0] = CENTRE_MM[0] + (points_mm[:, 0] - CENTRE_MM[0]) / squeezed
     unknowns = np.zeros(8)
     unknowns[[0, 1, 2, OUT, IN, SZ, SXY, RADIUS]] = [*CENTRE_MM, AIR_HU, INSIDE_HU, 0.45, 0.45, RADIUS_MM]
     values, _ = intensities(points_mm, unknowns, np.zeros((len(points_mm), 0)))
     return values.reshape(SHAPE)
 
 
-def streaked(seed: int, band_hu: float) -> Region:
+def streaked(seed: int, band_hu: float, squeezed: float = 1.0) -> Region:
     """The ball, each slice with a band of its own across it, stopped at the scanner's lowest value."""
     random = np.random.default_rng(seed)
-    values = ball_hu() + NOISE_HU * random.standard_normal(SHAPE)
+    values = ball_hu(squeezed) + NOISE_HU * random.standard_normal(SHAPE)
     along = np.arange(SHAPE[1])[:, None] * SPACING_MM[1] - CENTRE_MM[1]
     across = np.arange(SHAPE[2])[None, :] * SPACING_MM[2] - CENTRE_MM[2]
     for number in range(8, 17):
@@ -98,6 +99,14 @@ def test_the_cleaned_region_is_the_ball_without_its_streaks() -> None:
     inside = np.linalg.norm(np.stack(axes, axis=-1) - CENTRE_MM, axis=-1) < RADIUS_MM - 1.5
     before, after = (np.std(one.values[inside] - INSIDE_HU) for one in (region, near))
     assert after < 0.5 * before
+
+
+def test_streaks_neither_stretch_a_ball_nor_hide_that_one_is_stretched() -> None:
+    region = streaked(7, 300.0)
+    assert fitted(region).stretch.difference_mm < 0.08
+    longer = fitted(streaked(7, 300.0, squeezed=0.95))
+    assert longer.stretch.difference_mm == pytest.approx(0.05 * RADIUS_MM, rel=0.3)
+    assert longer.stretch.difference_mm > 8.0 * longer.stretch.deviation_mm
 
 
 def test_a_hollow_ball_is_no_streaked_one() -> None:

@@ -16,6 +16,7 @@ from procedures.imaging.sphere_centre.combination import combine
 from procedures.imaging.sphere_centre.noise_covariance import WINDOW_MM, CorrelatedNoise
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 from procedures.imaging.sphere_centre.streak_background import BENT, StreakPrior
+from procedures.imaging.sphere_centre.stretch import Stretch
 from procedures.imaging.sphere_centre.voxel_spectra import VoxelGrid
 from procedures.imaging.sphere_centre.whitened_ball import EDGE, fit_whitened
 from procedures.imaging.sphere_centre.whitened_step import WhitenedStep
@@ -186,7 +187,7 @@ def test_bends_are_seen_when_noise_does_not_explain_them_and_slopes_are_no_small
 
 
 def test_an_estimate_that_knows_nothing_better_gets_no_weight() -> None:
-    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0)
+    ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0, Stretch(0.0, 0.0))
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere
