@@ -80,7 +80,7 @@ class NoiseModes:
 def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
     """Mean square of residuals (n,) along the modes, HU² per voxel."""
     squares = sum(float(((residuals[one.rows] @ one.patterns) ** 2).sum()) for one in modes)
-    return squares / max(sum(one.patterns.shape[1] for one in modes), 1)
+    return float(squares / max(sum(one.patterns.shape[1] for one in modes), 1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,7 +100,7 @@ def test_a_band_does_not_make_a_marker_of_the_round_end_of_a_rod(make_scan: Make
 
 
 @pytest.mark.parametrize("way", [[1.0, 0.0, 0.0], [0.0, 0.3, 1.0], [0.6, 0.6, 0.5]], ids=str)
-@pytest.mark.parametrize("longer_mm", [0.5, 1.2])
+@pytest.mark.parametrize("longer_mm", [0.7, 1.2])
 def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
     make_scan: Make, way: list[float], longer_mm: float
 ) -> None:
@@ -110,18 +110,6 @@ def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
     with pytest.raises(errors.MarkerCountWrong, match="longer one way than another") as raised:
         localize(as_volume(scan))
     assert max(one.odds for one in raised.value.candidates) < 0.2
-
-
-@pytest.mark.parametrize("hu", [450.0, -450.0], ids=["bright", "dark"])
-def test_bands_that_hide_a_third_of_a_ball_do_not_hide_it(make_scan: Make, hu: float) -> None:
-    scan = make_scan(shape=(40, 80, 80))
-    centre = np.array([20.3, 19.6, 20.2])
-    scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
-    bands = with_band(scan, centre, hu)
-    crossing = np.exp(-0.5 * ((np.arange(80) * 0.5 - centre[2] + 2.0) / 1.2) ** 2)
-    voxels = np.clip(bands.voxels - hu * crossing, -1024, 3071).astype(np.int16)
-    (marker,) = localize(Volume(voxels, bands.geometry, "1.2.3", "1.2.4")).markers
-    assert np.linalg.norm(marker.centre_mm - centre) < 0.06
 
 
 LookAlike = Callable[[Any, Array], None]  # draws itself around a place
