@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib
 import inspect
 import os
@@ -16,16 +15,17 @@ from types import ModuleType
 from typing import Any
 
 from procedures.studies.errors import MethodRefused
+from procedures.studies.own.beside import hash_of, is_installed, modules_beside
 from procedures.studies.own.contracts import CONTRACTS, MethodKind
 
 SHOWN_DIGITS = 12  # of a hash
 
-_loaded: dict[str, str] = {}  # module -> hash of the file that this process has loaded
+_loaded: dict[str, str] = {}  # module -> hash of the files that this process has loaded
 
 
 @dataclass(frozen=True)
 class OwnMethod:
-    """`module:function` of one kind, the name it has in tables, and the hash of the module's file."""
+    """`module:function` of one kind, the name it has in tables, and the hash of its files: see `hash_of`."""
 
     kind: MethodKind
     name: str
@@ -35,12 +35,12 @@ class OwnMethod:
     def function(self) -> Callable[..., Any]:
         """The function, in this process; raises STU-012 where the file is missing or another one."""
         found, module = _imported(self.reference, self.kind)
-        if _hash(module) != self.sha256:
+        if hash_of(module) != self.sha256:
             raise MethodRefused(
                 f"{self.reference} is another version here than where the campaign was started",
-                expected=f"a file with hash {self.sha256[:SHOWN_DIGITS]}",
-                got=f"{_hash(module)[:SHOWN_DIGITS]} at {module.__file__}",
-                action="Give every worker the same file.",
+                expected=f"files with hash {self.sha256[:SHOWN_DIGITS]}",
+                got=f"{hash_of(module)[:SHOWN_DIGITS]} at {module.__file__}",
+                action="Give every worker the same files, also those that it imports from beside it.",
             )
         return found
 
@@ -51,7 +51,7 @@ class OwnMethod:
         if module.__file__ is None or "." in module.__name__:
             return None
         file = Path(module.__file__)
-        return None if {"site-packages", "dist-packages"} & set(file.parts) else file
+        return None if is_installed(file) else file
 
 
 def own_method(kind: MethodKind, text: str) -> OwnMethod:
@@ -65,7 +65,7 @@ def own_method(kind: MethodKind, text: str) -> OwnMethod:
     reference = text if ":" in text else _by_entry_point(kind, text)
     function, module = _imported(reference, kind)
     _require_signature(kind, reference, function)
-    return OwnMethod(kind, text, reference, _hash(module))
+    return OwnMethod(kind, text, reference, hash_of(module))
 
 
 def installed() -> tuple[str, ...]:
@@ -96,9 +96,11 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
         raise MethodRefused(f"{reference!r} names no {kind}", expected="module:function")
     try:
         module = importlib.import_module(where)
-        if _loaded.setdefault(where, _hash(module)) != _hash(module):  # edited, or sent anew to this worker
-            module = importlib.reload(module)
-            _loaded[where] = _hash(module)
+        if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent anew to this worker
+            for beside in modules_beside(module):
+                sys.modules.pop(beside, None)
+            module = importlib.import_module(where)
+            _loaded[where] = now
     except (Exception, SystemExit) as error:
         raise MethodRefused(
             f"the module {where} of the {kind} cannot be imported",
@@ -135,9 +137,3 @@ def _require_signature(kind: MethodKind, reference: str, function: Callable[...,
 def _parameters(kind: MethodKind) -> list[inspect.Parameter]:
     _, *given = inspect.signature(CONTRACTS[kind].__call__).parameters.values()
     return given
-
-
-def _hash(module: ModuleType) -> str:
-    """Of the module's file; empty for a module without one."""
-    file = module.__file__
-    return hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""

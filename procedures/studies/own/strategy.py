@@ -40,13 +40,13 @@ class OwnStrategy:
         """In this process. Raises STU-012 and STU-013."""
         made = called(method.name, method.function())
         for flag in FLAGS:
-            if not isinstance(value := getattr(made, flag, None), bool):
+            if not isinstance(value := called(f"{method.name}.{flag}", getattr, made, flag, None), bool):
                 raise _lacks(method.name, f"{flag}, True or False", f"{value!r}")
         for call in CALLS:
-            given = getattr(made, call, None)
+            given = called(f"{method.name}.{call}", getattr, made, call, None)
             wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
-                inspect.signature(given).bind(*wanted)  # type: ignore[arg-type]  # None is refused as well
+                inspect.signature(given).bind(*wanted)  # None is refused as well
             except (TypeError, ValueError) as error:
                 raise _lacks(method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}") from error
         return cls(method.name, made)
@@ -54,12 +54,12 @@ class OwnStrategy:
     @property
     def localizes_per_trajectory(self) -> bool:
         """As it says."""
-        return self.asked.localizes_per_trajectory
+        return self._says("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
         """As it says."""
-        return self.asked.controls_approach
+        return self._says("controls_approach")
 
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
@@ -102,6 +102,13 @@ class OwnStrategy:
         ):
             raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
         return turns
+
+    def _says(self, flag: str) -> bool:
+        """A property may be computed anew, and another one each time."""
+        value = called(f"{self.name}.{flag}", getattr, self.asked, flag)
+        if not isinstance(value, bool):
+            raise self._wrong(flag, "True or False", f"{value!r}")
+        return value
 
     def _asked(self, call: str, *arguments: object) -> tuple[Any, ...]:
         answer = called(f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH)

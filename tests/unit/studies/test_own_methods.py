@@ -8,12 +8,15 @@ from pathlib import Path
 
 import pytest
 
+from procedures.strategies.ocs import OrientationCorrection
 from procedures.studies.correspondence import CorrespondenceStudy
 from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused, OtherStudy
 from procedures.studies.heads import NoiseReading
 from procedures.studies.ledger import Ledger
+from procedures.studies.own.beside import modules_beside
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.method import OwnMethod, own_method
+from procedures.studies.own.strategy import OwnStrategy
 from procedures.studies.own.trial import tried
 from procedures.studies.registration import RegistrationStudy
 from procedures.studies.unit import Sums, add_up
@@ -101,6 +104,15 @@ class Endless(OrientationCorrection):
 class Later(OrientationCorrection):
     def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
         return (1 / turn for turn in range(3))
+
+class Moody(OrientationCorrection):
+    @property
+    def controls_approach(self):
+        return {}["nothing"]
+
+    @controls_approach.setter
+    def controls_approach(self, value):
+        pass
 
 class Undecided:
     localizes_per_trajectory = "always"
@@ -222,6 +234,24 @@ def test_what_a_generator_raises_only_while_it_is_read_is_told_as_well() -> None
         tried(STRATEGY, "mine:Later")
 
 
+def test_what_a_property_raises_is_told_as_well() -> None:
+    with pytest.raises(MethodFailed, match=r"STU-013: .*Moody.controls_approach raised .*mine\.py, line"):
+        tried(STRATEGY, "mine:Moody")
+
+
+def test_a_property_that_fails_later_is_told_as_well() -> None:
+    class Tires(OrientationCorrection):
+        looks = 0
+
+        def __getattribute__(self, name: str) -> object:
+            if name == "controls_approach":
+                raise OSError("tired")
+            return super().__getattribute__(name)
+
+    with pytest.raises(MethodFailed, match=r"STU-013: tires.controls_approach raised OSError: tired"):
+        _ = OwnStrategy("tires", Tires()).controls_approach
+
+
 def study_of(method: OwnMethod) -> CorrespondenceStudy:
     return CorrespondenceStudy(3, 5, (), readings=(NoiseReading.NORM,), fiducials=(4,), own=(method,))
 
@@ -264,6 +294,31 @@ def test_an_edited_method_is_another_study_and_no_worker_runs_another_version(fo
     after = tried(PAIRING, "mine:in_order")
     with pytest.raises(OtherStudy, match=r"STU-001: .*own"):
         Ledger(folder / "out", study_of(after))
+
+
+LAZY = """
+def pair(image_mm, physical_mm, **given):
+    from helping.pairs import first
+    return first
+"""
+
+
+def test_what_a_method_imports_from_beside_it_belongs_to_it(folder: Path) -> None:
+    (folder / "lazy.py").write_text(LAZY)
+    (folder / "stranger.py").write_text("")
+    (folder / "helping").mkdir()
+    (folder / "helping" / "__init__.py").write_text("from helping import pairs\n")
+    pairs = folder / "helping" / "pairs.py"
+    pairs.write_text("import numpy\nfirst = [(0, 0)]\n")
+    before = own_method(PAIRING, "lazy:pair")
+    assert set(modules_beside(sys.modules["lazy"])) == {"lazy", "helping", "helping.pairs"}
+    assert before.function()(None, None) == [(0, 0)]
+    pairs.write_text("import numpy\nfirst = [(0, 0), (1, 1)]\n")
+    with pytest.raises(MethodRefused, match="STU-012: lazy:pair is another version here"):
+        before.function()
+    after = own_method(PAIRING, "lazy:pair")
+    assert after.sha256 != before.sha256
+    assert after.function()(None, None) == [(0, 0), (1, 1)]
 
 
 def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: Path) -> None:
