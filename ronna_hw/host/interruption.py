@@ -1,4 +1,4 @@
-"""Work that Ctrl-C and SIGTERM must not cut short: they take effect right after it."""
+"""Work that Ctrl-C and SIGTERM must not cut short, and work that they may end though all else is ending."""
 
 from __future__ import annotations
 
@@ -33,3 +33,21 @@ def interruption_deferred() -> Iterator[None]:
             signal.signal(number, handler)
     for number in dict.fromkeys(received):
         signal.raise_signal(number)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """Let Ctrl-C and SIGTERM end the block by KeyboardInterrupt, also where they are ignored around it."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(_number: int, _frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, interrupt) for number in DEFERRED}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -151,7 +151,7 @@ def follow(
         forget_if_empty(folder)
         ended = unfinished(request, folder, problem)
         report = leave_report(folder, ended.error)
-        seal_run(folder)
+        seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
         tell_way_on(folder, problem)
         if as_json:
             print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))

@@ -20,6 +20,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed
 from ronna_hw.evidence.journal_reading import Entry, read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, seal
+from ronna_hw.host.interruption import interruptible
 from ronna_hw.records import PARTIAL
 
 if TYPE_CHECKING:
@@ -57,11 +58,15 @@ def leave_report(
     return path
 
 
-def seal_run(folder: Path) -> None:
-    """Seal what a run left, its report included; what prevents it is said and hides nothing."""
+def seal_run(folder: Path, *, at_once: bool = False) -> None:
+    """Seal what a run left, its report included; what prevents it is said and hides nothing.
+
+    What takes its time is left when the end has to come `at_once`, or somebody interrupts it.
+    """
     if not (folder / JOURNAL_FILE).exists():
         return
-    _keep_raw_if_wanted(folder)
+    if _wants_raw(folder):
+        _keep_raw(folder, at_once=at_once)
     try:
         chain = read_chain(folder / JOURNAL_FILE)
         if is_closed(chain.lines):
@@ -70,27 +75,37 @@ def seal_run(folder: Path) -> None:
         tell(f"the run could not be sealed: {problem}")
 
 
-def _keep_raw_if_wanted(folder: Path) -> None:
-    """Pictures and frames as files, where the run was begun so; again after each session of a run."""
-    wanted = False
+def _wants_raw(folder: Path) -> bool:
     with contextlib.suppress(RonnaError, OSError):  # of another version, or of no case
         request = read_request(folder)
-        wanted = isinstance(request, CaseRequest) and request.keep_raw
-    if not wanted:
+        return isinstance(request, CaseRequest) and request.keep_raw
+    return False
+
+
+def _keep_raw(folder: Path, *, at_once: bool) -> None:
+    """Pictures and frames as files, again after each session of a run; those of before stay until then."""
+    later = f"raw readings were not written: ronna-procedure raw {shlex.quote(str(folder))} --out DIR does it"
+    if at_once:
+        tell(later)
         return
+    beside, kept = folder / f".{RAW_FOLDER}{PARTIAL}", folder / RAW_FOLDER
     try:
         from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
 
-        beside = folder / f".{RAW_FOLDER}{PARTIAL}"  # the former ones go when these are whole
         shutil.rmtree(beside, ignore_errors=True)
-        fresh, whole = write_raw(folder, beside / RAW_FOLDER)
-        shutil.rmtree(folder / RAW_FOLDER, ignore_errors=True)
-        fresh.rename(folder / RAW_FOLDER)
-        beside.rmdir()
+        with interruptible():
+            fresh, whole = write_raw(folder, beside / RAW_FOLDER)
+        if kept.exists():  # the former ones go when these are whole
+            kept.rename(beside / "former")
+        fresh.rename(kept)
         if not whole:
-            tell(f"{folder / RAW_FOLDER} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
+            tell(f"{kept} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
+    except KeyboardInterrupt:  # the run has ended: only this was left of it
+        tell(later)
     except Exception as problem:  # a damaged tape must not hide how the run has ended
         tell(f"raw readings could not be written: {problem}")
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
 
 
 def tell_way_on(folder: Path, problem: BaseException) -> None:
@@ -115,7 +130,7 @@ def leaving_report(folder: Path, *, with_truth: bool = True) -> Iterator[None]:
     except BaseException as problem:  # also an interruption: every run leaves a report
         forget_if_refused(folder, problem)
         leave_report(folder, error_of(problem))
-        seal_run(folder)
+        seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
         tell_way_on(folder, problem)
         raise
     leave_report(folder, with_truth=with_truth)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import signal
 from pathlib import Path
 
 import cv2
@@ -167,6 +168,27 @@ def test_what_a_run_has_is_kept_where_it_cannot_be_written_anew(tmp_path: Path) 
     (run / READINGS_FOLDER / READINGS_FILE).unlink()
     seal_run(run)
     assert (run / RAW_FOLDER / "tracker.csv").exists()
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_an_interruption_does_not_wait_for_them(
+    at_once: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def endless(*_: object) -> bool:
+        signal.raise_signal(signal.SIGINT)
+        raise AssertionError("it went on")
+
+    run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
+    seal_run(run)
+    monkeypatch.setattr("procedures.exchange.raw_readings._write_all", endless)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # as when everything is ending
+    try:
+        seal_run(run, at_once=at_once)
+    finally:
+        signal.signal(signal.SIGINT, handler)
+    assert f"ronna-procedure raw {run}" in capsys.readouterr().err
+    assert (run / RAW_FOLDER / "tracker.csv").exists()
+    assert inspected(run).problems == ()
 
 
 def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path: Path) -> None:
