@@ -42,6 +42,7 @@ class ClinicalInput:
     plan: Path
     strategy: Strategy
     measure_targets: bool = False  # on a phantom
+    plan_sha256: str | None = None  # of the plan as it was held when the case was opened
 
     @property
     def place(self) -> Path:

@@ -21,7 +21,7 @@ from procedures.planning.errors import (
 )
 from procedures.planning.plan import Plan
 from procedures.planning.seal import require_unaltered
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import read_toml, toml_of
 from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import printable
@@ -42,6 +42,11 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
     except OSError as error:
         raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
     return parse_plan(content, path.name, sealed_only=sealed_only)
+
+
+def plan_of(content: bytes, name: str) -> Plan:
+    """The plan in the bytes of a file of that name. Raises as `read_plan`."""
+    return parse_plan(toml_of(content, name, PlanUnreadable), name)
 
 
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:

@@ -1,24 +1,45 @@
-"""A plan that a case runs on is held, so that nobody saves another one in its place meanwhile."""
+"""A plan that a case runs on is held and read, so that nobody saves another one in its place meanwhile."""
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-from procedures.planning.errors import PlanInUse
+from procedures.planning.errors import PlanInUse, PlanUnreadable
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES
+
+
+@dataclass(frozen=True)
+class HeldPlan:
+    """What a plan file held when a case took hold of it, whatever is written in its place since."""
+
+    content: bytes
+
+    @property
+    def sha256(self) -> str:
+        """Of the file."""
+        return hashlib.sha256(self.content).hexdigest()
 
 
 @contextmanager
-def held_plan(path: Path) -> Iterator[None]:
-    """Hold a plan file for a case, beside others that hold it too; free when the program ends, however."""
-    file = _locked(path, fcntl.LOCK_SH)
-    try:
-        yield
-    finally:
-        os.close(file)
+def held_plan(path: Path) -> Iterator[HeldPlan]:
+    """Hold a plan file for a case, beside others that hold it too; free when the program ends, however.
+
+    Raises PLAN-001.
+    """
+    with ExitStack() as stack:
+        try:
+            file = _locked(path, fcntl.LOCK_SH)
+            stack.callback(os.close, file)
+            content = os.pread(file, LARGEST_TOML_BYTES + 1, 0)
+        except OSError as error:
+            raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+        yield HeldPlan(content)
 
 
 @contextmanager

@@ -16,11 +16,12 @@ from ronna_hw.bounded_input.json_text import (
     read_json_lines,
 )
 from ronna_hw.bounded_input.refusal import InputRefused
-from ronna_hw.bounded_input.toml_text import parse_toml, read_toml
+from ronna_hw.bounded_input.toml_text import LARGEST_TOML_BYTES, parse_toml, read_toml, toml_of
 from ronna_hw.bounded_input.unpacking import inflate, unzip
 from ronna_hw.bounded_input.xml_tree import parse_xml
 
 __all__ = [
+    "LARGEST_TOML_BYTES",
     "MOST_VALUES",
     "InputRefused",
     "check_json",
@@ -32,5 +33,6 @@ __all__ = [
     "read_json_bytes",
     "read_json_lines",
     "read_toml",
+    "toml_of",
     "unzip",
 ]

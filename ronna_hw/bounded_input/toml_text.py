@@ -25,11 +25,20 @@ _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{
 def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
     """The content of a file; raises `refusal` with the reason when it is no TOML within bounds, OSError."""
     try:
-        return parse_toml(read_bounded(path, LARGEST_TOML_BYTES).decode("utf-8-sig"))
+        content = read_bounded(path, LARGEST_TOML_BYTES)
     except InputRefused as error:
         raise refusal(f"{path.name} is refused: {error.summary}") from error
+    return toml_of(content, path.name, refusal)
+
+
+def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
+    """What the bytes of a file of that name say; raises `refusal` as `read_toml`."""
+    try:
+        return parse_toml(content.decode("utf-8-sig"))
+    except InputRefused as error:
+        raise refusal(f"{name} is refused: {error.summary}") from error
     except ValueError as error:  # no TOML, no text
-        raise refusal(f"{path.name} is not TOML: {error}") from error
+        raise refusal(f"{name} is not TOML: {error}") from error
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from procedures.cli.case.request import CaseRequest
 if TYPE_CHECKING:
     from procedures.engine.context import ClinicalInput
     from procedures.engine.order import CaseOrder
+    from procedures.planning.plan_lock import HeldPlan
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:
@@ -17,8 +18,8 @@ def case_folder(request: CaseRequest, folder: Path) -> Path:
     return request.case or folder / "case"
 
 
-def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
-    """CT, plan and strategy of a run."""
+def clinical_input(request: CaseRequest, folder: Path, plan: HeldPlan | None = None) -> ClinicalInput:
+    """CT, plan and strategy of a run; its plan as it is held."""
     from procedures.engine.context import ClinicalInput
     from procedures.strategies.catalogue import strategy_named
 
@@ -28,17 +29,19 @@ def clinical_input(request: CaseRequest, folder: Path) -> ClinicalInput:
         case / "plan.toml",
         strategy_named(request.strategy),
         request.measure_targets,
+        None if plan is None else plan.sha256,
     )
 
 
-def order_of_case(request: CaseRequest, folder: Path) -> CaseOrder:
-    """The steps of a run, by its plan and its strategy. Raises what reading the plan raises."""
+def order_of_case(request: CaseRequest, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
+    """The steps of a run, by its plan as held and its strategy. Raises what reading the plan raises."""
     from procedures.engine.order import order_of
-    from procedures.planning.plan_file import read_plan
+    from procedures.planning.plan_file import plan_of, read_plan
     from procedures.steps.catalogue import clinical_steps
     from procedures.strategies.catalogue import strategy_named
 
-    plan = read_plan(case_folder(request, folder) / "plan.toml")
+    file = case_folder(request, folder) / "plan.toml"
+    plan = read_plan(file) if held is None else plan_of(held.content, file.name)
     return order_of(
         clinical_steps(measure_targets=request.measure_targets),
         [trajectory.id for trajectory in plan.trajectories],

@@ -188,11 +188,11 @@ def opened_case(
     def procedure(_theatre: Theatre) -> Procedure:
         if request.plan is not None and (resumption is None or resumption.left.untouched):
             write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
-        order = order_of_case(request, folder)
+        plan = held.enter_context(held_plan(case / "plan.toml"))
+        order = order_of_case(request, folder, plan)
         if request.answers is not None:
             request.answers.check_trajectories(order.trajectories)
-        held.enter_context(held_plan(case / "plan.toml"))
-        return Procedure(order, clinical=clinical_input(request, folder))
+        return Procedure(order, clinical=clinical_input(request, folder, plan))
 
     complete = request.case is None and (case / "plan.toml").exists()  # the phantom's last file
     if resumption is not None and request.case is None and not complete:
@@ -339,6 +339,7 @@ def _make_engine(
         banner=theatre.file.banner,
         procedure=wanted.title,
         strategy=None if wanted.clinical is None else wanted.clinical.strategy.name,
+        plan_sha256=None if wanted.clinical is None else wanted.clinical.plan_sha256,
         seed=request.seed,
     )
     engine = Engine(

@@ -20,7 +20,8 @@ from procedures.planning.check import PlanCheck, check_plan
 from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_shape import HeadEllipsoid, head_shape
 from procedures.planning.plan import Plan, PlannedTrajectory
-from procedures.planning.plan_file import read_plan
+from procedures.planning.plan_file import plan_of
+from procedures.planning.plan_lock import held_plan
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
@@ -47,7 +48,7 @@ class CheckedPlan(StepResult, kind="plan_check"):
 def run(context: StepContext) -> Outcome[CheckedPlan]:
     """Check the plan; raises PLAN-00x with everything that is wrong."""
     localization = context.result(LocalizedFiducials)
-    plan = read_plan(context.clinical.plan)
+    plan = _as_held(context)
     planned = tuple(trajectory.id for trajectory in plan.trajectories)
     if planned != context.trajectories:
         raise GateFailed(
@@ -76,6 +77,20 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
         ),
         summary="; ".join((summary, *check.warnings)),
     )
+
+
+def _as_held(context: StepContext) -> Plan:
+    """The plan, while it is the one that the case was opened with; raises PRO-007 for another one."""
+    path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
+    with held_plan(path) as held:
+        if held_sha256 not in (None, held.sha256):
+            raise GateFailed(
+                "the plan has changed since the case was opened",
+                expected=f"SHA-256 {held_sha256}",
+                got=held.sha256,
+                action="Start a new run with this plan.",
+            )
+        return plan_of(held.content, path.name)
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:

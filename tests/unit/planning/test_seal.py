@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -15,7 +16,7 @@ from procedures.imaging.volume import Volume
 from procedures.planning.check import check_plan
 from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
 from procedures.planning.plan import Plan
-from procedures.planning.plan_file import read_plan, write_plan
+from procedures.planning.plan_file import plan_of, read_plan, write_plan
 from procedures.planning.plan_lock import held_plan, plan_in_use, replaced_plan
 from procedures.planning.seal import sealed
 
@@ -106,6 +107,15 @@ def test_a_case_that_waited_for_a_plan_to_be_replaced_holds_the_new_one(saved: P
         with pytest.raises(PlanInUse, match="PLAN-026"), replaced_plan(saved):
             pass
     assert not plan_in_use(saved)
+
+
+def test_what_a_case_holds_is_what_it_reads_also_when_another_plan_takes_its_place(saved: Path) -> None:
+    plan, content = read_plan(saved), saved.read_bytes()
+    with held_plan(saved) as held:
+        saved.unlink()
+        saved.write_text("# another one\n")
+        assert plan_of(held.content, "plan.toml") == plan
+        assert held.sha256 == hashlib.sha256(content).hexdigest()
 
 
 def test_the_seal_does_not_depend_on_how_numbers_are_written(saved: Path) -> None:

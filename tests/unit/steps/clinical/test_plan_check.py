@@ -1,5 +1,7 @@
 """The plan belongs to this CT, to these spheres, and leads into this head."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import tomli_w
@@ -121,6 +123,17 @@ def test_a_plan_whose_trajectories_changed_since_the_case_was_opened_is_refused(
     renamed = plan().model_copy(update={"trajectories": (first.model_copy(update={"id": "T9"}), *others)})
     with pytest.raises(GateFailed, match="trajectories have changed since the case was opened"):
         checked(cell, renamed)
+
+
+def test_another_plan_than_the_one_that_the_case_was_opened_with_is_refused(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setting = cell.setting()
+    assert setting.clinical is not None
+    opened = replace(setting, clinical=replace(setting.clinical, plan_sha256="of another"))
+    monkeypatch.setattr(cell, "setting", lambda: opened)
+    with pytest.raises(GateFailed, match="the plan has changed since the case was opened"):
+        checked(cell)
 
 
 def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: ClinicalCell) -> None:
