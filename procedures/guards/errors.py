@@ -20,7 +20,7 @@ class BaseShifted(RefusedError):
 
 
 class InputChanged(RefusedError):
-    """CT or plan is no longer what the case was computed from."""
+    """CT, plan or proposed place is no longer what the case was computed from."""
 
     code = "PRO-021"
     action = (

@@ -1,4 +1,4 @@
-"""CT and plan after a restart: the series that was imported, the plan that was checked."""
+"""CT, plan and proposed place after a restart: those that were imported, checked and compared with."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ from procedures.engine.engine import Engine
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
 from procedures.recovery.comparison import Comparison
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 
 
 def compare_inputs(engine: Engine, comparison: Comparison) -> None:
-    """Read both again where they were recorded; what cannot be read differs."""
+    """Read them again where they were recorded; what cannot be read differs."""
     clinical = engine.setting.clinical
     if clinical is None:
         return
@@ -39,3 +40,13 @@ def compare_inputs(engine: Engine, comparison: Comparison) -> None:
                 comparison.same("plan")
             else:
                 comparison.differs("plan", "the plan that was checked", "another one")
+    if locked := engine.case.find(LockedCart, None):
+        try:
+            changed = locked.result.differences(clinical.place)
+        except RonnaError as problem:
+            comparison.differs("proposed place", "one that was read", problem)
+        else:
+            if changed:
+                comparison.differs("proposed place", locked.record.identifier, changed)
+            elif locked.result.proposal is not None:
+                comparison.same("proposed place")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 from collections.abc import Callable
@@ -18,8 +19,10 @@ from clinical_case import (
     checked_plan,
     checked_tool,
     coarse,
+    done_later,
     given,
     localized_fiducials,
+    locked_cart,
     mounted_guide,
     plan,
     registered_robot,
@@ -33,8 +36,12 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
+from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.plan import Plan
+from procedures.recovery.comparison import Comparison
+from procedures.recovery.inputs import compare_inputs
 from procedures.steps.clinical import positioning
+from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -154,3 +161,56 @@ def test_files_that_are_out_of_reach_suspend_the_case_until_they_are_back(engine
     hidden.rename(series_of(engine))
     assert guard.unmet() is None
     assert engine.case.stands(engine.order.find(RegisteredRobot.kind))
+
+
+PLACE = {
+    "series_instance_uid": plan().series_instance_uid,
+    "assumed_robot_from_ct": [0.0] * 6,
+    "best_mm": [0.0, 0.0],
+    "turned_deg": 0.0,
+    "free_mm": 40.0,
+    "turns_deg": [5.0, 5.0],
+}
+
+
+@pytest.fixture
+def placed(tmp_path: Path) -> Engine:
+    """A case with a cart that was locked at its proposed place."""
+    cell = ClinicalCell(tmp_path)
+    clinical = cell.setting().clinical
+    assert clinical is not None
+    write_series(cell.series, VOXELS_HU)
+    write_plan(cell.plan, plan())
+    clinical.place.write_text(json.dumps(PLACE))
+    proposed = read_place(clinical.place)
+    assert proposed is not None
+    proposal = Proposal(sha256=proposed.sha256, place=proposed.place)
+    locked = locked_cart().model_copy(update={"proposal": proposal})
+    engine = cell.begin(done_later(locked), done_later(coarse()[0], LockedCart))
+    engine.checkpoint.guards.append(UnchangedInputs(engine, clinical))
+    engine.run_to(engine.order.find("cart_lock"))
+    return engine
+
+
+@pytest.mark.hazard(1)
+def test_another_proposed_place_is_noticed_and_the_lock_that_was_compared_with_it_is_void(
+    placed: Engine,
+) -> None:
+    place = plan_of(placed).with_name("place.json")
+    place.write_text(json.dumps(PLACE | {"map": ["#"]}))
+    (guard,) = placed.checkpoint.guards
+    assert guard.unmet() is None  # what was compared is the same
+    place.write_text(json.dumps(PLACE | {"free_mm": 400.0}))
+    with pytest.raises(InputChanged, match=r"place\.json has changed since cart_lock: another place"):
+        placed.run_to()
+    assert str(placed.upcoming) == "cart_lock"
+
+
+@pytest.mark.hazard(1)
+def test_a_proposed_place_that_is_gone_suspends_the_case_and_differs_after_a_restart(placed: Engine) -> None:
+    plan_of(placed).with_name("place.json").unlink()
+    (guard,) = placed.checkpoint.guards
+    assert "place.json cannot be read" in (guard.unmet() or "")
+    comparison = Comparison()
+    compare_inputs(placed, comparison)
+    assert comparison.differences == ["proposed place: recorded 01-cart_lock, found no place"]

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from recording_cell import GUIDE, STAMP, STEREO_HEAD, RecordingCell, RecordingDevice, theatre_of
 
 from procedures.engine.case import Stored
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.engine.result import FramedPose, StepResult
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.planning.guide_hold import held_trajectories
 from procedures.planning.head_shape import HeadEllipsoid
 from procedures.planning.plan import FiducialKind, PatientPosition, Plan, PlannedTrajectory
@@ -179,9 +180,22 @@ class ClinicalCell(RecordingCell):
         return self.case.get(engine.order.spec(last).result, last.trajectory)
 
 
-def given(result: StepResult) -> StepSpec[StepResult]:
-    """A step that leaves this result."""
-    return StepSpec(type(result), "given", Phase.PREOPERATIVE, lambda _context: Outcome(result))
+def given(result: StepResult, *reads: type[StepResult]) -> StepSpec[StepResult]:
+    """A step that leaves this result, made from what it reads."""
+
+    def run(context: StepContext) -> Outcome[StepResult]:
+        for model in reads:
+            context.result(model)
+        return Outcome(result)
+
+    return StepSpec(type(result), "given", Phase.PREOPERATIVE, run, reads=reads)
+
+
+def done_later(
+    result: StepResult, *reads: type[StepResult], scope: Scope = Scope.CASE, finishes: bool = False
+) -> StepSpec[StepResult]:
+    """As `given`, of what the place of the cart matters to."""
+    return replace(given(result, *reads), phase=Phase.OPERATION, scope=scope, finishes=finishes)
 
 
 def imported_ct() -> ImportedCt:
@@ -267,7 +281,9 @@ def clamped_head() -> ClampedHead:
 
 
 def locked_cart() -> LockedCart:
-    return LockedCart(placings=1, moved_mm=(0.0, 0.0, 0.0), spheres=4, beside_mm=None, turned_deg=None)
+    return LockedCart(
+        placings=1, moved_mm=(0.0, 0.0, 0.0), spheres=4, beside_mm=None, turned_deg=None, proposal=None
+    )
 
 
 def global_localization(points_mm: Array = SPHERES_MM) -> GlobalLocalization:

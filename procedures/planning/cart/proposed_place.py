@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,10 +89,21 @@ UNTURNED_DEG = 0.5  # what the tracker cannot tell: 0.35 mm on spheres 80 mm apa
 TURNED_SHARE = 0.5  # of what an unturned cart may miss its place by, at which turns are tried
 
 
-def read_place(path: Path) -> ProposedPlace:
-    """Read it. Raises PLAN-022."""
+@dataclass(frozen=True)
+class PlaceFile:
+    """What a file proposes, and the SHA-256 of that file."""
+
+    place: ProposedPlace
+    sha256: str
+
+
+def read_place(path: Path) -> PlaceFile | None:
+    """Read it; None where nothing is proposed. Raises PLAN-022."""
     try:
-        return ProposedPlace.model_validate_json(read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES))
+        content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
+        return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())
+    except FileNotFoundError:
+        return None
     except OSError as error:
         raise PlaceUnfit(f"cannot read {path.name}: {error.strerror}") from error
     except InputRefused as error:

@@ -6,6 +6,8 @@ may have moved against the other.
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -13,12 +15,12 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
 from procedures.engine.operator import YES, Question, Task, Topic
-from procedures.engine.result import StepResult
+from procedures.engine.result import StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import RoomReading
-from procedures.planning.cart.proposed_place import BesideProposal, ProposedPlace, read_place
+from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
 from procedures.registration.shift import shift_of
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
@@ -42,7 +44,14 @@ LOCKED_LIMIT_MM = 0.3
 HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head that lies differently
 
 
-class LockedCart(StepResult, kind="cart_lock"):
+class Proposal(Values):
+    """The place that was proposed."""
+
+    sha256: str = Field(description="Of the file that proposed it.")
+    place: ProposedPlace = Field(description="What of it was compared.")
+
+
+class LockedCart(StepResult, kind="cart_lock", version=2):
     """The cart as it was locked, how it stood when somebody leaned on it, and where."""
 
     placings: int = Field(description="How often it was placed.")
@@ -52,6 +61,15 @@ class LockedCart(StepResult, kind="cart_lock"):
         description="Of the cart beside its proposed place, x and y; none without a proposal."
     )
     turned_deg: float | None = Field(description="How far it is turned against the proposal.")
+    proposal: Proposal | None = Field(description="None where nothing was proposed.")
+
+    def differences(self, path: Path) -> str:
+        """What that file proposes else; empty when it is the same. Raises PLAN-022."""
+        found = read_place(path)
+        then, now = self.proposal and self.proposal.place, found and found.place
+        if then == now:
+            return ""
+        return "no place" if now is None else "a place" if then is None else "another place"
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:
@@ -59,7 +77,8 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for before in context.spec.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing of ours may move the arm meanwhile
-    proposal = _proposal(context)
+    proposed = _proposal(context)
+    proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
         context.have_done(Task(CART_PLACE, "wheel the cart of the arm to its place"))
         context.have_done(Task(CART_LOCK, "close the brakes of the cart"))
@@ -84,23 +103,22 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             spheres=spheres,
             beside_mm=None if beside is None else (beside.x_mm, beside.y_mm),
             turned_deg=None if beside is None else beside.turned_deg,
+            proposal=None if proposed is None else Proposal(sha256=proposed.sha256, place=proposed.place),
         ),
         summary=f"the cart stands, {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
         + ("" if beside is None else f"; {_in_words(beside)} beside its proposed place"),
     )
 
 
-def _proposal(context: StepContext) -> ProposedPlace | None:
+def _proposal(context: StepContext) -> PlaceFile | None:
     path = context.clinical.place
-    if not path.exists():
-        return None
-    proposal = read_place(path)
+    proposed = read_place(path)
     series = context.result(CheckedPlan).plan.series_instance_uid
-    if proposal.series_instance_uid != series:
+    if proposed is not None and proposed.place.series_instance_uid != series:
         raise PlaceUnfit(
-            f"{path.name} was made for another CT", expected=series, got=proposal.series_instance_uid
+            f"{path.name} was made for another CT", expected=series, got=proposed.place.series_instance_uid
         )
-    return proposal
+    return proposed
 
 
 def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:

@@ -1,4 +1,4 @@
-"""Before every step and motion: CT and plan are still those that the standing results were computed from.
+"""Before every step and motion: CT, plan and proposed place are still those that results were made from.
 
 A file that nobody touched is not read again; one that somebody did is compared by its content.
 """
@@ -16,6 +16,7 @@ from procedures.engine.step import StepKey
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
@@ -27,23 +28,29 @@ Stamps = tuple[Stamp, ...]
 class UnchangedInputs:
     """A guard. A change ends the running step and supersedes everything that descends from what was read."""
 
-    name = "CT and plan"
+    name = "CT, plan and place"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
         """Raises OSError."""
         self._engine = engine
-        self._inputs: dict[Path, type[StepResult]] = {clinical.series: ImportedCt, clinical.plan: CheckedPlan}
-        self._seen = {path: _stamps(path) for path in self._inputs}
+        self._inputs: dict[Path, type[StepResult]] = {
+            clinical.series: ImportedCt,
+            clinical.plan: CheckedPlan,
+            clinical.place: LockedCart,
+        }
+        self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
 
     def unmet(self) -> str | None:
         """Why they cannot be looked at. Raises PRO-021 when one has changed."""
         for path, model in self._inputs.items():
+            stored = self._engine.case.find(model, None)
             try:
                 stamps = _stamps(path)
             except OSError as error:
+                if model is LockedCart and (stored is None or not _proposed(stored.result)):
+                    continue  # it need not be there
                 return f"{path.name} cannot be read ({error.strerror}): bring it back"
-            stored = self._engine.case.find(model, None)
-            if stored is None or stamps == self._seen[path]:
+            if stored is None or stamps == self._seen.get(path):
                 continue
             self._seen[path] = stamps
             if changed := _changed(stored.result, path):
@@ -54,11 +61,17 @@ class UnchangedInputs:
         return None
 
 
+def _proposed(result: StepResult) -> bool:
+    return isinstance(result, LockedCart) and result.proposal is not None
+
+
 def _changed(result: StepResult, path: Path) -> str:
     """What is different now, or why it cannot be read; empty when it is the same."""
     try:
         if isinstance(result, ImportedCt):
             return result.differences(read_series(path))
+        if isinstance(result, LockedCart):
+            return result.differences(path)
         same = isinstance(result, CheckedPlan) and read_plan(path) == result.plan
         return "" if same else "another plan"
     except (RonnaError, OSError) as problem:
