@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
+from procedures.engine.ancestry import without_ancestors
 from procedures.engine.errors import StepRefused
 from procedures.engine.result import StepResult
 from procedures.engine.step import LeftOut, StepKey
@@ -78,24 +79,19 @@ class Case:
         former = self._standing.get(key)
         if former is None:
             return ()
-        standing = [stored.record for stored in self._standing.values()]
         reached = {former.record.identifier}
         # A result may descend by way of one that stands no more; a parent has the lower number.
-        for record in sorted([*self._superseded, *standing], key=_number):
+        for record in self.records:
             if not reached.isdisjoint(record.parents):
                 reached.add(record.identifier)
+        standing = (stored.record for stored in self._standing.values())
         gone = (record for record in standing if record.identifier in reached)
         return tuple(record for record in gone if record.trajectory not in finished)
 
     @property
     def past(self) -> frozenset[str]:
         """Identifiers of results that stand without their ancestors, of finished trajectories."""
-        standing = {stored.record.identifier for stored in self._standing.values()}
-        past: set[str] = set()
-        for stored in self._standing.values():
-            if any(parent not in standing or parent in past for parent in stored.record.parents):
-                past.add(stored.record.identifier)
-        return frozenset(past)
+        return without_ancestors(stored.record for stored in self._standing.values())
 
     @property
     def past_trajectories(self) -> frozenset[str]:
@@ -104,9 +100,9 @@ class Case:
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
-    def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
-        """Let a result stand in place of those that it supersedes."""
-        self.void(key)
+    def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
+        """Let a result stand in place of those that it supersedes; but as `superseded_by`."""
+        self.void(key, finished)
         self._standing[key] = stored
 
     def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
@@ -173,6 +169,21 @@ class Case:
             for key, stored in self._standing.items()
             for trajectory, reason in stored.result.leaves_out().items()
         )
+
+    def left_out_besides(self, key: StepKey) -> dict[str, str]:
+        """The trajectories that stay left out whatever a new result of that step says, and why."""
+        gone = {(record.kind, record.trajectory) for record in self.superseded_by(key)}
+        return {
+            one.trajectory: one.reason
+            for one in self.left_out
+            if (one.by.name, one.by.trajectory) not in gone
+        }
+
+    @property
+    def records(self) -> tuple[Record, ...]:
+        """Every result, in order, also those that do not stand any more."""
+        standing = (stored.record for stored in self._standing.values())
+        return tuple(sorted((*self._superseded, *standing), key=_number))
 
     @property
     def standing(self) -> tuple[Stored[StepResult], ...]:

@@ -78,7 +78,7 @@ class StepContext:
     key: StepKey
     spec: StepSpec[StepResult]
     trajectories: tuple[str, ...]
-    left_out: Mapping[str, str]  # trajectories that other steps left out, and why
+    left_out: Mapping[str, str]  # trajectories that stay left out whatever this step does, and why
     setting: CaseSetting
     _case: Case
     _ask: Callable[[Question], str]
@@ -104,12 +104,8 @@ class StepContext:
         return stored.result
 
     def is_last_trajectory(self) -> bool:
-        """Whether this step has been done for every other trajectory; then those results are read.
-
-        What was finished before something moved is done.
-        """
-        done = {self.trajectory, *self._case.past_trajectories}
-        others = [StepKey(self.key.name, name) for name in self.remaining if name not in done]
+        """Whether this step has been done for every other trajectory that remains; those results are read."""
+        others = [StepKey(self.key.name, name) for name in self.remaining if name != self.trajectory]
         if not all(map(self._case.stands, others)):
             return False
         for other in others:
@@ -149,8 +145,9 @@ class StepContext:
 
     @property
     def remaining(self) -> tuple[str, ...]:
-        """The trajectories of the case without those that were left out."""
-        return tuple(name for name in self.trajectories if name not in self.left_out)
+        """The trajectories without those that were left out, or were finished before something moved."""
+        gone = {*self.left_out, *self._case.past_trajectories}
+        return tuple(name for name in self.trajectories if name not in gone)
 
     @property
     def workcell(self) -> Workcell:

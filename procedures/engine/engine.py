@@ -14,6 +14,7 @@ from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
+from procedures.engine.course import Course
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
@@ -60,6 +61,7 @@ class Engine:
         """
         self.order = order
         self.case = case
+        self.course = Course(order, case)
         self.setting = setting
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
@@ -76,29 +78,8 @@ class Engine:
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when every result stands.
-
-        A step that may only follow another, which was not the last one, comes after that one is done again.
-        """
-        if self.case.past_trajectories.issuperset(self.order.trajectories or [""]):
-            return None  # what remains would only lead to them again
-        key = next((key for key in self.order.sequence if not self._settled(key)), None)
-        while key is not None and self.order.spec(key).continues:
-            before = self.order.before(key)[-1]
-            if before == self._latest:
-                break
-            key = before
-        return key
-
-    def left_out(self, key: StepKey) -> str | None:
-        """Why a step is not done because its trajectory was left out before it; None when it was not."""
-        return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
-
-    def _settled(self, key: StepKey) -> bool:
-        """Whether a step's result stands, or its trajectory is left out, or was finished before a move."""
-        if self.case.stands(key) or self.left_out(key) is not None:
-            return True
-        return key.trajectory is not None and key.trajectory in self.case.past_trajectories
+        """The step that comes next, or None when nothing remains: see `Course.upcoming`."""
+        return self.course.upcoming(self._latest)
 
     @property
     def instrument_in(self) -> str | None:
@@ -106,14 +87,8 @@ class Engine:
         return self.setting.workcell.instrument.inside
 
     def status(self, key: StepKey) -> str:
-        """`done`, `left out`, `next`, `superseded`, or nothing."""
-        if self.case.stands(key):
-            return "done"
-        if self.left_out(key) is not None:
-            return "left out"
-        if key == self.upcoming:
-            return "next"
-        return "superseded" if self.case.was_superseded(key) else ""
+        """As `Course.status`."""
+        return self.course.status(key, self._latest)
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
@@ -123,10 +98,12 @@ class Engine:
             return ("what was found after the restart has not been accepted",)
         if faults := self.faults:
             return tuple(f"the {role} is in fault: {fault}" for role, fault in faults.items())
-        if (reason := self.left_out(key)) is not None:
+        if (reason := self.course.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
+        if self.course.all_finished_before:
+            return ("the work at every target is done: home brings the arm there",)
         spec = self.order.spec(key)
-        if unmet := self.order.unmet(key, self._latest, self._settled):
+        if unmet := self.order.unmet(key, self._latest, self.course.settled):
             return unmet
         return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
@@ -177,10 +154,18 @@ class Engine:
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
         )
-        if self.upcoming is None:
+        self._finish_if_over()
+        return stored.record
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing remains: no step, nor the way home of an arm that was led to targets."""
+        return self.course.over and not (self.order.leads_to_targets and self.setting.workcell.away)
+
+    def _finish_if_over(self) -> None:
+        if self.over and not self.machine.ended:
             self.machine.finish()
             self._show_state()
-        return stored.record
 
     def run_to(self, last: StepKey | None = None) -> None:
         """Run the upcoming steps up to and including `last`, or all."""
@@ -252,6 +237,7 @@ class Engine:
             if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
+        self._finish_if_over()
 
     def have_instrument_out(self) -> None:
         """As `hands.have_instrument_out`."""
@@ -334,7 +320,8 @@ class Engine:
                 got=type(outcome.result).__name__,
             )
         stored = self.case.store(key, outcome.result, context.read)
-        gone = [record.identifier for record in self.case.superseded_by(key)]
+        finished = self.order.outlasting_again(key, self.case.stands)
+        gone = [record.identifier for record in self.course.superseded_by(key)]
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         if context.pictures:
             more["pictures"] = context.pictures
@@ -346,7 +333,7 @@ class Engine:
             sha256=stored.record.sha256,
             **more,
         )
-        self.case.accept(key, stored)
+        self.case.accept(key, stored, finished)
         for identifier in gone:
             self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
         return stored
@@ -384,7 +371,7 @@ class Engine:
             key=key,
             spec=self.order.spec(key),
             trajectories=self.order.trajectories,
-            left_out={one.trajectory: one.reason for one in self.case.left_out if one.by != key},
+            left_out=self.case.left_out_besides(key),
             setting=self.setting,
             _case=self.case,
             _ask=self.questions.ask,

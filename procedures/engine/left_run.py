@@ -76,8 +76,9 @@ class LeftRun:
                 key, record = step_key(line), next(records)
                 if key not in order.sequence:
                     raise BadRecord(f"{record.identifier} is of a step that this case does not have")
-                _require_superseded(case, key, line)
-                case.accept(key, Stored(record, typed(record, order.spec(key).result)))
+                finished = order.outlasting_again(key, case.stands)
+                _require_superseded(case, key, line, finished)
+                case.accept(key, Stored(record, typed(record, order.spec(key).result)), finished)
             elif line["entry"] == Entry.VOIDED:
                 key = step_key(line)
                 finished = order.outlasting(key, case.stands)
@@ -104,7 +105,7 @@ def step_key(line: Line) -> StepKey:
     return StepKey(name, trajectory or None)
 
 
-def _require_superseded(case: Case, key: StepKey, line: Line, finished: Sequence[str] = ()) -> None:
+def _require_superseded(case: Case, key: StepKey, line: Line, finished: Sequence[str]) -> None:
     if [one.identifier for one in case.superseded_by(key, finished)] != list(_names(line, "supersedes")):
         raise JournalCorrupt(f"line {line['sequence']} supersedes other results than {key} does")
 

@@ -38,6 +38,11 @@ class CaseOrder:
         """The steps that say where the head is before the arm."""
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
+    @property
+    def leads_to_targets(self) -> bool:
+        """Whether the arm is brought to targets; a calibration leaves it where it is."""
+        return any(step.finishes for step in self.steps)
+
     def finished(self, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
         """The trajectories at whose targets the work is done."""
         last = (key for key in self.sequence if self.spec(key).finishes and stands(key))
@@ -49,6 +54,10 @@ class CaseOrder:
         What moves later does not undo what was finished; another CT or plan does.
         """
         return () if self.spec(key).phase is Phase.PREOPERATIVE else self.finished(stands)
+
+    def outlasting_again(self, key: StepKey, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
+        """The trajectories whose results stay when that step is repeated: not those of its own."""
+        return tuple(name for name in self.outlasting(key, stands) if name != key.trajectory)
 
     def without_names(self, text: str) -> str:
         """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""
@@ -82,7 +91,7 @@ class CaseOrder:
         A step may come when everything before it stands: next in the order, for another trajectory, or again.
         """
         only = self.continuation(latest)
-        if only is not None and key != only:
+        if only is not None and key != only and not stands(only):
             return (f"it may not follow {latest}: only {only} may",)
         if self.spec(key).continues and key != only:
             own = self.before(key)[-1]

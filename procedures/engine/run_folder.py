@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from pydantic import ValidationError
 
+from procedures.engine.ancestry import without_ancestors
 from procedures.engine.case import Stored
 from procedures.engine.journal import Entry, Line
 from procedures.engine.result import StepResult
@@ -47,11 +49,18 @@ class RunFolder:
         """The records that nothing superseded, in order."""
         return tuple(record for record in self.records if record.identifier not in self.superseded)
 
+    @property
+    def past(self) -> frozenset[str]:
+        """Identifiers of results of finished trajectories that were made before something moved."""
+        return without_ancestors(self.what_stands)
+
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The results of a step that stand, in order. Raises REC-001, REC-003."""
-        return tuple(
-            Stored(record, typed(record, model)) for record in self.what_stands if record.kind == model.kind
-        )
+        return _as(model, self.what_stands)
+
+    def made(self, model: type[R]) -> tuple[Stored[R], ...]:
+        """All results of a step, in order. Raises REC-001, REC-003."""
+        return _as(model, self.records)
 
 
 def read_run(folder: Path) -> RunFolder:
@@ -62,6 +71,10 @@ def read_run(folder: Path) -> RunFolder:
 def run_of(found: Inspection) -> RunFolder:
     """What was found of a run."""
     return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
+
+
+def _as(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
+    return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
 
 
 def typed(record: Record, model: type[R]) -> R:

@@ -32,6 +32,7 @@ from procedures.exchange.plain_files import (
 )
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
+from procedures.reporting.used_registrations import UsedRegistration, used_registrations
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.registration import RegisteredRobot
@@ -65,7 +66,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
         datetime.fromisoformat(found.record.created),
         found.record.sha256,
     )
-    fits = _labelled(folder.standing(RegisteredRobot))
+    fits = _labelled(used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
     markers = [picked(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
@@ -106,20 +107,20 @@ def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
     return tuple(made)
 
 
-def _labelled(stored: Sequence[Stored[RegisteredRobot]]) -> dict[str, Stored[RegisteredRobot]]:
+def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
     """The registrations by the label under which they leave, and so are the targets in them."""
-    names = dict.fromkeys(one.target for fit in stored for one in fit.result.predictions)
+    names = dict.fromkeys(name for one in used for name in one.targets)
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
+    alone = [one.stored.record.trajectory for one in used].count(None) == 1
     labelled = {}
-    for fit in stored:
+    for one in used:
         predictions = tuple(
-            one.model_copy(update={"target": labels[one.target]}) for one in fit.result.predictions
+            predicted.model_copy(update={"target": labels[predicted.target]}) for predicted in one.predictions
         )
-        result = fit.result.model_copy(update={"predictions": predictions})
-        name = fit.record.trajectory
-        labelled[ALL if name is None else labels.get(name, label_of(name, len(labels)))] = Stored(
-            fit.record, result
-        )
+        result = one.result.model_copy(update={"predictions": predictions})
+        for_all = alone and one.stored.record.trajectory is None
+        label = ALL if for_all else "-".join(labels[name] for name in one.targets)
+        labelled[label] = Stored(one.stored.record, result)
     return labelled
 
 

@@ -13,6 +13,7 @@ from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.arm_view import stands_at
 from procedures.workcell.errors import TipOffAxis
 
 AT_GAUGE_RAD = math.radians(0.5)  # an arm that was stopped on its way there is farther, or asked in vain
@@ -24,10 +25,14 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
+    paths = case.find(CheckedPaths, None)
+    if paths is None:
+        return None
     tool = workcell.tool_pose()
     for key in engine.order.sequence:
         registered = case.find(RegisteredRobot, key.trajectory)
-        if key.name != PositionedGuide.kind or registered is None or case.find(CheckedPaths, None) is None:
+        led_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
+        if not led_there or registered is None:
             continue
         insertion = insertion_for(engine.context(key), registered.result.robot_from_ct.transform)
         try:
@@ -45,6 +50,5 @@ def guide_in_gauge(engine: Engine) -> bool:
     workcell = engine.setting.workcell
     if workcell.tool is not MountedTool.GUIDE:
         return False
-    gauge_rad = map(math.radians, workcell.tools.guide.gauge.joints_deg)
-    pairs = zip(workcell.joints_rad(), gauge_rad, strict=True)
-    return all(abs(here - there) < AT_GAUGE_RAD for here, there in pairs)
+    gauge_rad = tuple(map(math.radians, workcell.tools.guide.gauge.joints_deg))
+    return stands_at(workcell.joints_rad(), gauge_rad, AT_GAUGE_RAD)

@@ -20,16 +20,19 @@ class MovedCart:
     def agreed_to_go_on(self, problem: RonnaError) -> bool:
         """Whether a case that this has stopped goes on by itself. Raises what the way home raises."""
         engine = self._engine
-        if not isinstance(problem, BaseShifted) or engine.upcoming is None or self._moves == MOST_MOVES:
+        if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
             return False
         self._moves += 1
+        if (following := engine.upcoming) is None:
+            goes_on = "lock it; the work at every target is done: the arm goes home, and the case ends"
+        else:
+            goes_on = f"lock it, then the case goes on from {following}"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
         question = CART_MOVED.question(
-            f"{problem.summary}: lock it, then the case goes on from {engine.upcoming}",
-            f"nobody stands in the arm's way home; these stand: {stands}",
+            f"{problem.summary}: {goes_on}", f"nobody stands in the arm's way home; these stand: {stands}"
         )
         if engine.questions.ask(question) != GO_ON:
             return False
-        if not engine.setting.workcell.at_home:
+        if following is None or not engine.setting.workcell.at_home:
             engine.retreat_home()
         return True

@@ -16,22 +16,18 @@ from procedures.engine.hands import IN_GAUGE
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.operator import YES, Question, Topic
-from procedures.recovery.calibration import leave_divot, over_divot_mm, surround_calibration
+from procedures.recovery.calibration import leave_divot, over_divot_mm
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
 from procedures.recovery.inputs import compare_inputs
 from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
+from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
-from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
-from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.workcell import MountedTool
 from procedures.workcell.left_arm import left_arm
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
@@ -57,7 +53,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
     _have_accepted(engine, comparison, "take the run up again", (*_first(engine), _then(engine)))
     if stored is None:
         return
-    _surround(engine)
+    surround(engine)
     moved = _way_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
         engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
@@ -80,7 +76,7 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
         _conclude(engine, comparison)
         return False
     _have_accepted(engine, comparison, "bring the arm home", first)
-    _surround(engine)
+    surround(engine)
     leave_divot(engine)
     engine.retreat_home()
     return True
@@ -111,6 +107,8 @@ def _take_up_arm(
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Have the operator accept what was found, beside what will be done; raises PRO-032."""
+    if head_moved_since(engine):
+        comparison.note(MOVED_SINCE)
     _conclude(engine, comparison)
     question = Question(Topic.RESUME, subject, "; ".join((*order, *comparison.findings)))
     if engine.questions.ask(question) != YES:
@@ -155,33 +153,9 @@ def _first(engine: Engine) -> tuple[str, ...]:
 
 
 def _then(engine: Engine) -> str:
-    steps = [str(key) for key in engine.order.sequence if engine.status(key) not in ("done", "left out")]
+    course = engine.course
+    steps = [] if course.over else [str(key) for key in engine.order.sequence if not course.settled(key)]
     return f"then to do: {', '.join(steps) or 'nothing'}"
-
-
-def _surround(engine: Engine) -> None:
-    """Say where the head is, before anything moves. Where that is not known yet, the arm is still home."""
-    workcell, case = engine.setting.workcell, engine.case
-    keys = engine.order.sequence
-    if engine.setting.clinical is None:
-        surround_calibration(engine)
-        return
-    if workcell.tool is MountedTool.STEREO_HEAD and case.find(Correspondence, None) is not None:
-        surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
-        return
-    if workcell.tool is MountedTool.GUIDE:
-        on = None if workcell.insertion is None else workcell.insertion.trajectory
-        for key in keys:
-            wanted = key.name == PositionedGuide.kind and on in (None, key.trajectory)
-            if wanted and case.find(RegisteredRobot, key.trajectory):
-                context = engine.context(key)
-                surround_guide(context, context.result(RegisteredRobot).robot_from_ct.transform)
-                return
-    if not workcell.at_home:
-        raise RecoveryRefused(
-            "the arm is not home, and no result says where the head is",
-            action="Move the arm home by hand at the controller, then resume again.",
-        )
 
 
 def _way_out(engine: Engine) -> bool:

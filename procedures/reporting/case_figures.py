@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.events import Evidence
+from procedures.engine.result import StepResult
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
@@ -28,6 +30,7 @@ from ronna_hw.frames import Transform
 PLAN_PICTURE = "plan-"  # how the names of the pictures begin that the check of the plan keeps
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
+R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)
@@ -81,14 +84,14 @@ def read_case_figures(folder: Path) -> CaseFigures:
     """Read a run; raises nothing that its content can cause."""
     reading = read_for_report(folder, every_file=False)
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
-    registered = [stored.result for stored in reading.standing(RegisteredRobot)]
+    registered = _still_true(reading, RegisteredRobot)
     poses = {name: one.robot_from_ct.transform for one in registered for name in one.trajectories}
     latest = registered[-1].robot_from_ct.transform if registered else None
     pose = latest or (coarse.robot_from_ct.transform if coarse else None)
     plan = reading.find(CheckedPlan)
     margins_mm = {one.id: one.margin_mm for one in plan.plan.trajectories} if plan else {}
     spans = timeline(reading.run.journal)
-    predictions = [one for result in registered for one in result.predictions]
+    predictions = [one for used in reading.registrations for one in used.predictions]
     return CaseFigures(
         robot_from_ct=pose,
         coarse=not registered,
@@ -110,6 +113,12 @@ def read_case_figures(folder: Path) -> CaseFigures:
     )
 
 
+def _still_true(reading: RunReading, model: type[R]) -> list[R]:
+    """Results that stand, without those of targets that were finished before something moved."""
+    past = reading.run.past
+    return [one.result for one in reading.standing(model) if one.record.identifier not in past]
+
+
 def _pictures(folder: Path, prefix: str) -> tuple[str, ...]:
     return tuple(sorted(path.name for path in (folder / PICTURES_FOLDER).glob(f"{prefix}*.png")))
 
@@ -122,8 +131,8 @@ def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure,
     partner = {pair[0]: pair[1] for pair in coarse.pairs} if coarse else {}
     stereo = {
         fiducial: _point(place)
-        for stored in reading.standing(Relocalization)
-        for fiducial, place in zip(stored.result.fiducials, stored.result.points_mm, strict=True)
+        for result in _still_true(reading, Relocalization)
+        for fiducial, place in zip(result.fiducials, result.points_mm, strict=True)
     }
     return tuple(
         SphereFigure(

@@ -40,7 +40,6 @@ from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
@@ -95,7 +94,7 @@ def write_report(
         "localization": reading.find(LocalizedFiducials),
         "tracked": reading.find(GlobalLocalization),
         "relocalizations": reading.standing(Relocalization),
-        "registrations": reading.standing(RegisteredRobot),
+        "registrations": reading.registrations,
         "set_up": reading.find(CheckedSetUp),
         "tools": reading.standing(MountedGuide),
         "tool_checks": reading.standing(CheckedTool),

@@ -6,7 +6,7 @@ said in it and keeps nothing else from being shown.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -15,10 +15,13 @@ from typing import Any, TypeVar
 from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.reporting.used_registrations import UsedRegistration, used_registrations
+from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.log_output import LOG_FILE
+from ronna_hw.records import Record
 
 MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file of nothing else is left
 
@@ -41,8 +44,17 @@ class RunReading:
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The results of a step that stand and can be read, in order."""
+        return self._readable(model, self.run.what_stands)
+
+    @property
+    def registrations(self) -> tuple[UsedRegistration, ...]:
+        """Those by which the targets were reached, or are to be, as far as they can be read."""
+        made = self._readable(RegisteredRobot, self.run.records)
+        return used_registrations(made, self.run.records, self.run.superseded)
+
+    def _readable(self, model: type[R], records: Sequence[Record]) -> tuple[Stored[R], ...]:
         found = []
-        for record in self.run.what_stands:
+        for record in records:
             if record.kind == model.kind:
                 try:
                     found.append(Stored(record, typed(record, model)))

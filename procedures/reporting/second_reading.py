@@ -25,9 +25,11 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
     results = [line for line in journal if line["entry"] == "result"]
     gone = {name for line in journal for name in line.get("supersedes", ())}
-    standing = [line["record"] for line in results if line["record"] not in gone]
-    records = [json.loads((run / "records" / f"{name}.json").read_text()) for name in standing]
-    depth_mm = _depths(records)
+    names = [line["record"] for line in results]
+    made = {name: json.loads((run / "records" / f"{name}.json").read_text()) for name in names}
+    standing = {name: record for name, record in made.items() if name not in gone}
+    depth_mm = _depths(list(standing.values()))
+    used = _registrations(made, standing)
     errors_mm: dict[str, float] = {}
     if truth_file.exists():
         truth = json.loads(truth_file.read_text())
@@ -40,9 +42,10 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
             _rounded(one["limit_mm"], "0.001"),
             _rounded(errors_mm.get(one["target"]), "0.001"),
         )
-        for record in records
+        for name, record in made.items()
         if record["kind"] == "registration"
         for one in record["payload"]["predictions"]
+        if used.get(one["target"]) == name
     )
 
 
@@ -53,6 +56,22 @@ def as_text(rows: tuple[Row, ...]) -> str:
     return "".join(
         "  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) + "\n" for row in table
     )
+
+
+def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, str]:
+    """By target the registration that stands, or the one that led the guide where the work was done."""
+    used = {
+        one["target"]: name
+        for name, record in standing.items()
+        if record["kind"] == "registration"
+        for one in record["payload"]["predictions"]
+    }
+    for record in standing.values():
+        if record["kind"] == "at_target":
+            (positioned,) = (name for name in record["parents"] if made[name]["kind"] == "positioning")
+            (led,) = (name for name in made[positioned]["parents"] if made[name]["kind"] == "registration")
+            used[record["trajectory"]] = led
+    return used
 
 
 def _depths(records: list[dict[str, Any]]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.registration import Prediction
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 
@@ -37,14 +37,14 @@ class TargetRow:
 
 
 def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
-    """A row for each target that a standing registration predicts."""
+    """A row for each target that is registered, with what its registration predicts."""
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     true = {one.id: one for one in truth.targets}
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
     rows = []
-    for stored in reading.standing(RegisteredRobot):
-        for predicted in stored.result.predictions:
+    for used in reading.registrations:
+        for predicted in used.predictions:
             at = true.get(predicted.target)
             rows.append(
                 TargetRow(

@@ -208,7 +208,8 @@ CART_MOVED = Branch(
     "the frame on the arm by tracker and arm, as above",
     ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat"),
     "when the operator agrees the arm goes home, the cart is locked again, and the case goes on from the "
-    "global localization; CT and plan stand, and what was done at finished targets",
+    "global localization; CT and plan stand, and what was done at finished targets. When all are finished "
+    "the arm goes home and the case ends",
     Ending.ASK,
     (BaseShifted,),
     Topic.CART_MOVED,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from ronna_hw.arm.kinematics import Kinematics
@@ -20,3 +21,8 @@ class ArmView(Protocol):
     def observe(self) -> LastKnown[ArmReading]:
         """As `RobotArm.observe`."""
         ...
+
+
+def stands_at(joints_rad: Sequence[float], place_rad: Sequence[float], within_rad: float) -> bool:
+    """Whether every joint is nearer than that to where it is in a place."""
+    return all(abs(here - there) < within_rad for here, there in zip(joints_rad, place_rad, strict=True))

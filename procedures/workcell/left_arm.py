@@ -27,6 +27,11 @@ class LeftArm:
     instrument_in: str | None = None
     instrument_out: bool = False  # confirmed since the guide was brought there last
 
+    @property
+    def away(self) -> bool:
+        """As `Workcell.away`."""
+        return self.insertion is not None or bool(self.trail)
+
 
 def left_arm(lines: Iterable[Line]) -> LeftArm:
     """Follow the motions of a journal; raises PRO-011 when one is not as this version writes it."""

@@ -16,7 +16,7 @@ from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable, StepRefused
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
-from procedures.workcell.arm_view import ArmView
+from procedures.workcell.arm_view import ArmView, stands_at
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
@@ -134,11 +134,7 @@ class Workcell:
     @property
     def at_home(self) -> bool:
         """Whether the measured joints are those of home."""
-        if self._home_rad is None:
-            return False
-        return all(
-            abs(now - home) < AT_HOME_RAD for now, home in zip(self.joints_rad(), self._home_rad, strict=True)
-        )
+        return self._home_rad is not None and stands_at(self.joints_rad(), self._home_rad, AT_HOME_RAD)
 
     @property
     def checked_tool_number(self) -> int | None:
@@ -208,6 +204,11 @@ class Workcell:
         return self._insertion
 
     @property
+    def away(self) -> bool:
+        """Whether the arm was led away from home and not back."""
+        return self._insertion is not None or bool(self._trail)
+
+    @property
     def withdrawn_from(self) -> str | None:
         """The trajectory from which the guide came last, if it is on none."""
         return self._withdrawn_from
@@ -267,10 +268,7 @@ class Workcell:
         back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
 
         def move() -> ArmReading:
-            if from_afar:
-                self._go(back)
-            else:
-                self._arm.move_joints(back)
+            (self._go if from_afar else self._arm.move_joints)(back)
             return self._arm.move_joints(joints_rad)
 
         return self._move("settle", joints_rad, move)

@@ -55,7 +55,7 @@ def why_not_up_to(engine: Engine, key: StepKey) -> str:
     """Why a case cannot be run up to a step; empty when it can."""
     if engine.case.stands(key):
         return f"{key} is done already"
-    reason = engine.left_out(key)
+    reason = engine.course.left_out(key)
     return "" if reason is None else f"{key.trajectory} was left out: {reason}"
 
 
@@ -72,7 +72,7 @@ def _back(engine: Engine, argument: str, say: Say) -> None:
     if not engine.case.stands(key):
         raise StepRefused(f"{key} is no checkpoint: it is not done", action="run or to goes forward.")
     if not engine.why_refused(key):
-        gone = ", ".join(record.identifier for record in engine.case.superseded_by(key))
+        gone = ", ".join(record.identifier for record in engine.course.superseded_by(key))
         say(f"a new result of {key} supersedes {gone}")
         if engine.questions.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {gone}")) != YES:
             raise NotConfirmed(f"the operator did not confirm: repeat {key}", got=gone)

@@ -160,7 +160,7 @@ def opened_engine(
         try:
             with watch:
                 yield engine
-            outcome = "done" if engine.upcoming is None else "left"
+            outcome = "done" if engine.over else "left"
         except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
             ignore_further_signals()
             if isinstance(problem, KeyboardInterrupt):

@@ -120,17 +120,19 @@ def _outcome(
     wall_s: float,
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
+    from procedures.reporting.used_registrations import registrations_of
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan
-    from procedures.steps.clinical.registration import RegisteredRobot
     from procedures.steps.clinical.retreat import Retreated
     from procedures.steps.clinical.tool_change import MountedGuide
 
     left_out = {one.trajectory: one.reason for one in case.left_out}
     names = [name for name in trajectories if name not in left_out]
-    registered = {name: case.get(RegisteredRobot, name).result for name in names}
+    used = registrations_of(case)
+    registered = {name: next(one.result for one in used if name in one.targets) for name in names}
+    changed = case.find(MountedGuide, None)  # none after a move that came when every target was finished
     links = [
-        case.get(MountedGuide).result.link,
+        *(() if changed is None else (changed.result.link,)),
         *(one.result.link for name in names if (one := case.find(Retreated, name)) and one.result.link),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}

@@ -12,10 +12,12 @@ from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.runs.left_runs import close_left, held_left_run, make_ready, request_of
+from procedures.engine.course import Course
 from procedures.engine.journal import theatre_time_s
 from procedures.engine.left_run import LeftRun
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
+from procedures.workcell.left_arm import left_arm
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.seal import is_sealed
@@ -93,11 +95,9 @@ def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: b
 
 
 def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
-    """Whether every step stands, and only the end is missing."""
+    """Whether only the last line is missing: what ends a case that runs would have ended this one."""
     order = order_of_case(request, left.run.path)
-    case = left.restored(order)
-    gone = {one.trajectory for one in case.left_out}
-    return all(case.stands(key) or key.trajectory in gone for key in order.sequence)
+    return Course(order, left.restored(order)).over and not left_arm(left.run.journal).away
 
 
 def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:

@@ -11,7 +11,6 @@ from procedures.engine.journal import Entry
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.command_line.console import print_json, print_table, say
 from ronna_hw.text.counting import counted
 
@@ -100,8 +99,8 @@ def _summary(reading: RunReading) -> dict[str, Any]:
                 "predicted_tre_mm": predicted.rms_mm,
                 "application_error_mm": errors_mm.get(predicted.target),
             }
-            for stored in reading.standing(RegisteredRobot)
-            for predicted in stored.result.predictions
+            for used in reading.registrations
+            for predicted in used.predictions
         ],
         "max_application_error_mm": max(errors_mm.values(), default=None),
     }

@@ -14,6 +14,7 @@ from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded, StepRefused
 from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Journal, Line
+from procedures.engine.left_run import step_key
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
 from procedures.engine.replay.recorded_answers import RecordedAnswers
@@ -21,6 +22,7 @@ from procedures.engine.replay.recorded_people import RecordedClock, RecordedOper
 from procedures.engine.replay.replayed_device import replayed
 from procedures.engine.replay.sections import BEGINS
 from procedures.engine.run_folder import RunFolder
+from procedures.engine.step import StepKey
 from procedures.workcell import Workcell
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.clock import Clock
@@ -110,6 +112,8 @@ class _Replay:
             for number, one in enumerate(following, begin + 1):
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.acknowledge(str(one["by"]))
+                elif one["entry"] == Entry.VOIDED:
+                    self._void(step_key(one))
                 elif one["entry"] == Entry.INSTRUMENT and not one.get("inside"):
                     self._engine.setting.workcell.instrument.take_up(None)  # also between the steps
                 elif one["entry"] == Entry.RESTARTED:
@@ -132,6 +136,11 @@ class _Replay:
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
+
+    def _void(self, key: StepKey) -> None:
+        """A watch or a guard saw what ended that result; where the step saw it itself, it is gone already."""
+        engine = self._engine
+        engine.case.void(key, engine.order.outlasting(key, engine.case.stands))
 
     def _rest(self) -> None:
         """Every device as it is when it was just configured; the next motion is a first one."""

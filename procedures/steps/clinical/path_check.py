@@ -91,7 +91,7 @@ class CheckedPaths(StepResult, kind="path_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
-    """Choose joints for every localization and target; raises PLAN-007 with every pose that fails."""
+    """Choose joints for every localization and target that remain; PLAN-007 with every pose that fails."""
     correspondence = context.result(Correspondence)
     localization = context.result(LocalizedFiducials)
     plan = context.result(CheckedPlan)
@@ -119,7 +119,8 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         localization.centres_mm[matched],
         StereoSight.of(workcell.calibrations.stereo_head),
     )
-    turned = search.paths(held_trajectories(plan.plan, workcell.tools.guide.bore))
+    held = held_trajectories(plan.plan, workcell.tools.guide.bore)
+    turned = search.paths([one for one in held if one.identifier in context.remaining])
     check = turned.check
     motions = previews_of(setting, scene, check, turned.axes.targeted)
     replaced = {name: one.name for name, one in search.replaced.items()}

@@ -28,7 +28,7 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if workcell.insertion is not None:
+    if comes_back := workcell.insertion is not None:
         context.have_instrument_out()
         workcell.start()
         way_out = [workcell.facts(workcell.insertion.standoff)]
@@ -40,7 +40,8 @@ def run(context: StepContext) -> Outcome[Retreated]:
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
-        check_room(context, f"after {context.trajectory}")
+        if comes_back:  # else it was found to have moved, and the next step looks before it moves
+            check_room(context, f"after {context.trajectory}")
         return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "away from the entry")
     workcell.start()
     workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +13,7 @@ from clinical_case import (
     checked_plan,
     checked_set_up,
     clamped_head,
+    done_later,
     imported_ct,
     localized_fiducials,
 )
@@ -23,7 +23,7 @@ from procedures.engine.errors import StepRefused
 from procedures.engine.left_run import read_left_run
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
-from procedures.engine.step import Outcome, Phase, Scope, StepKey, StepSpec
+from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
 from procedures.recovery.moved_cart import MOST_MOVES, MovedCart
 from procedures.steps.branches import HOLD
@@ -146,28 +146,18 @@ class Out(StepResult, kind="out"):
     """The end of a trajectory."""
 
 
-def read_and_leave(result: StepResult, *reads: type[StepResult]) -> StepSpec[StepResult]:
-    def run(context):  # type: ignore[no-untyped-def]
-        for model in reads:
-            context.result(model)
-        return Outcome(result)
-
-    kind, once = type(result), isinstance(result, Place)
-    scope = Scope.CASE if once else Scope.TRAJECTORY
-    finishes = isinstance(result, Target)
-    return StepSpec(kind, "", Phase.OPERATION, run, scope, reads, finishes=finishes)
+def steps_of(cell: ClinicalCell) -> Engine:
+    return cell.begin(
+        Plan(),
+        done_later(Place(), Plan),
+        done_later(Target(), Place, scope=Scope.TRAJECTORY, finishes=True),
+        done_later(Out(), Target, scope=Scope.TRAJECTORY),
+    )
 
 
 def half_done(cell: ClinicalCell, last: str) -> Engine:
     """The work at the first target is done, and then the cart moves."""
-    plan = replace(read_and_leave(Plan()), phase=Phase.PREOPERATIVE, scope=Scope.CASE)
-    steps = (
-        plan,
-        read_and_leave(Place(), Plan),
-        read_and_leave(Target(), Place),
-        read_and_leave(Out(), Target),
-    )
-    engine = cell.begin(*steps)
+    engine = steps_of(cell)
     engine.run_to(engine.order.find(last))
     engine.void(StepKey("place"), BaseShifted("the cart has moved"))
     return engine
@@ -214,6 +204,20 @@ def test_another_plan_undoes_what_was_finished_as_well(tmp_path: Path) -> None:
 
 def test_when_all_is_finished_nothing_is_left_to_lead_there_again(tmp_path: Path) -> None:
     assert half_done(ClinicalCell(tmp_path), f"out:{LAST}").upcoming is None
+
+
+def test_a_step_that_is_repeated_leaves_a_finished_target_alone_unless_it_is_its_own(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    engine = steps_of(cell)
+    engine.run_to(engine.order.find(f"out:{FIRST}"))
+    engine.run_step(engine.order.find("place"))
+    assert engine.case.stands(StepKey("target", FIRST))
+    assert str(engine.upcoming) == f"target:{LAST}"
+    engine.run_step(engine.order.find(f"target:{FIRST}"))
+    assert not engine.case.stands(StepKey("out", FIRST))
+    engine.close("left")
+    case = read_left_run(tmp_path).restored(engine.order)
+    assert [one.record for one in case.standing] == [one.record for one in cell.case.standing]
 
 
 def test_an_order_ends_with_the_move_and_what_comes_then_is_ordered_anew(tmp_path: Path) -> None:

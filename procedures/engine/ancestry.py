@@ -1,0 +1,27 @@
+"""What results were made from: which stand without it, and which one led to another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from ronna_hw.records import Record
+
+
+def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
+    """Identifiers of results that stand while something that they descend from does not, in their order.
+
+    They are of trajectories that were finished before something moved.
+    """
+    records = tuple(standing)
+    stands = {record.identifier for record in records}
+    past: set[str] = set()
+    for record in records:
+        if any(parent not in stands or parent in past for parent in record.parents):
+            past.add(record.identifier)
+    return frozenset(past)
+
+
+def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """The one of that kind that a record was made from, among `records` by identifier; None without one."""
+    parents = (records[name] for name in record.parents if name in records)
+    return next((parent for parent in parents if parent.kind == kind), None)

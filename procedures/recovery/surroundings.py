@@ -1,0 +1,76 @@
+"""Where the head is, for the way home after a restart: by what holds, or else by what did so last."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import RecoveryRefused
+from procedures.engine.run_folder import typed
+from procedures.engine.step import StepKey
+from procedures.recovery.calibration import surround_calibration
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.head_surroundings import surround_guide, surround_stereo_head
+from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.relocalization import Relocalization
+from procedures.workcell import MountedTool
+from ronna_hw.frames import Transform
+
+MOVED_SINCE = (
+    "something has moved since the guide was led there: on its way out it keeps clear of where the head was"
+)
+
+
+def surround(engine: Engine) -> None:
+    """Say where the head is, before anything moves. Where that is not known yet, the arm is still home.
+
+    Raises PRO-032 for an arm away from home where no result says it.
+    """
+    workcell, keys = engine.setting.workcell, engine.order.sequence
+    if engine.setting.clinical is None:
+        surround_calibration(engine)
+    elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
+        surround_stereo_head(engine.context(next(key for key in keys if key.name == Relocalization.kind)))
+    elif (led := _led(engine)) is not None:
+        surround_guide(engine.context(led.key), led.robot_from_ct)
+    elif not workcell.at_home:
+        raise RecoveryRefused(
+            "the arm is not home, and no result says where the head is",
+            action="Move the arm home by hand at the controller, then resume again.",
+        )
+
+
+def head_moved_since(engine: Engine) -> bool:
+    """Whether the guide has to find its way out by a registration that no longer holds."""
+    return (led := _led(engine)) is not None and not led.holds
+
+
+@dataclass(frozen=True)
+class _Led:
+    """The registration that led the guide, or would have led it there."""
+
+    key: StepKey  # of the step that positions the guide
+    robot_from_ct: Transform
+    holds: bool
+
+
+def _led(engine: Engine) -> _Led | None:
+    """Of the trajectory on which the guide is, if it is on one: what holds, else what did so last."""
+    workcell, case = engine.setting.workcell, engine.case
+    if workcell.tool is not MountedTool.GUIDE:
+        return None
+    on = None if workcell.insertion is None else workcell.insertion.trajectory
+    keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
+    keys = [key for key in keys if on in (None, key.trajectory)]
+    for key in keys:
+        registered = case.find(RegisteredRobot, key.trajectory)
+        if registered is not None and registered.record.identifier not in case.past:
+            return _Led(key, registered.result.robot_from_ct.transform, holds=True)
+    made = [record for record in case.records if record.kind == RegisteredRobot.kind]
+    for record in reversed(made):
+        for key in keys:
+            if record.trajectory in (None, key.trajectory):
+                former = typed(record, RegisteredRobot)
+                return _Led(key, former.robot_from_ct.transform, holds=False)
+    return None
