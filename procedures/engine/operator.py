@@ -40,6 +40,7 @@ class Topic(StrEnum):
     TOOL_CHECK = "tool_check"  # of the mounted tool on a gauge
     APPROACH = "approach"  # over an entry, and along the axis to where the guide is held
     DEPTH_STOP = "depth_stop"  # of the instrument, as it was computed and set
+    WORK_BEGUN = "work_begun"  # through the guide, when it was there before: from which stage it goes on
     SKIN = "skin"  # opened through the guide
     DRILL = "drill"  # the skull is drilled
     DURA = "dura"  # is opened
@@ -65,6 +66,7 @@ DELIBERATE = frozenset(
         Topic.REGISTRATION_KEPT,
         Topic.TOOL_CHECK,
         Topic.APPROACH,
+        Topic.WORK_BEGUN,
         Topic.AT_TARGET,
         Topic.INSTRUMENT_OUT,
         Topic.RETREAT,

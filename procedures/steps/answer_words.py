@@ -5,7 +5,8 @@ from __future__ import annotations
 from procedures.engine.checkpoint import ABORT, GO_ON, LEAVE, WAIT
 from procedures.engine.operator import NO, NOBODY, READ, YES, Topic
 from procedures.steps.branches import BRANCHES
-from procedures.steps.clinical.at_target import DONE, HOLD, STAGES
+from procedures.steps.clinical.at_target import DONE, HOLD
+from procedures.steps.clinical.begun_work import STAGES
 
 ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     **dict.fromkeys(Topic, (YES, NO)),

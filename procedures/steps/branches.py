@@ -22,6 +22,7 @@ from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExha
 from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
+from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
 AGAIN, AS_IT_STANDS = "placed again", "as it stands"
@@ -30,6 +31,11 @@ AGAIN, AS_IT_STANDS = "placed again", "as it stands"
 def use(strategy: str) -> str:
     """The answer that agrees to another strategy."""
     return f"use {strategy}"
+
+
+def from_stage(task: str) -> str:
+    """The answer that goes on with that stage of the work through the guide."""
+    return f"from {task}"
 
 
 FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
@@ -302,6 +308,17 @@ WRONG_STOP = Branch(
     Topic.DEPTH_STOP,
     (YES, NO),
 )
+WORK_BEGUN = Branch(
+    "the guide is led again to where hands have worked through it: after a move, a restart, a repeat",
+    "the journal, which says that a stage begins before hands do anything",
+    ("at_target",),
+    "what was done there is said; the operator says from which stage the work goes on, which may be one that "
+    "was done",
+    Ending.ASK,
+    (NotConfirmed,),
+    Topic.WORK_BEGUN,
+    (*(from_stage(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
+)
 GUIDE_PUSHED = Branch(
     "somebody pushes or pulls the guide, or the arm",
     "the frame on the mount, which the tracker sees, and the joints, against how the guide was held; 0.2 mm",
@@ -356,5 +373,6 @@ BRANCHES = (
         NOT_CLEAR_NOW,
         ARM_FAULT,
     ),
-    *(KEPT_REGISTRATION, WRONG_TOOL, TOOL_BESIDE_GAUGE, WRONG_STOP, GUIDE_PUSHED, INSTRUMENT_INSIDE, ABORTED),
+    *(KEPT_REGISTRATION, WRONG_TOOL, TOOL_BESIDE_GAUGE, WRONG_STOP, WORK_BEGUN),
+    *(GUIDE_PUSHED, INSTRUMENT_INSIDE, ABORTED),
 )

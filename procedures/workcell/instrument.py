@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from procedures.engine.journal import Entry, Journal
 from procedures.workcell.errors import InstrumentInGuide
+from procedures.workcell.worked_stages import WorkedStages
 from ronna_hw.clock import Clock
 
 
@@ -14,6 +15,7 @@ class Instrument:
         self._journal = journal
         self._clock = clock
         self._inside: str | None = None
+        self.stages = WorkedStages(journal, clock)  # of the work with it
 
     @property
     def inside(self) -> str | None:

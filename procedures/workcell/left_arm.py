@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import cast
 
 from procedures.engine.journal import Entry, Line
 from procedures.workcell.insertion import Insertion
+from procedures.workcell.worked_stages import Stages
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.errors import JournalCorrupt
 
@@ -26,6 +27,7 @@ class LeftArm:
     motions: int = 0
     instrument_in: str | None = None
     instrument_out: bool = False  # confirmed since the guide was brought there last
+    stages: Stages = field(default_factory=dict)  # of the work through the guide
 
     @property
     def away(self) -> bool:
@@ -42,6 +44,7 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
     motions = 0
     instrument_in: str | None = None
     instrument_out = False
+    stages: Stages = {}
     for line in lines:
         if line["entry"] == Entry.MOTION:
             motion, motions = line, motions + 1
@@ -50,6 +53,8 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
         elif line["entry"] == Entry.INSTRUMENT:
             instrument_out = not line.get("inside")
             instrument_in = None if instrument_out else str(line.get("trajectory"))
+        elif line["entry"] == Entry.STAGE:
+            stages.setdefault(str(line["trajectory"]), {})[str(line["task"])] = bool(line["done"])
         elif line["entry"] == Entry.MOVED and "joints_rad" in line:
             what = motion.get("what")
             if what == "withdraw" and insertion is not None:
@@ -59,7 +64,7 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
                 trail.clear()
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
-    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out)
+    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out, stages)
 
 
 def _insertion(line: Line) -> Insertion:

@@ -194,6 +194,7 @@ class Workcell:
         self._trail = deque(left.trail, maxlen=TRAIL)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
         self.instrument.take_up(left.instrument_in)
+        self.instrument.stages.take_up(left.stages)
         self._motion.count_from(left.motions)
 
     # Moving

@@ -35,6 +35,7 @@ class Entry(StrEnum):
     MOTION = "motion"  # the intent of one motion
     MOVED = "moved"  # what came of it
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
+    STAGE = "stage"  # of the work through the guide: hands begin it, or it is confirmed to be done
     WORK = "work"  # what hands did, and what they read off
     FAILED = "failed"
     INTERRUPTED = "interrupted"

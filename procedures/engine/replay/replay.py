@@ -97,7 +97,10 @@ class _Replay:
         """Everything that began in the run, one after the other."""
         records = {record.identifier: record for record in self._run.records}
         for begin, line, following in self._sections():
-            self._answers.begin(begin)
+            self._answers.begin(begin)  # a step that was killed is not run here, but what hands did was done
+            self._engine.setting.workcell.instrument.stages.take_up(
+                left_arm(self._run.journal[:begin]).stages
+            )
             self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
             end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)

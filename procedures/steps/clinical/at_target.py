@@ -8,52 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed
-from procedures.engine.operator import Question, Task, Topic
+from procedures.engine.operator import Question, Task
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.steps.clinical.begun_work import STAGES, BegunWork, Stage, begun_work, told
 from procedures.steps.clinical.conditions import inserted
-from procedures.steps.clinical.depth_stop import DepthStop, set_depth_stop
+from procedures.steps.clinical.depth_stop import DepthStop
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_must_show
-from ronna_hw.wire import room_tasks
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
 STAYS = "Nothing moves. Repeat the step, or take the instrument out and send the arm home."
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
-
-
-@dataclass(frozen=True)
-class Stage:
-    """One stage of the work through the guide: what hands do, and what is confirmed then."""
-
-    task: str
-    topic: Topic
-    does: str
-    confirms: str
-
-
-STAGES = (
-    Stage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
-    Stage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
-    Stage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
-    Stage(
-        room_tasks.INSERT,
-        Topic.AT_TARGET,
-        "insert the instrument until its stop rests on the guide",
-        "the instrument is at depth and the work there is done",
-    ),
-)
 
 
 class ReachedTarget(StepResult, kind="at_target", version=3):
@@ -66,6 +42,9 @@ class ReachedTarget(StepResult, kind="at_target", version=3):
     too_deep_mm: float = Field(description="By what was read off the depth stop; its part of that error.")
     depth_stop: DepthStop = Field(description="Of the instrument.")
     pushed_mm: float = Field(description="The most that the guide was beside its place after a stage.")
+    done_before: tuple[str, ...] = Field(
+        default=(), description="Stages that were done when the guide was there earlier, and not again."
+    )
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
@@ -83,10 +62,10 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         )
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:
-        begun = _begun(context)
+        begun = begun_work(context)
         for stage in STAGES:
             if stage.task not in begun.done:
-                _work(context, stage, begun.stop)
+                _work(context, stage, begun)
                 _look_at_guide(context, rest, begun)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
@@ -104,44 +83,24 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             too_deep_mm=too_deep_mm,
             depth_stop=begun.stop,
             pushed_mm=begun.pushed_mm,
+            done_before=begun.before,
         ),
         summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
     )
 
 
-@dataclass
-class BegunWork:
-    """What was done through the guide before the step was left, so that it goes on there."""
-
-    trajectory: str
-    stop: DepthStop
-    done: list[str] = field(default_factory=list)  # tasks
-    pushed_mm: float = 0.0
-
-
-def _begun(context: StepContext) -> BegunWork:
-    """What was begun and left with the instrument inside; else anew, with the depth stop set."""
-    workspace, instrument = context.setting.workspace, context.workcell.instrument
-    begun = workspace.find(BegunWork)
-    if begun is not None and begun.trajectory == context.trajectory == instrument.inside:
-        return begun
-    context.have_instrument_out()
-    begun = BegunWork(context.trajectory, set_depth_stop(context))
-    workspace.keep(begun)
-    context.progress(0.1, f"the depth stop for {context.trajectory} is set")  # nobody pushes the guide
-    instrument.goes_in(context.trajectory)
-    return begun
-
-
-def _work(context: StepContext, stage: Stage, stop: DepthStop) -> None:
+def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
     """Have one stage done and confirmed; raises PRO-002 unless it is said to be done."""
-    trajectory = context.trajectory
+    trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
+    known = stages.at(trajectory)
+    before = f"; before: {told(known)}" if known else ""
+    stages.begins(trajectory, stage.task)
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
         f"at {trajectory}: {stage.does}; {stage.confirms}",
         f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
-        f"{stop.standoff_mm:.0f} mm before the entry",
+        f"{stop.standoff_mm:.0f} mm before the entry{before}",
         (DONE, HOLD),
         trajectory=trajectory,
         timeout_s=None,
@@ -150,6 +109,7 @@ def _work(context: StepContext, stage: Stage, stop: DepthStop) -> None:
         answer = context.choose(question)
     if answer != DONE:
         raise NotConfirmed(f"it was not confirmed at {trajectory} that {stage.confirms}", action=STAYS)
+    stages.is_done(trajectory, stage.task)
 
 
 def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:

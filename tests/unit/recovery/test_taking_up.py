@@ -36,6 +36,7 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepSpec
 from procedures.recovery import bring_home, inputs, recover, taking_up
 from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.workcell import MountedTool
 from ronna_hw.arm.angles import radians6
@@ -212,6 +213,20 @@ def test_after_a_kill_during_the_insertion_it_is_asked_whether_the_instrument_is
     )
     assert again.workcell.at_home
     assert str(engine.upcoming) == f"positioning:{FIRST}"
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
+def test_what_hands_had_done_before_a_kill_is_asked_about_when_the_guide_is_there_again(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_with_an_instrument_inside(cell)
+    recover(engine, left)
+    engine.run_to()
+    (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
+    assert asked.answers[0] == "from dura"
+    assert "the skin is open, the skull is drilled, begun and not confirmed: open the dura" in asked.subject
+    assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
 
 
 @pytest.mark.hazard(44)

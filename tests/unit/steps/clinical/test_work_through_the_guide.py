@@ -144,6 +144,53 @@ def test_work_that_was_left_goes_on_where_it_was(cell: ClinicalCell) -> None:
     assert [one.topic for one in cell.operator.asked] == [*STAGES[1:], Topic.INSTRUMENT_OUT]
 
 
+def led_there_again(cell: ClinicalCell) -> Engine:
+    """The skin is open and the skull half drilled when the arm has to go home, and comes back."""
+    engine = before_the_entry(cell)
+    cell.operator.refusing = (Topic.DRILL,)
+    with pytest.raises(NotConfirmed):
+        work(engine)
+    cell.operator.refusing = ()
+    engine.retreat_home()
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+    cell.operator.asked.clear()
+    return engine
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
+@pytest.mark.parametrize(("answer", "again"), [("from drill", STAGES[1:]), ("from skin", STAGES)])
+def test_where_hands_have_worked_it_is_said_and_asked_from_which_stage_it_goes_on(
+    cell: ClinicalCell, answer: str, again: list[Topic]
+) -> None:
+    engine = led_there_again(cell)
+    cell.operator.answers = {Topic.WORK_BEGUN: answer}
+    work(engine)
+    asked = [one.topic for one in cell.operator.asked]
+    assert asked == [Topic.WORK_BEGUN, Topic.DEPTH_STOP, *again, Topic.INSTRUMENT_OUT]
+    begun, drill = (
+        cell.operator.asked[0],
+        next(one for one in cell.operator.asked if one.topic is Topic.DRILL),
+    )
+    assert begun.deliberate
+    assert begun.answers == ("from drill", "from skin", "hold")
+    for question in (begun.subject, drill.value):
+        assert "the skin is open, begun and not confirmed: drill the skull" in question
+    before = cell.case.get(ReachedTarget, FIRST).result.done_before
+    assert before == (() if answer == "from skin" else ("skin",))
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
+def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: ClinicalCell) -> None:
+    engine = led_there_again(cell)
+    cell.operator.refusing = (Topic.WORK_BEGUN,)
+    lines = instrument_lines(cell)
+    with pytest.raises(NotConfirmed, match="nobody said from which stage the work at T1 goes on"):
+        work(engine)
+    assert instrument_lines(cell) == lines
+
+
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(("push_mm", "suspends"), [(0.6 * PUSHED_MM, False), (1.5 * PUSHED_MM, True)])

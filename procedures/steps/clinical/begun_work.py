@@ -1,0 +1,103 @@
+"""Work through the guide that was begun: what was done, and from which stage it goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from procedures.engine.context import StepContext
+from procedures.engine.errors import NotConfirmed
+from procedures.engine.operator import Topic
+from procedures.steps.branches import HOLD, WORK_BEGUN, from_stage
+from procedures.steps.clinical.depth_stop import DepthStop, set_depth_stop
+from ronna_hw.wire import room_tasks
+
+BESIDE = "the guide was led here anew since: its axis can lie beside what was opened"
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the work through the guide: what hands do, and what is confirmed then."""
+
+    task: str
+    topic: Topic
+    does: str
+    confirms: str
+
+
+STAGES = (
+    Stage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
+    Stage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
+    Stage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
+    Stage(
+        room_tasks.INSERT,
+        Topic.AT_TARGET,
+        "insert the instrument until its stop rests on the guide",
+        "the instrument is at depth and the work there is done",
+    ),
+)
+
+
+@dataclass
+class BegunWork:
+    """What was done through the guide, so that it goes on there when the step was left.
+
+    `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
+    """
+
+    trajectory: str
+    stop: DepthStop
+    before: tuple[str, ...] = ()
+    done: list[str] = field(default_factory=list)  # tasks
+    pushed_mm: float = 0.0
+
+
+def begun_work(context: StepContext) -> BegunWork:
+    """What was begun and left with the instrument inside; else anew, with the depth stop set.
+
+    Where hands had worked there the operator says from which stage it goes on; raises PRO-002 otherwise.
+    """
+    workspace, instrument = context.setting.workspace, context.workcell.instrument
+    trajectory = context.trajectory
+    begun = workspace.find(BegunWork)
+    if begun is not None and begun.trajectory == trajectory == instrument.inside:
+        return begun
+    context.have_instrument_out()
+    before = _done_before(context, context.workcell.instrument.stages.at(trajectory))
+    begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
+    workspace.keep(begun)
+    context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
+    instrument.goes_in(trajectory)
+    return begun
+
+
+def told(known: Mapping[str, bool]) -> str:
+    """What was done there, in words."""
+    stages = [stage for stage in STAGES if stage.task in known]
+    return ", ".join(
+        stage.confirms if known[stage.task] else f"begun and not confirmed: {stage.does}" for stage in stages
+    )
+
+
+def _done_before(context: StepContext, known: Mapping[str, bool]) -> tuple[str, ...]:
+    """The tasks that are not done again."""
+    if not known:
+        return ()
+    tasks = [stage.task for stage in STAGES]
+    # The instrument is out: however far it was, it goes in again.
+    first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
+    first = min(first, len(tasks) - 1)
+    trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
+    question = WORK_BEGUN.question(
+        f"at {trajectory} hands have worked before: {told(known)}",
+        f"{BESIDE}; look, then say from which stage the work goes on",
+        trajectory,
+        (*offered, HOLD),
+    )
+    answer = context.choose(question)
+    if answer not in offered:
+        raise NotConfirmed(
+            f"nobody said from which stage the work at {trajectory} goes on",
+            action="Nothing was done. Repeat the step, or send the arm home.",
+        )
+    return tuple(tasks[: len(offered) - 1 - offered.index(answer)])
