@@ -5,6 +5,7 @@ from __future__ import annotations
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted
 from procedures.steps.branches import CART_MOVED, GO_ON
+from procedures.steps.clinical.begun_work import begun_elsewhere
 from ronna_hw.errors import RonnaError
 
 MOST_MOVES = 3  # in one session: a cart that moves again and again needs another lock, no localization
@@ -28,9 +29,8 @@ class MovedCart:
         else:
             goes_on = f"lock it, then the case goes on from {following}"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
-        question = CART_MOVED.question(
-            f"{problem.summary}: {goes_on}", f"nobody stands in the arm's way home; these stand: {stands}"
-        )
+        value = (f"nobody stands in the arm's way home; these stand: {stands}", *begun_elsewhere(engine))
+        question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.questions.ask(question) != GO_ON:
             return False
         if following is None or not engine.setting.workcell.at_home:

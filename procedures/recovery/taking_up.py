@@ -25,6 +25,7 @@ from procedures.recovery.room import compare_room
 from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
+from procedures.steps.clinical.begun_work import begun_elsewhere
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -107,6 +108,8 @@ def _take_up_arm(
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Have the operator accept what was found, beside what will be done; raises PRO-032."""
+    for begun in begun_elsewhere(engine):
+        comparison.note(begun)
     if head_moved_since(engine):
         comparison.note(MOVED_SINCE)
     _conclude(engine, comparison)

@@ -66,12 +66,11 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
+                begun.done.append(stage.task)  # it is done, whatever is seen now
                 _look_at_guide(context, rest, begun)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
-                begun.done.append(stage.task)
-        context.have_instrument_out()
-    context.progress(1.0, f"the instrument is out of {trajectory}")
+        context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
     if begun.pushed_mm > PUSHED_MM:
         context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
     too_deep_mm = begun.stop.too_deep_mm

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
 from procedures.engine.errors import NotConfirmed
 from procedures.engine.operator import Topic
 from procedures.steps.branches import HOLD, WORK_BEGUN, from_stage
@@ -77,6 +78,14 @@ def told(known: Mapping[str, bool]) -> str:
     return ", ".join(
         stage.confirms if known[stage.task] else f"begun and not confirmed: {stage.does}" for stage in stages
     )
+
+
+def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
+    """In words, where hands have worked through the guide and the target is not finished."""
+    finished = engine.order.finished(engine.case.stands)
+    stages = engine.setting.workcell.instrument.stages
+    names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
+    return tuple(f"at {name} hands have worked: {told(stages.at(name))}" for name in names)
 
 
 def _done_before(context: StepContext, known: Mapping[str, bool]) -> tuple[str, ...]:

@@ -222,6 +222,7 @@ def test_what_hands_had_done_before_a_kill_is_asked_about_when_the_guide_is_ther
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell)
     recover(engine, left)
+    assert "at T1 hands have worked: the skin is open, the skull is drilled" in again.operator.asked[0].value
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
     assert asked.answers[0] == "from dura"

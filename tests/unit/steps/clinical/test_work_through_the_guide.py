@@ -252,3 +252,42 @@ def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is
     with ends:
         work(engine)
     assert engine.instrument_in == FIRST
+    assert list(cell.workcell.instrument.stages.at(FIRST).values()) == [True]  # what was confirmed is done
+
+
+@pytest.mark.hazard(44)
+def test_nothing_that_is_seen_when_the_instrument_is_out_undoes_the_work(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    class Moves:
+        name = "cart"
+
+        def unmet(self) -> str | None:
+            if Topic.INSTRUMENT_OUT in [one.topic for one in cell.operator.asked]:
+                raise BaseShifted("the cart has moved")
+            return None
+
+    engine.checkpoint.guards.append(Moves())
+    work(engine)
+    assert engine.case.stands(engine.order.find(f"at_target:{FIRST}"))
+
+
+@pytest.mark.hazard(44)
+def test_a_stage_that_was_confirmed_before_the_step_ended_is_not_asked_for_again(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+
+    class Suspends:
+        name = "cart"
+
+        def unmet(self) -> str | None:
+            if [one.topic for one in cell.operator.asked][-1:] == [Topic.DRILL]:
+                raise GuardUnmet("somebody leaves the step")
+            return None
+
+    engine.checkpoint.guards.append(Suspends())
+    with pytest.raises(GuardUnmet):
+        work(engine)
+    engine.checkpoint.guards.pop()
+    cell.operator.asked.clear()
+    work(engine)
+    assert [one.topic for one in cell.operator.asked] == [*STAGES[2:], Topic.INSTRUMENT_OUT]
