@@ -160,7 +160,8 @@ class Engine:
     @property
     def over(self) -> bool:
         """Whether nothing remains: no step, nor the way home of an arm that was led to targets."""
-        return self.course.over and not (self.order.leads_to_targets and self.setting.workcell.away)
+        led = self.order.leads_to_targets
+        return self.course.over and not (led and (self.instrument_in or self.setting.workcell.away))
 
     def _finish_if_over(self) -> None:
         if self.over and not self.machine.ended:
@@ -278,6 +279,7 @@ class Engine:
         self.machine.accept()
         self._forget_latest()
         self._show_state()
+        self._finish_if_over()
 
     @contextmanager
     def _resting(self, state: str, reason: str) -> Iterator[None]:

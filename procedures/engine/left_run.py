@@ -55,6 +55,12 @@ class LeftRun:
         return step_key(done[-1]) if done else None
 
     @property
+    def plan_sha256(self) -> str | None:
+        """Of the plan as it was held when the run was opened last; None where no line says it."""
+        told = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
+        return str(told[-1]) if told else None
+
+    @property
     def begun(self) -> StepKey | None:
         """The step that was running when the program ended without a word."""
         course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]

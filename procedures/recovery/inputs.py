@@ -12,8 +12,11 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 
 
-def compare_inputs(engine: Engine, comparison: Comparison) -> None:
-    """Read them again where they were recorded; what cannot be read differs."""
+def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
+    """Read them again where they were recorded; what cannot be read differs.
+
+    `plan_sha256` is of the plan that the run was opened with, which counts before it was checked.
+    """
     clinical = engine.setting.clinical
     if clinical is None:
         return
@@ -40,6 +43,8 @@ def compare_inputs(engine: Engine, comparison: Comparison) -> None:
                 comparison.same("plan")
             else:
                 comparison.differs("plan", "the plan that was checked", "another one")
+    elif plan_sha256 is not None and clinical.plan_sha256 not in (None, plan_sha256):
+        comparison.differs("plan", f"SHA-256 {plan_sha256}", clinical.plan_sha256)
     if locked := engine.case.find(LockedCart, None):
         try:
             changed = locked.result.differences(clinical.place)

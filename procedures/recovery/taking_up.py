@@ -41,7 +41,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
     Raises PRO-032 for a difference and unless the operator accepts, and what devices and motions raise.
     """
     comparison = Comparison()
-    compare_inputs(engine, comparison)
+    compare_inputs(engine, comparison, left.plan_sha256)
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:

@@ -25,6 +25,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
+FINISHED = "finished"  # all that was to be done through the guide was done before
 AGAIN, AS_IT_STANDS = "placed again", "as it stands"
 
 
@@ -317,7 +318,7 @@ WORK_BEGUN = Branch(
     Ending.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
-    (*(from_stage(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
+    (FINISHED, *(from_stage(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
 )
 GUIDE_PUSHED = Branch(
     "somebody pushes or pulls the guide, or the arm",

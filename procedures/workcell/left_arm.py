@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
 from procedures.engine.journal import Entry, Line
 from procedures.workcell.insertion import Insertion
-from procedures.workcell.worked_stages import Stages
+from procedures.workcell.worked_stages import Stages, Stops
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.errors import JournalCorrupt
 
@@ -28,10 +28,11 @@ class LeftArm:
     instrument_in: str | None = None
     instrument_out: bool = False  # confirmed since the guide was brought there last
     stages: Stages = field(default_factory=dict)  # of the work through the guide
+    stops: Stops = field(default_factory=dict)  # of the instrument
 
     @property
     def away(self) -> bool:
-        """As `Workcell.away`."""
+        """As `Workcell.away`, as far as it was written down."""
         return self.insertion is not None or bool(self.trail)
 
 
@@ -45,6 +46,7 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
     instrument_in: str | None = None
     instrument_out = False
     stages: Stages = {}
+    stops: Stops = {}
     for line in lines:
         if line["entry"] == Entry.MOTION:
             motion, motions = line, motions + 1
@@ -54,7 +56,11 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
             instrument_out = not line.get("inside")
             instrument_in = None if instrument_out else str(line.get("trajectory"))
         elif line["entry"] == Entry.STAGE:
-            stages.setdefault(str(line["trajectory"]), {})[str(line["task"])] = bool(line["done"])
+            name, stop = str(line["trajectory"]), line.get("stop")
+            if isinstance(stop, Mapping):
+                stops[name] = stop
+            else:
+                stages.setdefault(name, {})[str(line["task"])] = bool(line["done"])
         elif line["entry"] == Entry.MOVED and "joints_rad" in line:
             what = motion.get("what")
             if what == "withdraw" and insertion is not None:
@@ -64,7 +70,9 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
                 trail.clear()
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
-    return LeftArm(tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out, stages)
+    return LeftArm(
+        tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out, stages, stops
+    )
 
 
 def _insertion(line: Line) -> Insertion:

@@ -194,7 +194,7 @@ class Workcell:
         self._trail = deque(left.trail, maxlen=TRAIL)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
         self.instrument.take_up(left.instrument_in)
-        self.instrument.stages.take_up(left.stages)
+        self.instrument.stages.take_up(left.stages, left.stops)
         self._motion.count_from(left.motions)
 
     # Moving
@@ -206,8 +206,8 @@ class Workcell:
 
     @property
     def away(self) -> bool:
-        """Whether the arm was led away from home and not back."""
-        return self._insertion is not None or bool(self._trail)
+        """Whether the arm was led away from home and is not back. Raises what the arm raises."""
+        return self._insertion is not None or (bool(self._trail) and not self.at_home)
 
     @property
     def withdrawn_from(self) -> str | None:

@@ -213,4 +213,21 @@ def test_a_proposed_place_that_is_gone_suspends_the_case_and_differs_after_a_res
     assert "place.json cannot be read" in (guard.unmet() or "")
     comparison = Comparison()
     compare_inputs(placed, comparison)
-    assert comparison.differences == ["proposed place: recorded 01-cart_lock, found no place"]
+    (differs,) = comparison.differences
+    assert differs.startswith("proposed place: recorded 01-cart_lock, found no place")
+
+
+@pytest.mark.hazard(1)
+def test_a_place_that_is_proposed_after_the_cart_was_locked_is_told_and_voids_nothing(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path)
+    clinical = cell.setting().clinical
+    assert clinical is not None
+    write_series(cell.series, VOXELS_HU)
+    write_plan(cell.plan, plan())
+    engine = cell.begin(done_later(locked_cart()), done_later(coarse()[0], LockedCart))
+    engine.checkpoint.guards.append(UnchangedInputs(engine, clinical))
+    engine.run_to(engine.order.find("cart_lock"))
+    clinical.place.write_text(json.dumps(PLACE))
+    engine.run_to()
+    assert engine.over
+    assert [entry for entry, _ in cell.entries("voided", "finding")] == ["finding"]

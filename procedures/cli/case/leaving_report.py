@@ -26,6 +26,8 @@ from ronna_hw.records import PARTIAL
 if TYPE_CHECKING:
     from procedures.reporting.outcome import RunError
 
+FORMER = "former"  # raw readings of before, while new ones take their place
+
 
 def error_of(problem: BaseException) -> RunError | None:
     """What ended a run, as its report and its JSON have it; None for an interruption."""
@@ -84,7 +86,8 @@ def _wants_raw(folder: Path) -> bool:
 
 def _keep_raw(folder: Path, *, at_once: bool) -> None:
     """Pictures and frames as files, again after each session of a run; those of before stay until then."""
-    later = f"raw readings were not written: ronna-procedure raw {shlex.quote(str(folder))} --out DIR does it"
+    way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
+    later = f"raw readings of this session were not written: {way}"
     if at_once:
         tell(later)
         return
@@ -92,11 +95,11 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
     try:
         from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
 
-        shutil.rmtree(beside, ignore_errors=True)
+        _tidy(beside, kept)
         with interruptible():
             fresh, whole = write_raw(folder, beside / RAW_FOLDER)
         if kept.exists():  # the former ones go when these are whole
-            kept.rename(beside / "former")
+            kept.rename(beside / FORMER)
         fresh.rename(kept)
         if not whole:
             tell(f"{kept} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
@@ -105,6 +108,15 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
     except Exception as problem:  # a damaged tape must not hide how the run has ended
         tell(f"raw readings could not be written: {problem}")
     finally:
+        _tidy(beside, kept)
+
+
+def _tidy(beside: Path, kept: Path) -> None:
+    """Whoever was stopped between two names has left the former readings beside."""
+    with contextlib.suppress(OSError):
+        if not kept.exists():
+            (beside / FORMER).rename(kept)
+    if kept.exists() or not (beside / FORMER).exists():
         shutil.rmtree(beside, ignore_errors=True)
 
 

@@ -66,6 +66,8 @@ def _run(engine: Engine, watcher: Watcher) -> None:
     while True:
         try:
             run()
+            if engine.course.over and not engine.over:  # a case has not ended while its arm is out
+                engine.retreat_home()
             return
         except OperatorAborted:
             if held is not None:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 
 from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting, ClinicalInput
+from procedures.engine.context import CaseSetting, ClinicalInput, StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded, StepRefused
 from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Journal, Line
@@ -21,10 +21,11 @@ from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom
 from procedures.engine.replay.replayed_device import replayed
 from procedures.engine.replay.sections import BEGINS
+from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder
-from procedures.engine.step import StepKey
+from procedures.engine.step import StepKey, StepSpec
 from procedures.workcell import Workcell
-from procedures.workcell.left_arm import left_arm
+from procedures.workcell.left_arm import LeftArm, left_arm
 from ronna_hw.clock import Clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
@@ -91,16 +92,15 @@ class _Replay:
             today=lambda: began,
             began=datetime.fromisoformat(str(answers.opening.get("began", began))),
         )
-        self._engine = Engine(given.order, Case(folder), setting, journal)
+        steps = tuple(_begun(step, answers) for step in given.order.steps)
+        self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)
 
     def run(self) -> Iterator[ReplayedRecord]:
         """Everything that began in the run, one after the other."""
         records = {record.identifier: record for record in self._run.records}
         for begin, line, following in self._sections():
-            self._answers.begin(begin)  # a step that was killed is not run here, but what hands did was done
-            self._engine.setting.workcell.instrument.stages.take_up(
-                left_arm(self._run.journal[:begin]).stages
-            )
+            self._answers.begin(begin)
+            self._as_hands_left(left_arm(self._run.journal[:begin]))
             self._operator.begin([one for one in following if one["entry"] == Entry.CONFIRMATION])
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
             end = next((one for one in following if one["entry"] in ENDS_OF_A_STEP), None)
@@ -117,8 +117,6 @@ class _Replay:
                     self._engine.acknowledge(str(one["by"]))
                 elif one["entry"] == Entry.VOIDED:
                     self._void(step_key(one))
-                elif one["entry"] == Entry.INSTRUMENT and not one.get("inside"):
-                    self._engine.setting.workcell.instrument.take_up(None)  # also between the steps
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest()
                     self._take_up(number)
@@ -139,6 +137,12 @@ class _Replay:
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
+
+    def _as_hands_left(self, arm: LeftArm) -> None:
+        """A step that was killed is not run here, and one that a guard ended may go farther than it did."""
+        instrument = self._engine.setting.workcell.instrument
+        instrument.take_up(arm.instrument_in)
+        instrument.stages.take_up(arm.stages, arm.stops)
 
     def _void(self, key: StepKey) -> None:
         """A watch or a guard saw what ended that result; where the step saw it itself, it is gone already."""
@@ -165,3 +169,16 @@ class _Replay:
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
             yield begin, lines[begin], list(lines[begin + 1 : end])
+
+
+def _begun(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
+    """The step with preconditions that use up none of its answers; what they cannot be told was met then."""
+
+    def unmet(context: StepContext) -> tuple[str, ...]:
+        try:
+            with answers.peeking():
+                return step.preconditions(context)
+        except NotRecorded:
+            return ()
+
+    return replace(step, preconditions=unmet)

@@ -9,7 +9,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotConfirmed
 from procedures.engine.operator import Topic
-from procedures.steps.branches import HOLD, WORK_BEGUN, from_stage
+from procedures.steps.branches import FINISHED, HOLD, WORK_BEGUN, from_stage
 from procedures.steps.clinical.depth_stop import DepthStop, set_depth_stop
 from ronna_hw.wire import room_tasks
 
@@ -64,8 +64,12 @@ def begun_work(context: StepContext) -> BegunWork:
     if begun is not None and begun.trajectory == trajectory == instrument.inside:
         return begun
     context.have_instrument_out()
-    before = _done_before(context, context.workcell.instrument.stages.at(trajectory))
+    before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
+    if len(before) == len(STAGES):
+        context.find(f"the work at {trajectory} was finished when the guide was there before")
+        return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
+    instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
     workspace.keep(begun)
     context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
     instrument.goes_in(trajectory)
@@ -88,22 +92,25 @@ def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     return tuple(f"at {name} hands have worked: {told(stages.at(name))}" for name in names)
 
 
-def _done_before(context: StepContext, known: Mapping[str, bool]) -> tuple[str, ...]:
-    """The tasks that are not done again."""
-    if not known:
+def _done_before(context: StepContext) -> tuple[str, ...]:
+    """The tasks that are not done again; all of them where nothing remains but to say so."""
+    stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
+    if not (known := stages.at(context.trajectory)):
         return ()
-    tasks = [stage.task for stage in STAGES]
     # The instrument is out: however far it was, it goes in again.
     first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
     first = min(first, len(tasks) - 1)
+    finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
     trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
     question = WORK_BEGUN.question(
         f"at {trajectory} hands have worked before: {told(known)}",
         f"{BESIDE}; look, then say from which stage the work goes on",
         trajectory,
-        (*offered, HOLD),
+        (*((FINISHED,) if finished else ()), *offered, HOLD),
     )
     answer = context.choose(question)
+    if finished and answer == FINISHED:
+        return tuple(tasks)
     if answer not in offered:
         raise NotConfirmed(
             f"nobody said from which stage the work at {trajectory} goes on",

@@ -41,6 +41,7 @@ Array = NDArray[np.float64]
 # Of the frame on the arm against the spheres between two looks from one pose. Their noise is 0.1 mm; a wheel
 # that is free gives way by centimetres.
 LOCKED_LIMIT_MM = 0.3
+SHORT_HASH = 8  # hex digits that are shown
 HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head that lies differently
 
 
@@ -64,12 +65,12 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
     proposal: Proposal | None = Field(description="None where nothing was proposed.")
 
     def differences(self, path: Path) -> str:
-        """What that file proposes else; empty when it is the same. Raises PLAN-022."""
+        """What that file proposes else than what was compared; empty when it is the same. Raises PLAN-022."""
         found = read_place(path)
-        then, now = self.proposal and self.proposal.place, found and found.place
-        if then == now:
+        if self.proposal is None or (found is not None and found.place == self.proposal.place):
             return ""
-        return "no place" if now is None else "a place" if then is None else "another place"
+        now = "no place" if found is None else f"another place, SHA-256 {found.sha256[:SHORT_HASH]}"
+        return f"{now} instead of that with {self.proposal.sha256[:SHORT_HASH]}"
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:

@@ -52,12 +52,15 @@ class UnchangedInputs:
                 return f"{path.name} cannot be read ({error.strerror}): bring it back"
             if stored is None or stamps == self._seen.get(path):
                 continue
-            self._seen[path] = stamps
-            if changed := _changed(stored.result, path):
-                key = StepKey(model.kind)
+            key = StepKey(model.kind)
+            if model is LockedCart and not _proposed(stored.result):
+                self._engine.find(f"{path.name} was not there at {key}: the cart is not compared with it")
+            elif changed := _changed(stored.result, path):
                 problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
                 self._engine.context(key).void(model, problem)
+                self._seen[path] = stamps
                 raise problem
+            self._seen[path] = stamps
         return None
 
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
-from recording_cell import GUIDE, RecordingArm, RecordingCell, RecordingTheatre
+from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
 from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import GateFailed, NotRecorded
@@ -68,7 +69,7 @@ class Recorded:
         cell.opened = RecordingTheatre(cell.theatre, taped(cell.arm, tape), cell.stereo, cell.tracker)  # type: ignore[arg-type]
         cell.workcell = cell.make_workcell()
         self.engine = cell.engine(self.order)
-        self.engine._recorders = (tape,)
+        self.tape, self.engine._recorders = tape, (tape,)
 
     def run(self, *steps: str) -> None:
         for name in steps:
@@ -183,6 +184,54 @@ def test_a_run_that_was_killed_with_an_instrument_in_its_guide_is_equal_to_itsel
     recorded.engine.have_instrument_out()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
+
+
+@pytest.mark.hazard(50)
+def test_what_a_precondition_reads_uses_up_no_answer_of_its_step(tmp_path: Path) -> None:
+    recorded = Recorded(tmp_path)
+
+    def at_home(context: StepContext) -> tuple[str, ...]:
+        return () if context.workcell.joints_rad() == HOME else ("the arm is not home",)
+
+    image, localization, *others = recorded.order.steps
+    order = replace(recorded.order, steps=(image, replace(localization, preconditions=at_home), *others))
+    recorded.engine = recorded.cell.engine(order)
+    recorded.engine._recorders = (recorded.tape,)
+    recorded.run(*CASE[:2])
+    assert {one.verdict for one in recorded.replayed(order)} == {EQUAL}
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.hazard(50)
+def test_where_a_guard_ended_a_step_before_the_instrument_went_in_the_way_home_is_free_again(
+    tmp_path: Path,
+) -> None:
+    def goes_in(context: StepContext) -> Outcome[Approach]:
+        outcome, first = moves(context), context.setting.workspace.find(int) is None
+        context.setting.workspace.keep(1)
+        context.progress(0.5, "before it goes in")
+        if first:
+            context.workcell.instrument.goes_in("T1")
+            raise GateFailed("it never came as far")
+        return outcome
+
+    class Suspends:
+        name = "cart"
+
+        def unmet(self) -> str | None:
+            if recorded.cell.arm.motions:
+                recorded.engine.checkpoint.guards.clear()
+                raise GateFailed("the cart has moved")
+            return None
+
+    recorded = Recorded(tmp_path, approach=goes_in)
+    recorded.cell.workcell.set_home()
+    recorded.run(*CASE[:4])
+    recorded.engine.checkpoint.guards.append(Suspends())
+    recorded.run("approach:T1")
+    recorded.engine.retreat_home()
+    recorded.run("approach:T1")
+    assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:5], EQUAL)
 
 
 def test_an_edited_reading_shows_in_its_step_and_in_what_was_made_from_it(tmp_path: Path) -> None:

@@ -182,6 +182,28 @@ def test_where_hands_have_worked_it_is_said_and_asked_from_which_stage_it_goes_o
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("WORK_BEGUN")
+def test_work_that_was_finished_before_its_result_was_written_is_not_done_again(cell: ClinicalCell) -> None:
+    engine = before_the_entry(cell)
+    store = engine.case.store
+    engine.case.store = lambda *_: (_ for _ in ()).throw(OSError("no space"))  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="no space"):
+        work(engine)
+    engine.case.store = store  # type: ignore[method-assign]
+    engine.retreat_home()
+    engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+    cell.operator.asked.clear()
+    worked = len(cell.room.worked)
+    work(engine)
+    (asked,) = cell.operator.asked
+    assert asked.answers[0] == "finished"
+    assert len(cell.room.worked) == worked
+    reached = cell.case.get(ReachedTarget, FIRST).result
+    assert reached.done_before == ("skin", "drill", "dura", "insert")
+    assert reached.depth_stop.read_mm > 0.0
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
 def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: ClinicalCell) -> None:
     engine = led_there_again(cell)
     cell.operator.refusing = (Topic.WORK_BEGUN,)
