@@ -50,13 +50,13 @@ class ProposedPlace(Strict):
 
     model_config = ConfigDict(extra="ignore")
 
-    series_instance_uid: str
+    series_instance_uid: str = Field(description="DICOM UID of the CT series that it was made for.")
     assumed_robot_from_ct: tuple[Coordinate, Coordinate, Coordinate, Degrees, Degrees, Degrees] = Field(
         description="X Y Z A B C in mm and deg, at the assumed place."
     )
-    best_mm: tuple[Coordinate, Coordinate]
-    turned_deg: Degrees
-    free_mm: float = Field(ge=0.0, le=FURTHEST_MM)
+    best_mm: tuple[Coordinate, Coordinate] = Field(description="The place, x and y in the assumed $ROBROOT.")
+    turned_deg: Degrees = Field(description="How far the cart is turned there.")
+    free_mm: float = Field(ge=0.0, le=FURTHEST_MM, description="How far beside it the cart may stand.")
     turns_deg: tuple[Turn, Turn] = Field(description="That it may be turned further, the other way and this.")
 
     def beside(self, robot_from_ct: Transform) -> BesideProposal:

@@ -61,6 +61,7 @@ UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_n
 WITHOUT_UNIT = {
     *("axes", "at", "largest_joint_speed_share"),  # directions, shares
     *("quality", "confidence", "rim_fraction", "distortion"),
+    "assumed_robot_from_ct",  # of place.json: X Y Z A B C, mm and deg in one
 }
 
 
