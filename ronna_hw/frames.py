@@ -19,6 +19,9 @@ from ronna_hw.errors import DataError
 Array = NDArray[np.float64]
 
 
+ROUNDING = 1e-6  # of what is a rotation but for the last digits
+
+
 class Frame(StrEnum):
     """The frames of the theatre."""
 
@@ -40,14 +43,17 @@ class FrameMismatch(DataError):
 
 
 def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
-    """One translation (3,) mm after one rotation; raises ValueError on other shapes.
+    """One translation (3,) mm after one rotation; other shapes raise ValueError, what is not finite FRM-001.
 
-    `RigidTransform.from_components` multiplies two transforms for that and checks the product, in six times
-    the time; planning builds tens of thousands.
+    `RigidTransform.from_components` multiplies two transforms for that and checks the product, in several
+    times the time; planning builds tens of thousands.
     """
     matrix = np.eye(4)
-    matrix[:3, :3] = rotation.as_matrix()
+    matrix[:3, :3] = turned = rotation.as_matrix()
     matrix[:3, 3] = np.reshape(translation_mm, 3)
+    # A quaternion too long for its square to be a number leaves a matrix of zeros.
+    if not abs(float(np.vdot(turned, turned)) - 3.0) < ROUNDING or not np.isfinite(matrix).all():
+        raise FrameMismatch(f"expected a finite translation and a rotation, got\n{matrix}")
     return RigidTransform(matrix, normalize=False, copy=False)
 
 
@@ -79,7 +85,7 @@ class Transform:
         if values.shape != (4, 4) or not np.all(np.isfinite(values)):
             raise FrameMismatch(f"a transform {target} <- {source} needs a finite 4x4 matrix")
         residual = values[:3, :3] @ values[:3, :3].T - np.eye(3)
-        if np.abs(residual).max() > 1e-6 or np.linalg.det(values[:3, :3]) < 0:
+        if np.abs(residual).max() > ROUNDING or np.linalg.det(values[:3, :3]) < 0:
             raise FrameMismatch(f"the matrix {target} <- {source} is not a proper rotation")
         return cls(target, source, RigidTransform.from_matrix(values))
 

@@ -42,9 +42,11 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 
 def away_from_head(context: StepContext) -> tuple[str, ...]:
-    """Nobody leans on the cart, or works at the clamp, while a guide is held at the head."""
+    """Nobody leans on the cart, or works at the clamp, while the arm reaches over the head."""
     insertion = context.workcell.insertion
-    return () if insertion is None else (f"the guide is held before the entry of {insertion.trajectory}",)
+    if insertion is not None:
+        return (f"the guide is held before the entry of {insertion.trajectory}",)
+    return () if context.workcell.at_home else ("the arm is not home: send it there first (home)",)
 
 
 def inserted(context: StepContext) -> tuple[str, ...]:

@@ -25,6 +25,28 @@ def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray) -
         Transform.from_matrix(Frame.ROBOT, Frame.CT, matrix)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"translation_mm": (np.nan, 0.0, 0.0)}, {"quaternion_wxyz": (1e200, 1e200, 0.0, 0.0)}],
+    ids=["a translation that is no number", "a quaternion beyond all numbers"],
+)
+@pytest.mark.hazard(7)
+def test_what_is_not_finite_becomes_no_transform(wrong: dict[str, tuple[float, ...]]) -> None:
+    with pytest.raises(FrameMismatch):
+        Transform.of(Frame.ROBOT, Frame.CT, **wrong)
+
+
+def test_a_long_chain_of_transforms_stays_rigid() -> None:
+    step = Transform.of(
+        Frame.ROBOT, Frame.ROBOT, translation_mm=(0.3, -0.2, 0.1), quaternion_wxyz=(0.9, 0.1, -0.3, 0.2)
+    )
+    chain = step
+    for _ in range(1000):
+        chain = chain @ step
+    turned = chain.rotation_matrix
+    assert turned @ turned.T == pytest.approx(np.eye(3), abs=1e-12)
+
+
 def test_the_inverse_swaps_frames_and_undoes_the_motion() -> None:
     transform = Transform.of(
         Frame.ROBOT, Frame.CT, translation_mm=(10.0, -4.0, 2.0), quaternion_wxyz=(0.9, 0.1, -0.3, 0.2)

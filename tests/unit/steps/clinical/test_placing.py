@@ -23,6 +23,7 @@ from watched_case import findings
 
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
 from procedures.engine.operator import Task, Topic
+from procedures.engine.step import StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.planning.errors import PlaceUnfit
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
@@ -178,6 +179,18 @@ def test_nobody_leans_on_the_cart_while_a_guide_is_held_at_the_head(
     monkeypatch.setattr(type(cell.workcell), "insertion", held)
     with pytest.raises(StepRefused, match="held before the entry of T1"):
         engine.run_to()
+
+
+@pytest.mark.parametrize("step", [head_clamp.STEP, cart_lock.STEP])
+def test_hands_work_at_clamp_and_cart_only_with_the_arm_home(
+    cell: ClinicalCell, step: StepSpec[object]
+) -> None:
+    before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
+    engine = cell.begin(*before, *([clamped_head()] if step is cart_lock.STEP else []), step)
+    cell.arm.joints_rad = tuple(angle + 0.3 for angle in cell.arm.joints_rad)
+    with pytest.raises(StepRefused, match="the arm is not home"):
+        engine.run_to()
+    assert tasks(cell) == []
 
 
 def propose(cell: ClinicalCell, push_mm: tuple[float, float] = (0.0, 0.0), **changes: object) -> None:
