@@ -120,7 +120,10 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         "Polaris host line": ((b"TSTART:5423\rAPIREV \rTX 0001\r",), _host_line),
         "conformance BX": ((body[:46],), _conformance),
         **{name: _compressed(folder / name, syntax) for name, syntax in LIBRARY_SYNTAXES.items()},
-        "proposed place": ((PLACE,), of("place.json", lambda _run: _placed(read_place(run / "place.json")))),
+        "proposed place": (
+            (PLACE,),
+            of("place.json", lambda _run: _placed(read_place(run / "place.json").place)),
+        ),
         "marker template": (
             (TEMPLATE,),
             of("template.toml", lambda _run: read_marker_template(run / "template.toml")),
