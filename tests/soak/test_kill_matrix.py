@@ -18,13 +18,13 @@ from sim.cli import app as ronna_sim
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(600)]
 
 MINI = ("run", "--sim", "--scene", "mini", "--seed", "3", "--json")
-MINI_LINES = 136
-FULL_LINES = (5, 58, 101, 122, 144, 186, 229, 250, 292, 314)  # of 343
+MINI_LINES = 145
+FULL_LINES = (5, 58, 101, 122, 144, 186, 229, 265, 310, 345)  # of 371
 FULL = ("run", "--sim", "--seed", "7", "--json")
 # The head is clamped, the cart is leaned on, a sphere is centred, the tool exchanged, the mandrel is in the
 # gauge, the guide is held, the instrument goes in, is at depth, comes out, and the guide goes back, among
 # others.
-POWER_CUTS = (5, 12, 18, 22, 27, 41, 55, 68, 81, 89, 92, 108, 115, 122, 125, 129)
+POWER_CUTS = (5, 12, 18, 22, 27, 41, 55, 68, 81, 89, 92, 108, 115, 122, 129, 138)
 
 
 @pytest.fixture
