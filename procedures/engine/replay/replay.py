@@ -28,7 +28,7 @@ from procedures.workcell import Workcell
 from procedures.workcell.left_arm import LeftArm, left_arm
 from ronna_hw.clock import Clock
 from ronna_hw.config import Calibrations, DeviceConfig, TheatreFile
-from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.errors import RonnaError
 from ronna_hw.records import Record
 from ronna_hw.registry import make_device
@@ -150,10 +150,11 @@ class _Replay:
         engine.case.void(key, engine.order.outlasting(key, engine.case.stands))
 
     def _rest(self) -> None:
-        """Every device as it is when it was just configured; the next motion is a first one."""
+        """Every device that was opened as it is when just configured; the next motion is a first one."""
         workcell = self._engine.setting.workcell
         for device in workcell.devices.values():
-            device.recover("")
+            if device.state is not Lifecycle.DISCONNECTED:
+                device.recover("")
         workcell.stop()
 
     def _take_up(self, line: int) -> None:

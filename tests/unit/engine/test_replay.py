@@ -143,6 +143,18 @@ def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> Non
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
 
+def test_a_run_that_was_killed_before_its_devices_were_opened_is_equal_to_itself(tmp_path: Path) -> None:
+    def asks_whether_it_is_open(context: StepContext) -> Outcome[Localization]:
+        return Outcome(Localization(number=int(context.workcell.arm.state is Lifecycle.DISCONNECTED)))
+
+    recorded = Recorded(tmp_path, localization=asks_whether_it_is_open)
+    recorded.cell.arm.state = Lifecycle.DISCONNECTED
+    recorded.run("image")
+    recorded.cell.journal.write(Entry.RESTARTED, 0.0)
+    recorded.run("localization:T1")
+    assert verdicts(recorded.replayed()) == {"image": EQUAL, "localization:T1": EQUAL}
+
+
 @pytest.mark.hazard(2)
 def test_a_run_that_was_killed_with_its_guide_before_an_entry_is_equal_to_itself(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
