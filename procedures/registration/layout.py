@@ -44,9 +44,11 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
         expected=len(layout),
     )
     if found.transform is None or found.status is not MatchStatus.UNIQUE:
-        how = "in more ways than one" if found.status is MatchStatus.AMBIGUOUS else "not, or not whole"
+        ambiguous = found.status is MatchStatus.AMBIGUOUS
         raise LayoutNotFound(
-            f"the scan shows the layout {how}",
+            "the layout fits the scan in more than one way"
+            if ambiguous
+            else "the scan does not show the whole layout",
             expected=f"all {len(layout)} spheres of the layout, up to {_width_mm(layout):.1f} mm apart",
             got=f"{len(spheres)} spheres, up to {_width_mm(spheres):.1f} mm apart",
         )

@@ -77,7 +77,7 @@ def test_rough_picks_are_refined_and_flagged(series: Path, tmp_path: Path) -> No
 def test_a_scan_without_the_layout_is_refused(series: Path) -> None:
     done = ronna_ct("localize", series, "--layout", "xframe")
     assert done.returncode == 3
-    assert "REG-012: the scan shows the layout not, or not whole" in done.stderr
+    assert "REG-012: the scan does not show the whole layout" in done.stderr
 
 
 def test_a_layout_of_two_points_is_refused_before_the_series_is_read(tmp_path):
