@@ -81,7 +81,7 @@ def _locked(path: Path, kind: int) -> int:
             fcntl.flock(file, kind)
             if os.path.samestat(os.fstat(file), os.stat(path)):
                 return file
-        except BaseException:
+        except BaseException:  # also an interruption: a lock lasts as long as its descriptor
             os.close(file)
             raise
         os.close(file)

@@ -151,23 +151,6 @@ def test_work_at_a_target_that_was_not_watched_is_not_done_unasked(tmp_path: Pat
     assert engine.instrument_in == FIRST
 
 
-def test_a_head_that_is_covered_when_the_instrument_is_out_holds_nothing_up(tmp_path: Path) -> None:
-    cell = ClinicalCell(tmp_path)
-    engine = guarded(cell)
-    positioned(engine)
-    answer = cell.operator.ask
-
-    def cover_and_answer(question: Question) -> str:
-        if question.topic is Topic.INSTRUMENT_OUT:
-            cell.tracker.spheres_mm = NOTHING_MM
-            time.sleep(2.0 * UNSEEN_S)  # nothing else passes meanwhile
-        return answer(question)
-
-    cell.operator.ask = cover_and_answer  # type: ignore[method-assign]
-    engine.run_step(engine.order.find(f"at_target:{FIRST}"))
-    assert Topic.HEAD_UNSEEN not in topics(cell)
-
-
 def test_the_time_counts_when_the_tracker_fails_under_way(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
