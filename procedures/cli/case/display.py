@@ -57,12 +57,12 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
             followers.append(_follow(engine, display.show, stack))
 
         @contextlib.contextmanager
-        def asking() -> Iterator[None]:
+        def asking(words: str = "") -> Iterator[None]:
             with contextlib.ExitStack() as silence:
                 for follower in followers:
                     silence.enter_context(follower.quiet())
                 silence.enter_context(display.hidden())  # it would write over the question
-                silence.enter_context(interrupts.asking())
+                silence.enter_context(interrupts.asking(words))
                 yield
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None

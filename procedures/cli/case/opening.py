@@ -59,7 +59,7 @@ class Watcher:
     status: Callable[[str], None] = lambda _text: None
     room_open: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
-    asking: Callable[[], AbstractContextManager[None]] = contextlib.nullcontext  # around a question
+    asking: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext  # around a question
     held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
     at_pause: Operator | None = None  # who answers a pause, if another than who answers the rest
     pilot: Pilot | None = None  # of a console that operates the case

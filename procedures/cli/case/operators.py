@@ -94,7 +94,7 @@ class TerminalOperator:
     `asking` is held while a question stands, so that nothing else writes over it.
     """
 
-    def __init__(self, asking: Callable[[], AbstractContextManager[None]] = nullcontext) -> None:
+    def __init__(self, asking: Callable[[str], AbstractContextManager[object]] = nullcontext) -> None:
         self._asking = asking
 
     def ask(self, question: Question) -> str:
@@ -106,7 +106,7 @@ class TerminalOperator:
             return question.silence
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
-        with self._asking():
+        with self._asking(_asked_for(words(question.answers))):
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
             while answer := _typed(words(question.answers), ends_s).lower():
                 if answer not in question.answers:
@@ -127,7 +127,10 @@ class TerminalRoom:
     """The hands of whoever sits at the terminal."""
 
     def __init__(
-        self, asking: Callable[[], AbstractContextManager[None]] = nullcontext, *, simulated: bool = False
+        self,
+        asking: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        *,
+        simulated: bool = False,
     ) -> None:
         """In a `simulated` theatre a tool is mounted by a command."""
         self._asking = asking
@@ -138,13 +141,13 @@ class TerminalRoom:
 
     def change_tool(self, number: int, description: str) -> None:
         """Say what to mount; that it is done is confirmed, and recorded, by the step."""
-        with self._asking():
+        with self._asking(""):
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             self._hint(f"mount {number}")
 
     def prepare_stand(self, holds: str) -> None:
         """Say what to put on the calibration stand; that it is done is confirmed by the step."""
-        with self._asking():
+        with self._asking(""):
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
 
@@ -156,7 +159,7 @@ class TerminalRoom:
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Say what to do, and have typed what is read off; nothing without a terminal."""
-        with self._asking():
+        with self._asking(""):
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
@@ -189,6 +192,10 @@ def _emphasized(question: Question) -> str:
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
+def _asked_for(what: str) -> str:
+    return f"Type {what}: "
+
+
 def _typed(what: str, ends_s: float | None) -> str:
     """What is typed, without the space around it; a blank line is asked again.
 
@@ -198,7 +205,7 @@ def _typed(what: str, ends_s: float | None) -> str:
 
     termios.tcflush(sys.stdin, termios.TCIFLUSH)
     while True:
-        sys.stderr.write(f"Type {what}: ")
+        sys.stderr.write(_asked_for(what))
         sys.stderr.flush()
         remaining_s = None if ends_s is None else max(0.0, ends_s - time.monotonic())
         ready, _, _ = select.select([sys.stdin], [], [], remaining_s)

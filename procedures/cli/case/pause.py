@@ -33,15 +33,19 @@ class Interrupts:
         self._engine: Engine | None = None
         self._count = 0
         self._at_question: int | None = None  # how often since a question stands
+        self._words = ""
 
     def attach(self, engine: Engine) -> None:
         """From now on Ctrl-C is about this engine; before, it ends the command."""
         self._engine = engine
 
     @contextlib.contextmanager
-    def asking(self) -> Iterator[None]:
-        """While a question stands nothing moves: Ctrl-C twice ends the command."""
-        self._at_question = 0
+    def asking(self, words: str = "") -> Iterator[None]:
+        """While a question stands nothing moves: Ctrl-C twice ends the command, once shows its `words` again.
+
+        A terminal throws away what it has not yet shown when Ctrl-C is typed.
+        """
+        self._at_question, self._words = 0, words
         try:
             yield
         finally:
@@ -54,7 +58,7 @@ class Interrupts:
             raise KeyboardInterrupt
         if self._at_question is not None:
             self._at_question += 1
-            os.write(STANDARD_ERROR, AT_QUESTION)
+            os.write(STANDARD_ERROR, AT_QUESTION + self._words.encode())
             return
         self._count = self._count + 1 if engine.checkpoint.wanted else 1
         if self._count > 2:

@@ -36,7 +36,7 @@ class Prompt:
         words: str,
         say: Say,
         *,
-        asking: Callable[[], AbstractContextManager[None]] = nullcontext,
+        asking: Callable[[str], AbstractContextManager[object]] = nullcontext,
         after: Callable[[], object] = lambda: None,
         resumes: bool = False,
         meanwhile: Callable[[Engine], None] | None = None,
@@ -129,7 +129,7 @@ class Prompt:
         return self._line("")
 
     def _line(self, words: str) -> str | None:
-        with self._asking():
+        with self._asking(words):
             if on_terminal(sys.stdin):
                 sys.stderr.write(words)
                 sys.stderr.flush()

@@ -56,3 +56,13 @@ def test_after_a_rest_the_count_begins_again(attached: tuple[Interrupts, Any]) -
         interrupts.interrupt()
         engine.checkpoint.wanted = False  # the pause was met
     assert len(engine.paused) == 4
+
+
+def test_at_a_question_the_first_interrupt_shows_what_was_asked_again(
+    attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    interrupts, engine = attached
+    with interrupts.asking("paused> "):
+        interrupts.interrupt()
+    assert capfd.readouterr().err.endswith("the arm rests; Ctrl-C again ends the command\npaused> ")
+    assert engine.paused == []
