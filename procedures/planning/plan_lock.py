@@ -76,7 +76,7 @@ def plan_in_use(path: Path) -> bool:
 def _locked(path: Path, kind: int) -> int:
     """The file that stands there once it is locked: one that was replaced meanwhile is nobody's."""
     while True:
-        file = _opened(path)
+        file = _opened(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
             fcntl.flock(file, kind)
             if os.path.samestat(os.fstat(file), os.stat(path)):
