@@ -25,7 +25,7 @@ from benchmarks.contest import cpu_of
 from benchmarks.ct_least_error import BallScan, least_errors_mm
 from benchmarks.figures import Figure, compared
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
-from procedures.studies.phantom_scans import AIR_HU, bound_mm, scan_phantom
+from procedures.studies.localization.phantom_scans import AIR_HU, bound_mm, scan_phantom
 from ronna_hw.host.child_process import command
 
 Array = NDArray[np.float64]

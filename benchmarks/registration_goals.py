@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.figures import Figure
-from procedures.planning.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
+from procedures.planning.markers.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import match, register
-from procedures.studies.correspondence import (
+from procedures.studies.campaign.unit import add_up
+from procedures.studies.correspondence.readings import draw_readings
+from procedures.studies.correspondence.study import (
     FALSE,
     SUCCESS,
     UNSUCCESSFUL,
@@ -26,9 +28,7 @@ from procedures.studies.heads import (
     per_axis_mm,
     sites_mm,
 )
-from procedures.studies.readings import draw_readings
 from procedures.studies.registration import ISOTROPIC, RegistrationStudy, tables
-from procedures.studies.unit import add_up
 
 RUNS_PER_CELL = {
     "5 to 8 markers": 200,

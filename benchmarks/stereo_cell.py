@@ -20,8 +20,8 @@ from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.journal import JOURNAL_FILE, Journal
 from procedures.engine.operator import Topic
-from procedures.planning.sight import StereoSight
-from procedures.planning.visits import Visit, VisitKind
+from procedures.planning.reach.visits import Visit, VisitKind
+from procedures.planning.sight.stereo_head import StereoSight
 from procedures.relocalization import StereoPoint
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring

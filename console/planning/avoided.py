@@ -12,8 +12,8 @@ from pydantic import ValidationError
 from console.planning.draft import Draft
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.structure_check import read_structure
-from procedures.planning.structures import (
+from procedures.planning.head.structure_check import read_structure
+from procedures.planning.head.structures import (
     MOST_POINTS_TOGETHER,
     MOST_STRUCTURES,
     Structure,

@@ -26,12 +26,12 @@ from procedures.planning.errors import (
     UnsavedChanges,
     WrongSeries,
 )
-from procedures.planning.plan import FEWEST_MARKERS, MOST_MARKERS, Plan
-from procedures.planning.plan_file import parse_plan, read_plan, write_plan
-from procedures.planning.plan_lock import plan_in_use, replaced_plan
-from procedures.planning.seal import sealed
-from procedures.planning.theatre_arm import TheatreArm
-from procedures.planning.tissue import sampled_hu
+from procedures.planning.head.tissue import sampled_hu
+from procedures.planning.plan.file import parse_plan, read_plan, write_plan
+from procedures.planning.plan.lock import plan_in_use, replaced_plan
+from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
+from procedures.planning.plan.seal import sealed
+from procedures.planning.theatre.arm import TheatreArm
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 

@@ -13,7 +13,7 @@ from console.guard import SESSION
 from console.panels.html import tag, text
 from console.pictures.cuts import WINDOWS_HU, Plane
 from console.planning.desk import PlanDesk
-from console.planning.head_stage import HeadStage
+from console.planning.head_scene import HeadScene
 from console.planning.look import Look
 from console.planning.marker_panel import MarkerPanel
 from console.planning.proposal_panel import ProposalPanel
@@ -26,7 +26,7 @@ from console.sessions import Role, Session
 from console.web.changes import changed_within
 from console.web.library import page_head, use_library
 from console.web.sockets import own_page
-from procedures.planning.plan import LONGEST_AUTHOR
+from procedures.planning.plan.model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 
@@ -100,7 +100,7 @@ class PlannerPage:
                 self._verdict = self._section("Check", "verdictbox")
                 self._expected = self._section("Expected error", "accuracy")
             with ui.element("div").classes("right"):
-                self._stage = HeadStage(desk, look, low=self._low)
+                self._scene = HeadScene(desk, look, low=self._low)
                 self._structures = StructurePanel(desk, look, self._go, self._say, may_edit=self._may_edit)
                 self._markers = MarkerPanel(desk, self._go, self._pick, may_edit=self._may_edit)
                 ProposalPanel(desk, self._go)
@@ -240,7 +240,7 @@ class PlannerPage:
         self._redo.set_enabled(desk.history.can_redo)
         self._save.set_enabled(desk.read_only is None)
         self._looked()
-        self._stage.show()
+        self._scene.show()
         self._markers.show()
         self._structures.show(desk.judged.distances)
         self._verdict.set_content(verdict(desk.judged, desk.draft))

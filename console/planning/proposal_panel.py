@@ -11,8 +11,8 @@ from nicegui import ui
 from console.panels.html import table, tag, text
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
-from procedures.planning.head_shape import head_shape
-from procedures.planning.marker_sites import ProposedMarkers, propose_markers
+from procedures.planning.head.shape import head_shape
+from procedures.planning.markers.sites import ProposedMarkers, propose_markers
 from procedures.strategies.trajectory import Point, Trajectory
 from ronna_hw.errors import RonnaError
 

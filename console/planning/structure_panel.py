@@ -16,7 +16,7 @@ from console.planning.fields import NumberField
 from console.planning.look import Look
 from procedures.imaging.pick_files import LARGEST_FILE_BYTES
 from procedures.planning.errors import StructureUnreadable
-from procedures.planning.structures import Structure, StructureDistance
+from procedures.planning.head.structures import Structure, StructureDistance
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 

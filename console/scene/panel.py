@@ -7,7 +7,7 @@ from nicegui import ui
 from console.feed.view import CaseView
 from console.panels.html import tag, text
 from console.scene.sights import HIDDEN, VOLUME
-from console.scene.stage import ARM, CT, OLD_S, PATH, STEREO, TRACKER, Stage
+from console.scene.theatre_scene import ARM, CT, OLD_S, PATH, STEREO, TRACKER, TheatreScene
 from procedures.reporting.case_figures import CaseFigures
 
 MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
@@ -33,11 +33,11 @@ class ScenePanel:
                 self._size = ui.select(MAGNIFICATIONS, value=1, on_change=self._magnify)
                 self._size.props('dense outlined options-dense aria-label="Differences between instruments"')
             self._age = ui.html("", sanitize=False)
-            self._stage = Stage(low=low)
+            self._scene = TheatreScene(low=low)
             key = "".join(tag("span", f'<i style="background:{colour}"></i>{words}') for words, colour in KEY)
             ui.html(tag("div", key, class_="key"), sanitize=False)
         self._names: list[str] | None = None
-        self._stage.look_at("robot", None)
+        self._scene.look_at("robot", None)
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
         """Show a moment."""
@@ -46,7 +46,7 @@ class ScenePanel:
         if names != self._names:
             self._names = names
             self._build_views(names)
-        self._stage.show(view, figures, heads)
+        self._scene.show(view, figures, heads)
         self._age.set_content(_age(view) + self._clearance() + self._sight())
 
     def _build_views(self, names: list[str]) -> None:
@@ -59,25 +59,25 @@ class ScenePanel:
                 *((name, f"along {name}") for name in names),
             ):
                 ui.button(
-                    words, on_click=lambda where=where: self._stage.look_at(where, self._figures), color=None
+                    words, on_click=lambda where=where: self._scene.look_at(where, self._figures), color=None
                 ).classes("plain small").props("no-caps unelevated")
 
     def _clearance(self) -> str:
-        closest = self._stage.closest
+        closest = self._scene.closest
         if closest is None:
             return ""
         words = f"closest: {closest.first} and {closest.second}, {closest.distance_mm:.0f} mm"
         return tag("div", text(words), class_="num")
 
     def _sight(self) -> str:
-        hidden = self._stage.hidden
+        hidden = self._scene.hidden
         if not hidden:
             return ""
         words = f"the arm stands between the tracker and {hidden} of the spheres (red lines)"
         return tag("div", words, class_="warn")
 
     def _magnify(self) -> None:
-        self._stage.magnified = int(self._size.value or 1)
+        self._scene.magnified = int(self._size.value or 1)
 
 
 def _age(view: CaseView) -> str:

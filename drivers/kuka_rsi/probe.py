@@ -10,10 +10,10 @@ import errno
 from collections.abc import Sequence
 
 from drivers.kuka_rsi.arm import KukaRsiArm
-from drivers.kuka_rsi.finding import example_arm, find_controllers
+from drivers.kuka_rsi.controller_discovery import example_arm, find_controllers
 from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.finding import Proposal, Search
+from ronna_hw.devices.discovery import Proposal, Search
 from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,

@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.calibration.arm.parameters import BACKLASH_RAD, SAG_RAD, TOOL_MM
+from procedures.calibration.arm.error_model import BACKLASH_RAD, SAG_RAD, TOOL_MM
 from procedures.calibration.arm_geometry import JOINT_OFFSET_RAD, UNCALIBRATED_MM, error_columns
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
 from ronna_hw.arm.deviations import FLANK_SHARE, gravity_levers

@@ -13,9 +13,9 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
+    from procedures.studies.campaign.table import Table
+    from procedures.studies.campaign.unit import Study, Sums
     from procedures.studies.own.method import OwnMethod
-    from procedures.studies.table import Table
-    from procedures.studies.unit import Study, Sums
 
 app = typer.Typer(
     name="ronna-campaign",
@@ -104,13 +104,13 @@ def correspondence(
     The thesis method is run as it finds its pairs, and with their validation against the stated errors.
     """
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
-    from procedures.studies import correspondence_tables
-    from procedures.studies.correspondence import (
+    from procedures.studies.correspondence import tables as correspondence_tables
+    from procedures.studies.correspondence.methods import chosen_methods
+    from procedures.studies.correspondence.study import (
         OF_THE_THESIS,
         USUAL_TOLERANCES_MM,
         CorrespondenceStudy,
     )
-    from procedures.studies.pairing_choice import chosen_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are studies of their own: give one of them")
@@ -123,7 +123,7 @@ def correspondence(
         return
     runs = runs or THESIS_RUNS
     if template:
-        from procedures.studies import template_pairing as by_template
+        from procedures.studies.correspondence import template as by_template
 
         implanted = by_template.TemplateStudy(runs, seed)
         _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json, verbose)
@@ -149,8 +149,8 @@ def _clinical(
     verbose: bool,
 ) -> None:
     """The readings are taken first and kept in the folder of the study."""
-    from procedures.studies import clinical_pairing as clinical
-    from procedures.studies.frame_readings import recorded_readings
+    from procedures.studies.correspondence import clinical
+    from procedures.studies.correspondence.frame_readings import recorded_readings
 
     console.set_up_logging(verbose)
     folder = out or Path("campaigns") / clinical.ClinicalStudy.name
@@ -217,9 +217,9 @@ def localization(
     log_level: console.LogLevelOption = None,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
-    from procedures.studies.localization import JUDGING, TUNING, LocalizationStudy
-    from procedures.studies.localization_goals import tables_and_goals
-    from procedures.studies.localization_tables import plots
+    from procedures.studies.localization.goals import tables_and_goals
+    from procedures.studies.localization.study import JUDGING, TUNING, LocalizationStudy
+    from procedures.studies.localization.tables import plots
 
     if thesis + tuning + frames + bool(families) > 1:
         raise UsageMistake(
@@ -234,8 +234,8 @@ def localization(
             )
     own = _own("LOCALIZER", methods)
     if thesis:
-        from procedures.studies import thesis_localization_tables
-        from procedures.studies.thesis_localization import ThesisLocalizationStudy
+        from procedures.studies.localization import thesis_protocol_tables as thesis_localization_tables
+        from procedures.studies.localization.thesis_protocol import ThesisLocalizationStudy
 
         protocol = ThesisLocalizationStudy(seed)
         told = thesis_localization_tables
@@ -274,13 +274,13 @@ def strategies(
     if identified and methods:
         raise UsageMistake("--method does not go with --identified: it has its own strategies")
     if identified:
-        from procedures.studies import strategies_identified as by_looks
+        from procedures.studies.strategies import identified as by_looks
 
         study = by_looks.IdentifiedStudy(arms, seed)
         _run(study, by_looks.tables, by_looks.plots, workers, scheduler, out, as_json, verbose)
         return
-    from procedures.studies.strategies import StrategiesStudy
-    from procedures.studies.strategies_tables import plots, tables
+    from procedures.studies.strategies.study import StrategiesStudy
+    from procedures.studies.strategies.tables import plots, tables
 
     own = _own("STRATEGY", methods)
     trials = StrategiesStudy(arms, seed, "strategies-own" if own else "strategies", own)
@@ -327,10 +327,10 @@ def _run(
     verbose: bool,
 ) -> None:
     console.set_up_logging(verbose)
-    from procedures.studies.ledger import Ledger
-    from procedures.studies.publish import publish
-    from procedures.studies.unit import add_up
-    from procedures.studies.workers import run_study
+    from procedures.studies.campaign.ledger import Ledger
+    from procedures.studies.campaign.publish import publish
+    from procedures.studies.campaign.unit import add_up
+    from procedures.studies.campaign.workers import run_study
 
     folder = out or Path("campaigns") / study.name
     ledger = Ledger(folder, study)
@@ -374,7 +374,7 @@ def times(
 
 
 def _show(table: Table) -> None:
-    from procedures.studies.table import shown
+    from procedures.studies.campaign.table import shown
 
     console.print_table(
         table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]

@@ -15,7 +15,7 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.planning.cart.cart_case import CartCase
+    from procedures.planning.cart.place import CartCase
     from procedures.planning.cart.proposal import PlaceProposal
     from ronna_hw.frames import Transform
 
@@ -94,13 +94,13 @@ def place(
         )
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     assert theatre is not None
-    from procedures.planning.cart.cart_case import CartCase
     from procedures.planning.cart.judging import judging
+    from procedures.planning.cart.place import CartCase
     from procedures.planning.cart.place_map import map_places
     from procedures.planning.cart.proposal import propose_place
-    from procedures.planning.check import check_plan
-    from procedures.planning.guide_hold import held_trajectories
-    from procedures.planning.plan_file import read_plan
+    from procedures.planning.plan.check import check_plan
+    from procedures.planning.plan.file import read_plan
+    from procedures.planning.plan.guide_hold import held_trajectories
 
     plan = read_plan(plan_file)
     volume, fiducials_mm, _ = read_ct(series_dir, True)

@@ -18,8 +18,8 @@ from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.planning.check import PlanCheck
-    from procedures.planning.motions import PreviewedMotion
+    from procedures.planning.plan.check import PlanCheck
+    from procedures.planning.reach.motions import PreviewedMotion
 
 app = typer.Typer(
     name="ronna-plan",
@@ -96,8 +96,8 @@ def check(
     console.set_up_logging(verbose)
     began_s = time.perf_counter()
     theatre = theatre_of(config, robot_from_ct, home, strategy)
-    from procedures.planning.check import check_plan
-    from procedures.planning.plan_file import read_plan
+    from procedures.planning.plan.check import check_plan
+    from procedures.planning.plan.file import read_plan
 
     planned = read_plan(plan_file)
     volume, fiducials_mm, uncounted = read_ct(series_dir, markers)
@@ -154,8 +154,8 @@ def template(
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     console.set_up_logging(verbose)
-    from procedures.planning.template import propose_template
-    from procedures.planning.template_file import head_of_scene, write_template
+    from procedures.planning.markers.template import propose_template
+    from procedures.planning.markers.template_file import head_of_scene, write_template
 
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
@@ -165,7 +165,7 @@ def template(
         found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
     else:
         from procedures.imaging import read_series
-        from procedures.planning.head_shape import head_shape
+        from procedures.planning.head.shape import head_shape
 
         assert series_dir is not None
         with console.progress_bar("reading the series") as advance:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.planning.errors import WrongSeries
-from procedures.planning.head_shape import head_shape
-from procedures.planning.marker_sites import ProposedMarkers, propose_markers
-from procedures.planning.plan_file import read_plan
-from procedures.planning.template_file import head_of_scene
+from procedures.planning.head.shape import head_shape
+from procedures.planning.markers.sites import ProposedMarkers, propose_markers
+from procedures.planning.markers.template_file import head_of_scene
+from procedures.planning.plan.file import read_plan
 from procedures.reporting.marker_picture import marker_picture
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake

@@ -27,7 +27,7 @@ def new(
     """
     console.set_up_logging(verbose)
     from procedures.imaging import localize, read_series
-    from procedures.planning.new_plan import new_plan
+    from procedures.planning.plan.new import new_plan
     from ronna_hw.records import write_whole
 
     if out.exists():

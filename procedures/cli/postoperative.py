@@ -46,7 +46,7 @@ def postoperative(
     """
     console.set_up_logging(verbose)
     import procedures.imaging as imaging
-    from procedures.planning.plan_file import read_plan
+    from procedures.planning.plan.file import read_plan
     from procedures.postoperative.comparison import compare, require_series
     from procedures.postoperative.summary import summary_of
 

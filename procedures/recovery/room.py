@@ -14,9 +14,9 @@ from procedures.guards.room_reading import read_room
 from procedures.recovery.comparison import Comparison
 from procedures.registration.shift import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.followed_move import spheres_followed, watch_over
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.validity.followed_move import spheres_followed, watch_over
 from procedures.workcell import MountedTool
 
 

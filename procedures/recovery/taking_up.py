@@ -25,10 +25,10 @@ from procedures.recovery.room import compare_room
 from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
-from procedures.steps.clinical.begun_work import begun_elsewhere
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tools.begun_work import begun_elsewhere
 from procedures.workcell.left_arm import left_arm
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.reporting.run_reading import RunReading
-from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
 from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
 
 

@@ -38,13 +38,13 @@ from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.link_health import LinkHealth
 from ronna_hw.evidence.inspection import PICTURES_FOLDER, hashes_in
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import without_controls

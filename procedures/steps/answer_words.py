@@ -6,7 +6,7 @@ from procedures.engine.checkpoint import ABORT, GO_ON, LEAVE, WAIT
 from procedures.engine.operator import NO, NOBODY, READ, YES, Topic
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical.at_target import DONE, HOLD
-from procedures.steps.clinical.begun_work import STAGES
+from procedures.steps.clinical.tools.begun_work import STAGES
 
 ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     **dict.fromkeys(Topic, (YES, NO)),

@@ -15,11 +15,11 @@ from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed, Opera
 from procedures.engine.hands import INSIDE, IS_OUT
 from procedures.engine.operator import NO, YES, Question, Topic
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.planning.alternatives import BY_ACCURACY
 from procedures.planning.errors import NotReachable, WrongMarkerCount
+from procedures.planning.reach.alternatives import BY_ACCURACY
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
-from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
+from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from procedures.engine.case import Case
 from procedures.engine.step import StepKey
-from procedures.planning.motions import HOME
-from procedures.steps.clinical.motion_previews import MotionPreview
+from procedures.planning.reach.motions import HOME
 from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.previews import MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated

@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.studies import bounds
 from procedures.studies.accuracy.phantom import Markers, phantom
 from procedures.studies.accuracy.scene import Scene
-from procedures.studies.plots import boxes
-from procedures.studies.table import Cell, Table
-from procedures.studies.unit import Sums, Unit, blocks
+from procedures.studies.campaign import bounds
+from procedures.studies.campaign.plots import boxes
+from procedures.studies.campaign.table import Cell, Table
+from procedures.studies.campaign.unit import Sums, Unit, blocks
 
 Array = NDArray[np.float64]
 Series = tuple[str, str, str, int]  # depth, markers, strategy, number of spheres

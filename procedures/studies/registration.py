@@ -16,13 +16,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.error_theory import fle_of_one_space_mm, fre_gate, tre_principal_axes_mm
 from procedures.registration.point_registration import register
-from procedures.studies import bounds
+from procedures.studies.campaign import bounds
+from procedures.studies.campaign.plots import Point, curves
+from procedures.studies.campaign.table import Cell, Table
+from procedures.studies.campaign.unit import Sums, Unit, blocks, generator, without_empty_own
 from procedures.studies.heads import PATIENTS, any_pose, sites_mm
 from procedures.studies.own.method import OwnMethod
 from procedures.studies.own.registration import OwnRegistration
-from procedures.studies.plots import Point, curves
-from procedures.studies.table import Cell, Table
-from procedures.studies.unit import Sums, Unit, blocks, generator, without_empty_own
 
 Array = NDArray[np.float64]
 

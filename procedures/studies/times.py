@@ -8,8 +8,8 @@ from statistics import fmean
 
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.reporting.minutes import PHASE, STEP, TimeTaken, times_taken
+from procedures.studies.campaign.table import Table
 from procedures.studies.errors import NoRunToTime
-from procedures.studies.table import Table
 
 # Thesis 5.1: markers found in a CT by an operator, and by the algorithm.
 OPERATOR_S, ALGORITHM_S = 191.5, 28.8

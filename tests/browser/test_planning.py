@@ -26,7 +26,7 @@ from open_planner import (
 )
 from waiting import eventually
 
-from procedures.planning.plan_lock import held_plan
+from procedures.planning.plan.lock import held_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]

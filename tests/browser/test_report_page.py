@@ -19,7 +19,7 @@ from procedures.engine.journal import Entry
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.steps.clinical import registration
-from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
 from procedures.workcell import MountedTool
 
 PHONE_PX = 390

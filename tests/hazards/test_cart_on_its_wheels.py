@@ -10,7 +10,7 @@ from room_trials import STILL, TrackedCase
 
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, moved_against_head
-from procedures.steps.clinical.errors import CartNotLocked
+from procedures.steps.errors import CartNotLocked
 
 SCENES, TRIALS_PER_SCENE = 10, 20
 ROLLED_MM = 1.0

@@ -37,7 +37,7 @@ from procedures.engine.step import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.planning.cart.proposed_place import read_place
-from procedures.planning.plan import Plan
+from procedures.planning.plan.model import Plan
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.inputs import compare_inputs
 from procedures.steps.clinical import positioning
@@ -46,7 +46,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
+from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.workcell import MountedTool
 
 POSITIONING = f"positioning:{FIRST}"

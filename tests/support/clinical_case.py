@@ -16,9 +16,9 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.planning.guide_hold import held_trajectories
-from procedures.planning.head_shape import HeadEllipsoid
-from procedures.planning.plan import FiducialKind, PatientPosition, Plan, PlannedTrajectory
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.plan.guide_hold import held_trajectories
+from procedures.planning.plan.model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
 from procedures.relocalization import StereoPoint
@@ -30,7 +30,6 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.head_clamp import ClampedHead
-from procedures.steps.clinical.link_health import LinkHealth
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import Prediction, RegisteredRobot
@@ -38,6 +37,7 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.link_health import LinkHealth
 from procedures.strategies.arm_in_branch import ArmInBranch
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import target_pose

@@ -66,7 +66,7 @@ from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
-from procedures.planning.plan_file import read_plan
+from procedures.planning.plan.file import read_plan
 from ronna_hw.bounded_input import parse_json, parse_xml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.byte_sink import Direction

@@ -20,7 +20,7 @@ from procedures.guards.head_frames import HeadFrames
 from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
-from procedures.planning.tracker_sight import TrackerSight
+from procedures.planning.sight.tracker import TrackerSight
 from ronna_hw.arm.clearance.surroundings import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig

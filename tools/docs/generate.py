@@ -30,7 +30,7 @@ from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.engine.operator import Topic, words
 from procedures.exchange import allowed_fields
-from procedures.planning.plan import Plan
+from procedures.planning.plan.model import Plan
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
 from procedures.steps.calibration.ball_look import LookedAtBall

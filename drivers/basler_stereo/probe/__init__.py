@@ -6,11 +6,11 @@ from collections.abc import Iterator, Sequence
 
 from drivers.basler_stereo.control.broadcast_discovery import discover_cameras
 from drivers.basler_stereo.pair import BaslerStereoPair
+from drivers.basler_stereo.probe.camera_discovery import example_pair, find_pairs
 from drivers.basler_stereo.probe.camera_state import look_at_camera
 from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
-from drivers.basler_stereo.probe.finding import example_pair, find_pairs
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.finding import Proposal, Search
+from ronna_hw.devices.discovery import Proposal, Search
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_and_leave, leave_alone
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interface_of

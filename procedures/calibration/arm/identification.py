@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.parameters import ArmModel
 from procedures.calibration.bundle import orientation_spread
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from ronna_hw.arm.deviations import ArmDeviations

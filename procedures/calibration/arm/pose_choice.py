@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.parameters import ArmModel
 
 Array = NDArray[np.float64]
 

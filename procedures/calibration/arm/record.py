@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.identification import ArmFit, identify
 from procedures.calibration.arm.looks import ArmLooks, arrays_of
-from procedures.calibration.arm.parameters import ArmModel
 from procedures.calibration.arm.validation import ArmValidation, validate
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.record import LIFE, moved_tip, new_identifier

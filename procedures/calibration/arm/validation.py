@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from procedures.calibration.arm.error_model import BACKLASH
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.parameters import BACKLASH
 from procedures.calibration.errors import DoesNotFit, TooFewPoses, Unobservable
 
 Array = NDArray[np.float64]

@@ -10,7 +10,7 @@ from procedures.cli.case.request import CaseRequest
 if TYPE_CHECKING:
     from procedures.engine.context import ClinicalInput
     from procedures.engine.order import CaseOrder
-    from procedures.planning.plan_lock import HeldPlan
+    from procedures.planning.plan.lock import HeldPlan
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:
@@ -36,7 +36,7 @@ def clinical_input(request: CaseRequest, folder: Path, plan: HeldPlan | None = N
 def order_of_case(request: CaseRequest, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
     """The steps of a run, by its plan as held and its strategy. Raises what reading the plan raises."""
     from procedures.engine.order import order_of
-    from procedures.planning.plan_file import plan_of, read_plan
+    from procedures.planning.plan.file import plan_of, read_plan
     from procedures.steps.catalogue import clinical_steps
     from procedures.strategies.catalogue import strategy_named
 

@@ -179,7 +179,7 @@ def opened_case(
     request: CaseRequest, folder: Path, watcher: Watcher, resumption: Resumption | None = None
 ) -> Iterator[Engine]:
     """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
-    from procedures.planning.plan_lock import held_plan
+    from procedures.planning.plan.lock import held_plan
     from ronna_hw.records import write_whole
 
     case = case_folder(request, folder)
@@ -280,8 +280,8 @@ def _make_engine(
     from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
     from procedures.recovery.moved_cart import MovedCart
     from procedures.steps.clinical.global_localization import GlobalLocalization
-    from procedures.steps.clinical.moved_head import void_moved
-    from procedures.steps.clinical.unchanged_inputs import UnchangedInputs
+    from procedures.steps.clinical.validity.inputs import UnchangedInputs
+    from procedures.steps.clinical.validity.moved_head import void_moved
     from procedures.workcell import Workcell
     from ronna_hw.evidence.truth_so_far import truth_so_far
     from ronna_hw.recording.byte_lines import BYTES_FOLDER

@@ -93,7 +93,7 @@ def new_theatre(
         raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file with --out.")
     from procedures.cli.new_theatre import searching, taken_over, writing
     from ronna_hw.config import parse_theatre
-    from ronna_hw.devices.finding import Search
+    from ronna_hw.devices.discovery import Search
     from ronna_hw.endpoints import parse_endpoint
     from ronna_hw.errors import EXIT_NOT_FOUND
     from ronna_hw.records import write_whole

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from ronna_hw.command_line.console import Progress
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.devices.finding import Finder, Proposal, Search
+from ronna_hw.devices.discovery import Finder, Proposal, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interfaces
 from ronna_hw.wire.kuka_eki import PROJECT_PORT

@@ -13,7 +13,7 @@ from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile
-from ronna_hw.devices.finding import Option
+from ronna_hw.devices.discovery import Option
 
 TOOLS = "tools"  # option of a tracker: definitions of what it is to see
 

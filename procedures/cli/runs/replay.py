@@ -15,7 +15,7 @@ from procedures.engine.replay.comparison import ReplayedRecord, Verdict
 from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import run_of
-from procedures.planning.plan_file import read_plan
+from procedures.planning.plan.file import read_plan
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.strategies.catalogue import strategy_named

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 from procedures.engine.errors import EventsUnreadable
+from procedures.engine.events.current_state import CurrentState
 from procedures.engine.events.event import Event
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.engine.events.happenings import VERSION, JournalLine
-from procedures.engine.events.present import Present
 from ronna_hw.bounded_input import check_json
 from ronna_hw.command_line.errors import PathProblem
 
@@ -38,7 +38,7 @@ class FollowedRun:
         if whole:
             yield _in_order(course)
         else:
-            present = Present()
+            present = CurrentState()
             for event in course:
                 present.take_in(event)
             yield present.events

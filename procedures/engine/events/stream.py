@@ -13,9 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
+from procedures.engine.events.current_state import CurrentState
 from procedures.engine.events.event import Event
 from procedures.engine.events.happenings import Happening, JournalLine
-from procedures.engine.events.present import Present
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class EventStream:
         self._lock = threading.Lock()
         self._count = 0
         self._readers: list[Reader] = []
-        self._present = Present()
+        self._current = CurrentState()
         self._ended = False
 
     def publish(self, what: Happening) -> Event:
@@ -87,7 +87,7 @@ class EventStream:
             event = Event(
                 number=self._count, host_time=datetime.now(UTC), theatre_time_s=self._now_s(), what=what
             )
-            self._present.take_in(event)
+            self._current.take_in(event)
             for reader in self._readers:
                 reader.deliver(event)
         return event
@@ -99,7 +99,7 @@ class EventStream:
     def subscribe(self) -> Reader:
         """A new reader: first a snapshot of what holds at present, then every change."""
         with self._lock:
-            reader = Reader(self._present.events)
+            reader = Reader(self._current.events)
             self._readers.append(reader)
             if self._ended:
                 reader.end()

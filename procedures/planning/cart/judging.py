@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context
 
-from procedures.planning.cart.cart_case import CartCase, CartMove, Found, Verdict
+from procedures.planning.cart.place import CartCase, CartMove, Found, Verdict
 from procedures.planning.cart.place_map import Judge
 
 Asked = tuple[CartMove, tuple[Found, ...], bool]

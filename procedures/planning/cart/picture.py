@@ -6,7 +6,7 @@ import io
 
 import numpy as np
 
-from procedures.planning.cart.cart_case import CartCase
+from procedures.planning.cart.place import CartCase
 from procedures.planning.cart.place_map import FINEST_MM
 from procedures.planning.cart.proposal import PlaceProposal
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.planning.cart.cart_case import CartMove, Found, Verdict
+from procedures.planning.cart.place import CartMove, Found, Verdict
 
 Array = NDArray[np.float64]
 Node = tuple[int, int]

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from procedures.planning.cart.cart_case import CartMove, Verdict
+from procedures.planning.cart.place import CartMove, Verdict
 from procedures.planning.cart.place_map import FINEST_MM, Judge, PlaceMap
 from procedures.planning.cart.proposed_place import TURNED_SHARE
 from procedures.planning.errors import NoPlace

@@ -13,8 +13,8 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import BALL_PICTURE, bring_over_ball
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.stereo_picture import pair_picture

@@ -16,8 +16,8 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.calibration.over_ball import BALL_PICTURE
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_picture import pair_picture

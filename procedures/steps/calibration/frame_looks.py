@@ -20,8 +20,8 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room
 from procedures.workcell.tracker_look import average_pose, frames_at_rest

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.calibration.arm.check import require_record
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import ArmLooks, Flanks, Side, SphereLook, arrays_of
-from procedures.calibration.arm.parameters import ArmModel
 from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
@@ -22,9 +22,9 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace, standing_alone
 from procedures.steps.calibration.over_ball import BALL_PICTURE
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_picture import pair_picture

@@ -17,8 +17,8 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import SPARE, bring_over_ball
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import SAME_SIDE, BallWatcher
 

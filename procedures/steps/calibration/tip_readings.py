@@ -19,9 +19,9 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.clinical.conditions import exchangeable
-from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tools.exchange import exchange_for
+from procedures.steps.conditions import exchangeable
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import SAME_SIDE, in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform

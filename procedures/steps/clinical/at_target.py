@@ -18,12 +18,12 @@ from procedures.engine.operator import Question, Task
 from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
-from procedures.steps.clinical.begun_work import STAGES, BegunWork, Stage, begun_work, told
-from procedures.steps.clinical.conditions import inserted
-from procedures.steps.clinical.depth_stop import DepthStop
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.room_check import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, Stage, begun_work, told
+from procedures.steps.clinical.tools.depth_stop import DepthStop
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.conditions import inserted
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held

@@ -24,13 +24,13 @@ from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, P
 from procedures.planning.errors import PlaceUnfit
 from procedures.registration.shift import shift_of
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
-from procedures.steps.clinical.coarse_match import coarse_match
-from procedures.steps.clinical.conditions import away_from_head
-from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.spheres.coarse_match import coarse_match
+from procedures.steps.conditions import away_from_head
+from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform

@@ -13,12 +13,12 @@ from procedures.registration import match
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
-from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM, coarse_match
-from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.spheres.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM, coarse_match
+from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.conditions import localizable
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]

@@ -12,7 +12,7 @@ from procedures.engine.result import Matrix3, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
-from procedures.steps.clinical.conditions import localizable
+from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 
 

@@ -12,8 +12,8 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Marker
 from procedures.imaging.pictures import marker_pictures
-from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
+from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 
 

@@ -17,10 +17,10 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.steps.clinical.cart_lock import LockedCart
-from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.exchange import exchange_for
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tools.exchange import exchange_for
+from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3

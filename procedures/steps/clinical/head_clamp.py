@@ -10,11 +10,11 @@ from procedures.engine.operator import Task, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
-from procedures.planning.plan import PatientPosition
+from procedures.planning.plan.model import PatientPosition
 from procedures.registration.shift import LEAST_POINTS
-from procedures.steps.clinical.conditions import away_from_head
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import away_from_head
 from procedures.workcell.tracker_look import frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.wire.room_tasks import HEAD_CLAMP

@@ -11,19 +11,19 @@ from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.result import FramedPose, Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.planning.free_angle import TurnedPaths
-from procedures.planning.guide_hold import held_trajectories
-from procedures.planning.motions import PreviewedMotion, previews_of
-from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
-from procedures.steps.clinical.conditions import localizable
+from procedures.planning.plan.guide_hold import held_trajectories
+from procedures.planning.reach.free_angle import TurnedPaths
+from procedures.planning.reach.motions import PreviewedMotion, previews_of
+from procedures.planning.reach.visits import ArmSetting, PathCheck, VisitKind
+from procedures.planning.sight.stereo_head import StereoSight
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
-from procedures.steps.clinical.motion_previews import MotionPreview
-from procedures.steps.clinical.path_search import PathSearch
+from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.paths.search import PathSearch
+from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import localizable
 from procedures.strategies.approach import arrival_signs
 from procedures.strategies.best import BestOfEach
 from procedures.workcell import MountedTool

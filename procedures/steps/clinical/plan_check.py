@@ -16,16 +16,16 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.patient_identity import patient_identifier
 from procedures.imaging.volume import Volume
-from procedures.planning.check import PlanCheck, check_plan
 from procedures.planning.errors import WrongMarkerCount
-from procedures.planning.head_shape import HeadEllipsoid, head_shape
-from procedures.planning.plan import Plan, PlannedTrajectory
-from procedures.planning.plan_file import plan_of
-from procedures.planning.plan_lock import held_plan
+from procedures.planning.head.shape import HeadEllipsoid, head_shape
+from procedures.planning.plan.check import PlanCheck, check_plan
+from procedures.planning.plan.file import plan_of
+from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan.model import Plan, PlannedTrajectory
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
-from procedures.steps.clinical.conditions import localizable
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.conditions import localizable
 
 SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 

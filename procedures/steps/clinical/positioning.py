@@ -14,14 +14,15 @@ from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import guide_at_rest
 from procedures.planning.errors import NotReachable
-from procedures.planning.guide_hold import held_trajectory
+from procedures.planning.plan.guide_hold import held_trajectory
 from procedures.steps.branches import KEPT_REGISTRATION
-from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.head_surroundings import READS, surround_guide
 from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.surroundings import READS, surround_guide
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.room_check import (
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.validity.room import (
     ROOM_READS,
     check_room,
     expected_sight,
@@ -29,8 +30,7 @@ from procedures.steps.clinical.room_check import (
     head_must_show,
     require_head_seen,
 )
-from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.conditions import carries
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable

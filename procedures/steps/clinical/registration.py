@@ -17,13 +17,13 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.operator import Topic
 from procedures.engine.result import FramedPose, StepResult, Values
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.planning.instrument_error import (
+from procedures.planning.plan.model import PlannedTrajectory
+from procedures.planning.prediction.instrument_error import (
     DIRECTION,
     INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
-from procedures.planning.plan import PlannedTrajectory
 from procedures.registration import (
     Registration,
     RoomPoint,
@@ -35,18 +35,18 @@ from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
-from procedures.steps.clinical.arm_error import arm_errors
 from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.error_budget.arm import arm_errors
+from procedures.steps.clinical.error_budget.evidence import budget_table, two_way_table
+from procedures.steps.clinical.error_budget.gate import arm_covariance_mm2, moved_spheres, residual_gate
+from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm, shared_with_target
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration_evidence import budget_table, two_way_table
-from procedures.steps.clinical.registration_gate import arm_covariance_mm2, moved_spheres, residual_gate
 from procedures.steps.clinical.relocalization import Relocalization
-from procedures.steps.clinical.tool_frame_error import displaced_spheres_mm, shared_with_target
+from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.clinical.validity.followed_move import FollowedMove, MeasuredMove, followed_move
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame

@@ -23,11 +23,11 @@ from procedures.engine.result import Matrix3, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.head_watch import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.left_out_sphere import LeftOutSphere
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.conditions import carries
 from procedures.strategies.catalogue import strategy_named
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring

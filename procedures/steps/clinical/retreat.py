@@ -9,10 +9,10 @@ from procedures.engine.operator import Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.conditions import inserted_or_just_out
-from procedures.steps.clinical.link_health import LinkHealth, link_health
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.conditions import inserted_or_just_out
+from procedures.steps.link_health import LinkHealth, link_health
 
 
 class Retreated(StepResult, kind="retreat"):

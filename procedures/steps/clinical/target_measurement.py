@@ -16,13 +16,13 @@ from procedures.engine.operator import Topic
 from procedures.engine.result import FramedPose, Matrix3, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization.errors import Saturated
-from procedures.steps.clinical.conditions import carries
-from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import refused_by_name
 from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.conditions import carries
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.target import refined_target_pose
 from procedures.workcell import MountedTool

@@ -8,12 +8,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.operator import Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.steps.clinical.conditions import exchangeable
-from procedures.steps.clinical.exchange import exchange_for
-from procedures.steps.clinical.head_surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.link_health import LinkHealth, link_health
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tools.exchange import exchange_for
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.conditions import exchangeable
+from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
 
 

@@ -17,13 +17,13 @@ from procedures.engine.hands import IN_GAUGE
 from procedures.engine.operator import Task, Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.steps.clinical.conditions import carries
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.errors import ToolBesideGauge
-from procedures.steps.clinical.head_surroundings import READS, planning_scene_of
-from procedures.steps.clinical.room_check import ROOM_READS, check_room
+from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_sight import require_seen_in_place
+from procedures.steps.clinical.tools.sight import require_seen_in_place
+from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.conditions import carries
+from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
 from ronna_hw.arm.angles import radians6
 from ronna_hw.calibration import Numbers3

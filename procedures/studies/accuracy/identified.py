@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.identification import ArmFit, identify
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.arm.parameters import ArmModel
 from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.pose_set import centred_looks
 from procedures.registration.rigid_fit import fit_rigid

@@ -19,7 +19,7 @@ from procedures.studies.accuracy.postures import Postures, postures
 from procedures.studies.accuracy.predicting import predictions
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.trials import CT_FLE_MM, Chance, Sizes, target_errors
-from procedures.studies.unit import Sums
+from procedures.studies.campaign.unit import Sums
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]

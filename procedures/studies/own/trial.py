@@ -9,16 +9,16 @@ import numpy as np
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
+from procedures.studies.correspondence.readings import draw_readings
 from procedures.studies.errors import MethodRefused
 from procedures.studies.heads import NoiseReading, any_pose, sites_mm
 from procedures.studies.own.contracts import MethodKind
+from procedures.studies.own.correspondence import OwnPairing
 from procedures.studies.own.localizer import OwnLocalizer
 from procedures.studies.own.method import OwnMethod, own_method
-from procedures.studies.own.pairing import OwnPairing
 from procedures.studies.own.registration import OwnRegistration
 from procedures.studies.own.strategy import OwnStrategy
-from procedures.studies.readings import draw_readings
-from procedures.studies.strategies import DEPTHS_MM, TARGETS
+from procedures.studies.strategies.study import DEPTHS_MM, TARGETS
 
 TRIAL_SEED = 17
 PATIENT = 1

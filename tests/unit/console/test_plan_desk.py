@@ -20,9 +20,9 @@ from console.planning.judging import judge
 from procedures.imaging.errors import PickRefused
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
-from procedures.planning.plan_file import read_plan, write_plan
-from procedures.planning.plan_lock import held_plan
-from procedures.planning.seal import sealed
+from procedures.planning.plan.file import read_plan, write_plan
+from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan.seal import sealed
 from ronna_hw.errors import RonnaError
 
 SERIES = "1.2.826.0.1.3680043.8.498.7"

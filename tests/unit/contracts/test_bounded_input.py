@@ -21,7 +21,7 @@ from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.errors import PlaceUnfit, PlanUnreadable
-from procedures.planning.plan_file import read_plan
+from procedures.planning.plan.file import read_plan
 from procedures.reporting.calibration import RESULT_FILE, read_figures
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.calibration.arm.parameters import ArmModel
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
-from procedures.planning.best_choice import predicted_arm_error_mm, with_best_chosen
-from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, PathCheck
+from procedures.planning.prediction.best_strategy import predicted_arm_error_mm, with_best_chosen
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.visits import ArmSetting, PathCheck
+from procedures.planning.sight.stereo_head import StereoSight
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.best import CANDIDATES, BestOfEach
 from procedures.strategies.catalogue import strategy_named

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.reach import check_paths
-from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting, Axes, Visit, visits_of
-from procedures.planning.wrist import LEAST_BEND_RAD, WristState
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.paths import check_paths
+from procedures.planning.reach.visits import ArmSetting, Axes, Visit, visits_of
+from procedures.planning.reach.wrist import LEAST_BEND_RAD, WristState
+from procedures.planning.sight.stereo_head import StereoSight
 from procedures.strategies.free_turns import OUTWARDS_RAD
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from procedures.planning.errors import NoMarkerSites
-from procedures.planning.head_shape import HeadEllipsoid
-from procedures.planning.marker_sites import APART_MM, CLEAR_OF_WAY_MM, propose_markers
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.markers.sites import APART_MM, CLEAR_OF_WAY_MM, propose_markers
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.reporting.marker_picture import marker_picture
 from procedures.strategies.trajectory import Trajectory

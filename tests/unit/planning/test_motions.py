@@ -11,13 +11,13 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.errors import NotReachable
-from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.head_shape import HeadEllipsoid
-from procedures.planning.motions import HOME, motions_of, previews_of
-from procedures.planning.planning_scene import PlanningScene
-from procedures.planning.reach import check_paths
-from procedures.planning.sight import StereoSight
-from procedures.planning.visits import ArmSetting
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.motions import HOME, motions_of, previews_of
+from procedures.planning.reach.paths import check_paths
+from procedures.planning.reach.visits import ArmSetting
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.theatre.scene import PlanningScene
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6

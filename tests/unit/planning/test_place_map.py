@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from procedures.planning.cart.cart_case import CartMove, Found, Verdict
+from procedures.planning.cart.place import CartMove, Found, Verdict
 from procedures.planning.cart.place_map import map_places
 from procedures.planning.cart.proposal import propose_place
 from procedures.planning.cart.proposed_place import TURNED_SHARE

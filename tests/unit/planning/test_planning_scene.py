@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.frame_bodies import frame_bodies
-from procedures.planning.head_shape import HeadEllipsoid
-from procedures.planning.plan import FiducialKind
-from procedures.planning.planning_scene import PlanningScene
+from procedures.planning.head.frame_bodies import frame_bodies
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.plan.model import FiducialKind
+from procedures.planning.theatre.scene import PlanningScene
 from procedures.registration.errors import LayoutNotFound
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform

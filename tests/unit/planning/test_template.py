@@ -10,13 +10,13 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import HeadUnreadable, NoTemplate
-from procedures.planning.head_shape import HeadEllipsoid, head_shape
-from procedures.planning.template import (
+from procedures.planning.head.shape import HeadEllipsoid, head_shape
+from procedures.planning.markers.template import (
     APART_MM,
     STANDOFF_MM,
     propose_template,
 )
-from procedures.planning.template_file import head_of_scene, write_template
+from procedures.planning.markers.template_file import head_of_scene, write_template
 from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
@@ -37,7 +37,7 @@ def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(
 
 
 def test_a_smaller_margin_never_costs_accuracy() -> None:
-    from procedures.planning.template import expected_error
+    from procedures.planning.markers.template import expected_error
 
     def error(margin_mm: float) -> float:
         points = np.array([propose_template(HEAD, 4, margin_mm).centres_mm])

@@ -52,10 +52,10 @@ from procedures.steps.clinical import at_target, path_check, positioning, retrea
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.depth_stop import DepthStop
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
 from procedures.workcell.left_arm import left_arm

@@ -30,9 +30,9 @@ from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.left_out_sphere import LeftOutSphere
-from procedures.steps.clinical.motion_previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
 from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.workcell import MountedTool
 
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))

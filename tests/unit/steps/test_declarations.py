@@ -39,10 +39,10 @@ from procedures.steps.calibration.procedures import (
 )
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.depth_stop import DepthStop
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
+from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import read_record

@@ -19,11 +19,11 @@ from procedures.studies.accuracy.scenarios import FINE_CT_MM
 from procedures.studies.accuracy.scene import Scene
 from procedures.studies.accuracy.trials import Chance, Sizes, target_errors
 from procedures.studies.application_error import ApplicationErrorStudy
+from procedures.studies.campaign.unit import Unit
 from procedures.studies.errors import PhantomOutOfReach, PoseNotSolved
-from procedures.studies.strategies import PREDICTION, StrategiesStudy
-from procedures.studies.strategies_identified import EXPECTED, GOAL_MM
-from procedures.studies.strategies_tables import plots, tables
-from procedures.studies.unit import Unit
+from procedures.studies.strategies.identified import EXPECTED, GOAL_MM
+from procedures.studies.strategies.study import PREDICTION, StrategiesStudy
+from procedures.studies.strategies.tables import plots, tables
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 from sim.kuka.arm.true_arm import TrueArm

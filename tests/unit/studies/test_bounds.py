@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.studies import bounds
-from procedures.studies.plots import bars, curves
+from procedures.studies.campaign import bounds
+from procedures.studies.campaign.plots import bars, curves
 
 
 @pytest.mark.parametrize(

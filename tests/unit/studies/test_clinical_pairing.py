@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.studies import clinical_pairing, frame_readings
-from procedures.studies.clinical_pairing import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
+from procedures.studies.campaign.unit import Unit
+from procedures.studies.correspondence import clinical as clinical_pairing
+from procedures.studies.correspondence import frame_readings
+from procedures.studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
 from procedures.studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
-from procedures.studies.localization import AUTOMATIC
-from procedures.studies.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
-from procedures.studies.unit import Unit
+from procedures.studies.localization.study import AUTOMATIC
+from procedures.studies.localization.thesis_scans import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 
 
 def readings(count: int, sigma_mm: float = 0.15) -> np.ndarray:

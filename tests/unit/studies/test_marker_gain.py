@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from procedures.planning.head_shape import HeadEllipsoid
-from procedures.planning.marker_sites import allowed, clear_of, propose_markers
-from procedures.planning.template import sites_on
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.markers.sites import allowed, clear_of, propose_markers
+from procedures.planning.markers.template import sites_on
 from procedures.studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, phantom
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.scene import Scene

@@ -9,18 +9,18 @@ from pathlib import Path
 import pytest
 
 from procedures.strategies.ocs import OrientationCorrection
-from procedures.studies.correspondence import CorrespondenceStudy
+from procedures.studies.campaign.ledger import Ledger
+from procedures.studies.campaign.unit import Sums, add_up
+from procedures.studies.campaign.workers import run_study
+from procedures.studies.correspondence.study import CorrespondenceStudy
 from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused, OtherStudy
 from procedures.studies.heads import NoiseReading
-from procedures.studies.ledger import Ledger
 from procedures.studies.own.beside import modules_beside
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.method import OwnMethod, own_method
 from procedures.studies.own.strategy import OwnStrategy
 from procedures.studies.own.trial import tried
 from procedures.studies.registration import RegistrationStudy
-from procedures.studies.unit import Sums, add_up
-from procedures.studies.workers import run_study
 
 METHODS = '''
 import numpy as np

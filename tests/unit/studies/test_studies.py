@@ -10,10 +10,16 @@ import numpy as np
 import pytest
 
 from procedures.registration.correspondence import MatchStatus, Prior
-from procedures.studies import correspondence as study_module
-from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
-from procedures.studies.correspondence_shares import Series, shares
-from procedures.studies.correspondence_tables import bars_beside_thesis, plots, tables
+from procedures.studies.campaign.ledger import FILE, Ledger
+from procedures.studies.campaign.publish import publish
+from procedures.studies.campaign.table import Table
+from procedures.studies.campaign.unit import Unit, add_up, blocks, generator
+from procedures.studies.campaign.workers import run_study
+from procedures.studies.correspondence import study as study_module
+from procedures.studies.correspondence.readings import draw_readings
+from procedures.studies.correspondence.shares import Series, shares
+from procedures.studies.correspondence.study import CorrespondenceStudy, Method, cell_key
+from procedures.studies.correspondence.tables import bars_beside_thesis, plots, tables
 from procedures.studies.errors import (
     ExtraMissing,
     LedgerUnreadable,
@@ -22,13 +28,7 @@ from procedures.studies.errors import (
     UnitFailed,
 )
 from procedures.studies.heads import NoiseReading, disturbance, sites_mm
-from procedures.studies.ledger import FILE, Ledger
-from procedures.studies.publish import publish
-from procedures.studies.readings import draw_readings
 from procedures.studies.registration import RegistrationStudy
-from procedures.studies.table import Table
-from procedures.studies.unit import Unit, add_up, blocks, generator
-from procedures.studies.workers import run_study
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
 
@@ -76,7 +76,7 @@ def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(tmp_path: Path) -
 
 
 def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("procedures.studies.workers.SCHEDULER_LIMIT_S", 0.2)
+    monkeypatch.setattr("procedures.studies.campaign.workers.SCHEDULER_LIMIT_S", 0.2)
     with pytest.raises(SchedulerUnreachable, match="STU-003"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from procedures.studies.correspondence import cell_key
+from procedures.studies.campaign.unit import Unit
+from procedures.studies.correspondence.study import cell_key
+from procedures.studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm, tables
 from procedures.studies.heads import NoiseReading
-from procedures.studies.template_pairing import MARGIN_MM, TemplateStudy, sites_mm, tables
-from procedures.studies.unit import Unit
 
 
 def test_the_sites_of_every_head_differ_by_the_margin() -> None:

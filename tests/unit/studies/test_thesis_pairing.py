@@ -9,11 +9,11 @@ from functools import cache
 
 import pytest
 
-from procedures.studies.correspondence import CorrespondenceStudy, Method, cell_key
-from procedures.studies.correspondence_shares import Series, Shares, shares
-from procedures.studies.correspondence_tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
+from procedures.studies.campaign.unit import Unit
+from procedures.studies.correspondence.shares import Series, Shares, shares
+from procedures.studies.correspondence.study import CorrespondenceStudy, Method, cell_key
+from procedures.studies.correspondence.tables import THESIS_FALSE, THESIS_UNSUCCESSFUL
 from procedures.studies.heads import PATIENTS, NoiseReading
-from procedures.studies.unit import Unit
 
 RUNS, SMALL_E_MM, LARGE_E_MM = 150, 1.5, 2.5
 

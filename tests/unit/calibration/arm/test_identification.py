@@ -8,8 +8,8 @@ import pytest
 from arm_looks import KINEMATICS, SPHERES_MM, LookingArm
 
 from procedures.calibration.arm.check import check_arm
+from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import ArmLooks, arrays_of
-from procedures.calibration.arm.parameters import ArmModel
 from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.arm.record import ArmResult, calibrate_arm
 from procedures.calibration.errors import (

@@ -16,7 +16,7 @@ from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
 from procedures.engine.operator import Topic
-from procedures.planning.plan import FiducialKind
+from procedures.planning.plan.model import FiducialKind
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import NoUniqueMatch
 from procedures.steps.clinical.correspondence import STEP, Correspondence

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from procedures.planning.guide_hold import depth_stop_mm, held_trajectory
-from procedures.planning.instrument_error import (
+from procedures.planning.plan.guide_hold import depth_stop_mm, held_trajectory
+from procedures.planning.plan.model import FiducialKind, Plan, PlannedTrajectory
+from procedures.planning.prediction.instrument_error import (
     SET_BY_HAND_MM,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
-from procedures.planning.plan import FiducialKind, Plan, PlannedTrajectory
 from ronna_hw.tool_record import GuideBore
 from sim.theatre.rigid import inverse, matrix_from, rotation_from_vector
 from sim.theatre.scene.guide import Guide

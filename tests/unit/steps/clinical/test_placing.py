@@ -29,8 +29,8 @@ from procedures.planning.errors import PlaceUnfit
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
 from procedures.steps.clinical import cart_lock, head_clamp
 from procedures.steps.clinical.cart_lock import LockedCart
-from procedures.steps.clinical.errors import CartMisplaced, CartNotLocked
 from procedures.steps.clinical.head_clamp import ClampedHead
+from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell import MountedTool
 from procedures.workcell.insertion import Insertion
 from ronna_hw.arm.pose import Pose

@@ -15,7 +15,7 @@ from procedures.engine.errors import GateFailed
 from procedures.engine.operator import Topic
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
-from procedures.planning.plan import Plan
+from procedures.planning.plan.model import Plan
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 
 Array = NDArray[np.float64]

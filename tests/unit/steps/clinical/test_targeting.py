@@ -31,8 +31,8 @@ from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
 from procedures.engine.operator import Question, Topic
 from procedures.engine.step import Scope
 from procedures.guards.errors import PatientMoved
-from procedures.planning import tracker_sight
 from procedures.planning.errors import NotReachable
+from procedures.planning.sight import tracker as tracker_sight
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide

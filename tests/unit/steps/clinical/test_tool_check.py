@@ -14,8 +14,8 @@ from recording_cell import RecordingOperator
 from procedures.engine.errors import NotConfirmed, StepRefused
 from procedures.engine.operator import Task, Topic
 from procedures.steps.clinical import positioning
-from procedures.steps.clinical.errors import ToolBesideGauge
 from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
+from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
 from procedures.workcell.tool_records import ToolRecords

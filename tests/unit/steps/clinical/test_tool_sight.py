@@ -16,8 +16,8 @@ from clinical_case import (
     shifted,
 )
 
-from procedures.steps.clinical.errors import ToolSeenElsewhere
 from procedures.steps.clinical.tool_check import STEP, CheckedTool
+from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity

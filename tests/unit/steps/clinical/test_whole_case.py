@@ -20,7 +20,7 @@ from clinical_case import (
 from procedures.engine.events import StepState
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
-from procedures.planning.guide_hold import held_trajectory
+from procedures.planning.plan.guide_hold import held_trajectory
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot

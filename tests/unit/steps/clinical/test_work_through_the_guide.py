@@ -26,8 +26,8 @@ from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_still import PUSHED_MM
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.depth_stop import STOP_LIMIT_MM
-from procedures.steps.clinical.errors import DepthStopWrong
+from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
+from procedures.steps.errors import DepthStopWrong
 from procedures.workcell import MountedTool
 
 STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]

@@ -1,0 +1,203 @@
+"""The scene of one page: arm, head, spheres, trajectories, sight, clearance."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from nicegui import ui
+
+from console.feed.view import CaseView
+from console.scene.actors import Call, Capsule, Rod, placed
+from console.scene.bodies import METRES, Closest, Point, closest_pair, ends
+from console.scene.sights import Sights
+from procedures.engine.events import Bodies, Pose
+from procedures.reporting.case_figures import CaseFigures, SphereFigure
+
+BACKGROUND = "#26333e"  # dark in both themes: bodies of every colour stand out
+ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
+CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
+SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
+LINKS = 4  # of the bodies that move the first are the arm's own: drawn in its colour
+SPHERE_RADIUS_MM = 5.75
+OUTSIDE = 2.5  # how far a trajectory is drawn outside the entry, as a share of its depth
+OLD_S = 0.5  # theatre time after which a pose is greyed
+BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the frame of the tracker
+FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
+HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucent costs much without graphics hardware
+LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
+
+
+class TheatreScene:
+    """Built once for a page; `show` changes only what has changed."""
+
+    def __init__(self, *, low: bool) -> None:
+        self._low = low
+        self.magnified = 1  # how many times the instruments' differences from the CT are shown
+        self.scene = ui.scene(
+            width=600,
+            height=430,
+            grid=False,
+            background_color=BACKGROUND,
+            fps=LOW_FRAMES_PER_S if low else FRAMES_PER_S,
+            camera=ui.scene.perspective_camera(fov=40, near=0.02, far=20),
+        ).classes("stage")
+        self.scene.props('role=img aria-label="The theatre in three dimensions"')
+        self._bodies: Bodies | None = None
+        self._moving: list[Capsule] = []
+        self._fixed: list[Capsule] = []
+        self._pose: Pose | None = None
+        self._grey: bool | None = None
+        self._figures: object = None
+        self._marks: list[Any] = []
+        self._head: Any = None
+        self._head_count = 0
+        with self.scene:
+            self._near = Rod(self.scene, 2.0, NEAR)
+            self._sights = Sights(self.scene)
+        self.closest: Closest | None = None
+
+    def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
+        """Show a moment; `heads` counts how often the surface of the head was made."""
+        with self.scene:
+            if view.bodies is not self._bodies and view.bodies is not None:
+                self._build_bodies(view.bodies, view.pose.pose if view.pose else None)
+            key = (figures, heads, self.magnified)
+            if key != self._figures:
+                self._figures = key
+                self._build_marks(figures, heads)
+            self._sights.show(view, figures)
+            if view.pose is not None and view.pose.pose is not self._pose:
+                self._place(view.pose.pose)
+        self._grey_if_old(view)
+
+    # The bodies
+
+    def _build_bodies(self, bodies: Bodies, pose: Pose | None) -> None:
+        for one in (*self._moving, *self._fixed):
+            one.delete()
+        self._bodies, self._moving, self._pose, self._grey = bodies, [], None, None
+        self._fixed = [
+            Capsule(self.scene, body, *ends(body.ends_mm), ROOM, 1.0)
+            for body in bodies.fixed
+            if not body.is_head
+        ]
+        if pose is not None and len(pose.bodies_mm) == len(bodies.moving):
+            self._build_moving(bodies, pose)
+
+    def _build_moving(self, bodies: Bodies, pose: Pose) -> None:
+        self._moving = [
+            Capsule(self.scene, body, *ends(place), ARM if number < LINKS else TOOL, 1.0)
+            for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
+        ]
+
+    def _place(self, pose: Pose) -> None:
+        self._pose, bodies = pose, self._bodies
+        if bodies is None or len(pose.bodies_mm) != len(bodies.moving):
+            return
+        if not self._moving:
+            self._build_moving(bodies, pose)
+        calls: list[Call] = []
+        for capsule, place in zip(self._moving, pose.bodies_mm, strict=True):
+            calls += capsule.place(*ends(place))
+        self.closest = closest_pair(bodies, pose)
+        if self.closest is not None:
+            calls += self._near.place(self.closest.from_mm, self.closest.to_mm)
+        self.scene.run_method("run_methods", calls)
+
+    def _grey_if_old(self, view: CaseView) -> None:
+        stood = view.pose
+        old = stood is None or view.theatre_time_s - stood.said_s + stood.pose.age_s > OLD_S
+        if old == self._grey or not self._moving:
+            return
+        self._grey = old
+        for number, capsule in enumerate(self._moving):
+            colour = OLD if old else ARM if number < LINKS else TOOL
+            for child in capsule.group.children:
+                child.material(colour, 1.0)
+
+    # What was measured and planned
+
+    def _build_marks(self, figures: CaseFigures | None, heads: int) -> None:
+        for one in self._marks:
+            one.delete()
+        self._marks = []
+        if figures is None:
+            return
+        self._show_head(figures, heads)
+        for sphere in figures.spheres:
+            self._sphere(sphere)
+        for path in figures.trajectories:
+            self._path(path.name, path.entry_mm, path.target_mm)
+
+    def _show_head(self, figures: CaseFigures, heads: int) -> None:
+        pose = figures.robot_from_ct
+        if pose is None or not heads:
+            return
+        if heads != self._head_count:
+            if self._head is not None:
+                self._head.delete()
+            self._head = self.scene.stl("/picture/head.stl").with_name("head")
+            self._head.material(SKIN, LOW_OPACITY if self._low else HEAD_OPACITY)
+            self._head_count = heads
+        rotation = pose.rotation_matrix.tolist()
+        x, y, z = pose.translation_mm.tolist()
+        self.scene.run_method("run_methods", placed(self._head, (x, y, z), rotation))
+
+    def _sphere(self, sphere: SphereFigure) -> None:
+        ct = sphere.ct_mm
+        if ct is not None:
+            self._ball(ct, CT)
+            self._label(f"{sphere.number}", ct)
+        for place, colour in ((sphere.tracker_mm, TRACKER), (sphere.stereo_mm, STEREO)):
+            if place is None:
+                continue
+            if ct is None:
+                self._ball(place, colour)
+                continue
+            x, y, z = (c + self.magnified * (p - c) for c, p in zip(ct, place, strict=True))
+            self._ball((x, y, z), colour, share=0.8)
+
+    def _ball(self, place: Point, colour: str, share: float = 1.0) -> None:
+        radius = SPHERE_RADIUS_MM * share * METRES
+        ball = (
+            self.scene.sphere(radius, 20, 14).move(*(value * METRES for value in place)).material(colour, 0.8)
+        )
+        self._marks.append(ball)
+
+    def _label(self, words: str, place: Point) -> None:
+        self._marks.append(self.scene.text(words, LABEL).move(*(value * METRES for value in place)))
+
+    def _path(self, name: str, entry: Point, target: Point) -> None:
+        out = tuple(e + OUTSIDE * (e - t) for e, t in zip(entry, target, strict=True))
+        rod = Rod(self.scene, 1.2, PATH)
+        self.scene.run_method("run_methods", rod.place((out[0], out[1], out[2]), target))
+        self._marks.append(rod.group)
+        self._ball(target, PATH, share=0.4)
+        self._label(name, (out[0], out[1], out[2]))
+
+    # Views
+
+    @property
+    def hidden(self) -> int:
+        """As `Sights.hidden`."""
+        return self._sights.hidden
+
+    def look_at(self, where: str, figures: CaseFigures | None) -> None:
+        """Move the camera: to the `robot`, the `head`, behind the `tracker`, or along a trajectory."""
+        path = next((one for one in figures.trajectories if one.name == where), None) if figures else None
+        if path is not None:
+            out = [e + 8.0 * (e - t) for e, t in zip(path.entry_mm, path.target_mm, strict=True)]
+            self._camera(out, path.entry_mm)
+        elif where == "head" and figures and figures.trajectories:
+            x, y, z = figures.trajectories[0].target_mm
+            self._camera((x + 350.0, y - 600.0, z + 450.0), (x, y, z))
+        elif where == "tracker" and figures and figures.robot_from_tracker is not None:
+            behind, ahead = figures.robot_from_tracker.apply([BEHIND_TRACKER_MM, AHEAD_MM]).tolist()
+            self._camera(behind, ahead)
+        else:
+            self._camera((2000.0, -2300.0, 1500.0), (450.0, 0.0, 350.0))
+
+    def _camera(self, place: Any, looks_at: Any) -> None:
+        x, y, z = (value * METRES for value in place)
+        a, b, c = (value * METRES for value in looks_at)
+        self.scene.move_camera(x, y, z, a, b, c, duration=0.0)

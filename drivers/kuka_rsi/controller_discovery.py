@@ -1,0 +1,104 @@
+"""Controllers on the networks of a search, each as it could stand in a theatre file."""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from ipaddress import IPv4Network
+from itertools import islice
+
+from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.options import KukaOptions
+from ronna_hw.arm.kr6_r900 import ArmVariant
+from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
+from ronna_hw.devices.probing import CONNECT_LIMIT_S, Progress
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.network_interfaces import Interface
+from ronna_hw.wire.kuka_context import load_context
+from ronna_hw.wire.kuka_eki import PROJECT_PORT
+
+DRIVER = "kuka_rsi"
+EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # where a KR C4 is as delivered
+KNOCK_LIMIT_S = 0.5  # a controller on the same network accepts within milliseconds
+KNOCKS_AT_ONCE = 64
+MOST_ADDRESSES = 1024  # of one network; a cell's has 254
+VARIANT = "variant: see the name plate. The two arms of this name differ by 10 mm in two links."
+STREAM = "rsi: where the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."
+
+
+def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
+    """Every controller with our EKI server: at the addresses given, or else in the networks.
+
+    A controller serves one EKI client at a time; one that serves another is found and not identified.
+    """
+    known = search.controllers or tuple(_listening(search.interfaces))
+    found = []
+    for number, controller in enumerate(known, start=1):
+        found.append(_proposal(controller, stream_of(search)))
+        progress(number / len(known))
+    return found
+
+
+def example_arm(search: Search) -> Proposal:
+    """The table of an arm that was not found."""
+    return Proposal(
+        DRIVER, "", _endpoints(EXAMPLE_CONTROLLER, stream_of(search)), _options(), (VARIANT, STREAM)
+    )
+
+
+def stream_of(search: Search) -> str:
+    """Where telegrams are to arrive: as told, or as the shipped Ethernet file has it."""
+    ethernet = load_context().ethernet
+    return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
+
+
+def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
+    """Addresses of the networks that take a connection on the port of our EKI server."""
+    hosts = [host for each in interfaces for host in _hosts(each)]
+    with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
+        for host, taken in zip(hosts, pool.map(_listens, hosts), strict=True):
+            if taken:
+                yield Endpoint("tcp", host, PROJECT_PORT)
+
+
+def _hosts(interface: Interface) -> list[str]:
+    """Addresses of one network but our own; inside this computer only its own."""
+    if interface.loopback:
+        return [interface.address]
+    network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
+    return [str(host) for host in islice(network.hosts(), MOST_ADDRESSES) if str(host) != interface.address]
+
+
+def _listens(host: str) -> bool:
+    try:
+        socket.create_connection((host, PROJECT_PORT), KNOCK_LIMIT_S).close()
+    except OSError:
+        return False
+    return True
+
+
+def _proposal(controller: Endpoint, stream: str) -> Proposal:
+    """As far as it lets itself be known: one that serves another client, or is silent, is proposed."""
+    remarks: tuple[str, ...] = (VARIANT, STREAM)
+    what, variant = "a controller", None
+    try:
+        with contextlib.closing(EkiClient(controller.host, controller.port, CONNECT_LIMIT_S)) as eki:
+            state = eki.status(CONNECT_LIMIT_S)
+        known = {each.value for each in ArmVariant}
+        variant = state.variant if state.variant in known else None
+        what = f"a controller of {state.variant or 'an arm that it does not name'}, in mode {state.mode}"
+        remarks = (STREAM,) if variant else remarks
+    except RonnaError as error:
+        remarks = (f"It would not be identified: {error.code} {error.summary}", *remarks)
+    return Proposal(DRIVER, what, _endpoints(str(controller), stream), _options(variant), remarks)
+
+
+def _endpoints(controller: str, stream: str) -> dict[str, str]:
+    return {"rsi": stream, "eki_project": controller}
+
+
+def _options(variant: str | None = None) -> tuple[Option, ...]:
+    return documented_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})

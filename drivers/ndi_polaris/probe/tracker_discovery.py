@@ -1,0 +1,62 @@
+"""Trackers on the lines of a search, each as it could stand in a theatre file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, get_args
+
+from drivers.ndi_polaris.driver import PolarisTracker
+from drivers.ndi_polaris.options import PolarisOptions
+from drivers.ndi_polaris.probe.line import look_at_line
+from ronna_hw.clock import HostClock
+from ronna_hw.config import DeviceConfig
+from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search, documented_options
+from ronna_hw.devices.probing import CONNECT_LIMIT_S, Progress
+from ronna_hw.endpoints import Endpoint
+from ronna_hw.errors import RonnaError
+
+DRIVER = "ndi_polaris"
+EXAMPLE_LINE = "serial:///dev/ttyUSB0"
+# Drawn for the published kind of frame; a lab's own definition has its own distances.
+FRAME = {"name": "robot_frame", "rom": "robot_frame.rom"}
+TOOLS = (
+    "tools: give the definition of the frame on your mount; the one named here comes with the driver. "
+    "ronna-rom compare shows the distances of two definitions.",
+)
+
+
+def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
+    """Every line where a unit answers. It is identified as a procedure would identify it."""
+    found = []
+    for number, line in enumerate(search.lines, start=1):
+        if look_at_line(line).answered is not None:
+            found.append(_proposal(line))
+        progress(number / len(search.lines))
+    return found
+
+
+def example_tracker() -> Proposal:
+    """The table of a tracker that was not found."""
+    return Proposal(DRIVER, "", {ONLY: EXAMPLE_LINE}, _options({}), TOOLS)
+
+
+def _proposal(line: Endpoint) -> Proposal:
+    tracker = PolarisTracker("tracker", DeviceConfig(driver=DRIVER, endpoint=str(line)), HostClock())
+    try:
+        identity = tracker.connect(CONNECT_LIMIT_S)
+    except RonnaError as error:
+        remark = f"It answers, and would not be identified: {error.code} {error.summary}"
+        return Proposal(DRIVER, "a unit", {ONLY: str(line)}, _options({}), (remark, *TOOLS))
+    finally:
+        tracker.close()
+    known = get_args(get_args(PolarisOptions.model_fields["expected_model"].annotation)[0])
+    model = next((name for name in known if name in identity.model.lower()), None)
+    chosen = {"expected_model": model} if model else {}
+    if identity.serial:
+        chosen["expected_serial"] = identity.serial
+    what = f"{identity.model} {identity.serial} {identity.firmware}".strip()
+    return Proposal(DRIVER, what, {ONLY: str(line)}, _options(chosen), TOOLS)
+
+
+def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:
+    return documented_options(PolarisOptions, {"tools": [FRAME], **chosen})

@@ -1,0 +1,183 @@
+"""One place of the cart, judged as the path check would: can the whole procedure be done from there?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.paths import drive
+from procedures.planning.reach.visits import (
+    ArmSetting,
+    Axes,
+    PathCheck,
+    Visit,
+    localizations_along,
+    target_visit,
+)
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.sight.tracker import TrackerSight
+from procedures.planning.theatre.scene import PlanningScene
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.pose import Pose
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+
+HIDDEN = "the arm at home hides {} from the tracker"
+
+
+@dataclass(frozen=True)
+class CartMove:
+    """How far the cart stands from the assumed place: x and y in the assumed $ROBROOT, then turned there."""
+
+    x_mm: float
+    y_mm: float
+    turn_rad: float = 0.0
+
+    def seen_from_cart(self, in_robot: RigidTransform) -> RigidTransform:
+        """What lies at this pose in the assumed $ROBROOT, in that of the moved cart."""
+        moved = RigidTransform.from_components(
+            [self.x_mm, self.y_mm, 0.0], Rotation.from_rotvec([0.0, 0.0, self.turn_rad])
+        )
+        return moved.inv() * in_robot
+
+
+@dataclass(frozen=True)
+class Found:
+    """How a place serves: the branch of the arm, and the turn of each axis about itself."""
+
+    branch: Branch
+    turns_rad: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a place serves, and how; otherwise the first pose that fails, and why."""
+
+    found: Found | None
+    pose: str = ""
+    reason: str = ""
+
+    @property
+    def serves(self) -> bool:
+        """Whether the whole procedure can be done from there."""
+        return self.found is not None
+
+
+@dataclass(frozen=True, eq=False)
+class CartCase:
+    """The arm at its assumed place, with its scene, and what it is to do there.
+
+    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is where the tracker stands, None when it does not
+    matter. What the cell describes in the robot's frame is taken to move with the cart.
+    """
+
+    setting: ArmSetting
+    trajectories: tuple[Trajectory, ...]
+    fiducials_mm: tuple[tuple[float, float, float], ...]
+    sight: StereoSight
+    robot_from_tracker: Transform | None = None
+
+    def judged(self, move: CartMove, known: Sequence[Found] = (), *, search: bool = True) -> Verdict:
+        """Whether a place serves. What served elsewhere is tried first; then, with `search`, everything."""
+        setting = self._at(move)
+        hidden = self._hidden_from_tracker(setting, move)
+        if hidden:
+            return Verdict(None, "home", hidden)
+        for found in known:
+            if self._serves(setting, found):
+                return Verdict(found)
+        if not search:
+            return Verdict(None, "", "what serves beside it does not serve here")
+        beyond = self._out_of_reach(setting)
+        if beyond is not None:
+            return beyond
+        turned = choose_free_angles(setting, self.trajectories, self.fiducials_mm, self.sight)
+        return _verdict(turned.check, dict(turned.turns_rad))
+
+    def _at(self, move: CartMove) -> ArmSetting:
+        pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
+        return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
+
+    def _serves(self, setting: ArmSetting, found: Found) -> bool:
+        axes = Axes.of(setting, self.trajectories, self.fiducials_mm).turned(dict(found.turns_rad))
+        spheres = setting.robot_from_ct.apply(np.array(self.fiducials_mm))
+        try:
+            visits = [
+                one
+                for axis in axes.localized
+                for one in localizations_along(setting, axis, self.fiducials_mm, found.branch)
+            ]
+        except LimitError:
+            return False
+        if self.sight.unmet(visits, spheres):
+            return False
+        return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
+
+    def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
+        """The axis with a pose that no branch reaches, at whatever turn: cheap, and before the search."""
+        own = setting.kinematics.branch_of(setting.start_rad)
+        arm = setting.in_branch(own)
+        axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
+        for axis in axes.each:
+            last: LimitError | None = None
+            try:
+                turns = setting.strategy.turns_rad(axis, self.fiducials_mm, setting.robot_from_ct, arm)
+            except LimitError:
+                return None  # the search will tell
+            for turn in turns:
+                try:
+                    self._require_solutions(
+                        setting, axes.only(axis.identifier).turned({axis.identifier: turn})
+                    )
+                    break
+                except LimitError as error:
+                    last = error
+            else:
+                if last is not None:
+                    return Verdict(None, axis.identifier, f"{last.summary} [{last.code}]")
+        return None
+
+    def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
+        """Raises ARM-001 to ARM-003 for a pose, or an approach to it, that no branch reaches."""
+        visits: list[Visit] = [target_visit(setting, one) for one in axis.targeted]
+        if setting.strategy.localizes_per_trajectory and not _by_joints(setting):
+            own = setting.kinematics.branch_of(setting.start_rad)
+            for one in axis.localized:
+                visits += localizations_along(setting, one, self.fiducials_mm, own)
+        guide = setting.flange_from_tool.inverse()
+        stereo = (setting.flange_from_stereo or setting.flange_from_tool).inverse()
+        for visit in visits:
+            tool = guide if visit.fiducial is None else stereo
+            for pose in (visit.pose, visit.approach):
+                setting.kinematics.solutions(Pose.from_transform(pose @ tool))
+
+    def _hidden_from_tracker(self, setting: ArmSetting, move: CartMove) -> str:
+        """Which spheres the tracker does not see past the arm at home; empty when it sees all."""
+        if self.robot_from_tracker is None:
+            return ""
+        scene = setting.scene
+        assert isinstance(scene, PlanningScene)
+        tracker = Transform(Frame.ROBOT, Frame.TRACKER, move.seen_from_cart(self.robot_from_tracker.rigid))
+        spheres = tracker.inverse().apply(setting.robot_from_ct.apply(np.array(self.fiducials_mm)))
+        stereo = setting.flange_from_stereo or setting.flange_from_tool
+        around = scene.with_stereo_head(setting.robot_from_ct, stereo)
+        seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)
+        numbers = [str(number) for number, one in enumerate(seen, start=1) if not one]
+        return HIDDEN.format(f"fiducial {', '.join(numbers)}") if numbers else ""
+
+
+def _by_joints(setting: ArmSetting) -> bool:
+    """Whether the strategy's orientations depend on the branch: then a pose in one says nothing of others."""
+    return setting.strategy.name not in ("ocs", "thesis-ocs")
+
+
+def _verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
+    if check.passed and check.branch is not None:
+        return Verdict(Found(check.branch, tuple(sorted(turns_rad.items()))))
+    first = check.unmet[0] if check.unmet else None
+    return Verdict(None, first.pose if first else "", first.reason if first else "no branch serves")

@@ -1,0 +1,25 @@
+"""Bars and foot of the x-shaped frame, where the CT shows its spheres: the arm keeps clear of them."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from procedures.planning.plan.model import FiducialKind
+from procedures.registration.layout import find_layout
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import Obstacle
+from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
+
+COARSE_MM = 1.25  # around them: what the coarse localization leaves open
+
+
+def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
+    """Its rods in the CT frame; none for free spheres. Raises REG-012 when it is not among the spheres."""
+    if fiducials is not FiducialKind.XFRAME:
+        return ()
+    place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout
+    found = []
+    for one in bodies():
+        (ax, ay, az), (bx, by, bz) = place.apply([one.start_mm, one.end_mm]).tolist()
+        found.append(Obstacle(one.name, Capsule((ax, ay, az), (bx, by, bz), one.radius_mm + COARSE_MM)))
+    return tuple(found)

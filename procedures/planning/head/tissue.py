@@ -1,0 +1,105 @@
+"""Does a planned way lead from the air outside, through the skin, to a target inside the head?
+
+Judged by HU of the CT alone. Points that are exchanged, or that belong to another place, show here: the
+target is in air, the way before the entry leads through the head, or most of the way inside is air.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.planning.errors import NotIntoHead, StandoffInsideSkin
+from procedures.planning.plan.model import PlannedTrajectory
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
+TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
+OUTSIDE_MM = (15.0, 25.0)  # before the entry: beyond the scalp of a slanting way, still near the head
+SAMPLING_MM = 1.0
+LEAST_SHARE = 0.5  # "mostly": of the samples
+SKIN_WITHIN_MM = 40.0  # outwards from an entry that was planned on the bone
+AIR_RUN_MM = 5.0  # that is the room outside, not a fold of the skin
+
+
+def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
+    """The finding that refuses the way, or None, and a warning, or ''. Both points must lie in the CT.
+
+    What lies beyond the CT is not known: it refuses nothing, but when nothing of the way before the entry is
+    in the CT, a warning says so.
+    """
+    entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
+    wrong, unseen = _wrong(volume, entry, target)
+    warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
+    if not wrong:
+        return None, warning if unseen else ""
+    swapped = not _wrong(volume, target, entry)[0]
+    hint = "; the other way round it would fit: entry and target are probably exchanged" if swapped else ""
+    return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
+
+
+def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+    """What is wrong, and whether the way before the entry is wholly outside the CT."""
+    depth_mm = float(np.linalg.norm(target - entry))
+    direction = (target - entry) / depth_mm
+    wrong = []
+    around = float(sampled_hu(volume, target + _ball()).mean())
+    if around < AIR_BELOW_HU:
+        wrong.append(f"the target lies in air ({around:.0f} HU)")
+    before = sampled_hu(volume, entry - np.outer(_steps(*OUTSIDE_MM), direction))
+    if len(before) and float(np.mean(before < AIR_BELOW_HU)) < LEAST_SHARE:
+        wrong.append(
+            f"the way {OUTSIDE_MM[0]:g} to {OUTSIDE_MM[1]:g} mm before the entry is not in air"
+            f" ({np.median(before):.0f} HU)"
+        )
+    inside = sampled_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
+    in_air = float(np.mean(inside < AIR_BELOW_HU))
+    if in_air > 1.0 - LEAST_SHARE:
+        wrong.append(f"{in_air:.0%} of the way from entry to target is in air")
+    return wrong, len(before) == 0
+
+
+def standoff_in_skin(
+    volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
+) -> StandoffInsideSkin | None:
+    """The finding that a guide held so far before the entry would end inside the skin, or None.
+
+    Where the CT ends before the skin does, it is not known.
+    """
+    entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
+    outwards = (entry - target) / np.linalg.norm(entry - target)
+    steps = _steps(0.0, SKIN_WITHIN_MM)
+    in_air = sampled_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
+    run = round(AIR_RUN_MM / SAMPLING_MM)
+    outside = (k for k in range(len(in_air) - run + 1) if in_air[k : k + run].all())
+    skin_mm = max(0.0, float(steps[next(outside, 0)]) - SAMPLING_MM)
+    if standoff_mm > skin_mm:
+        return None
+    return StandoffInsideSkin(
+        f"trajectory {trajectory.id}: the guide would be held inside the skin",
+        expected=f"standoff_mm of more than {skin_mm:.0f} mm before the entry",
+        got=f"{standoff_mm:g} mm",
+    )
+
+
+def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:
+    """HU of the voxels that hold these points (n, 3), LPS mm; points outside the CT are left out."""
+    index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
+    held = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
+    return np.asarray(volume.voxels[tuple(index[held].T)], dtype=float)
+
+
+def _steps(first_mm: float, last_mm: float) -> Array:
+    return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
+
+
+def _ball() -> Array:
+    steps = np.arange(-TARGET_BALL_MM, TARGET_BALL_MM + SAMPLING_MM / 2, SAMPLING_MM)
+    offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    return np.asarray(offsets[np.linalg.norm(offsets, axis=1) <= TARGET_BALL_MM])

@@ -1,0 +1,153 @@
+"""Where markers go on a head so that the error at the planned targets is least.
+
+Markers serve a target best when their middle is near it and they stand far from the axes through it: eq. 39.
+What a free hand would choose, spread over the same skin, is drawn at random for comparison. The arm's own
+errors are not in it: they depend on how the head will lie.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from procedures.planning.errors import NoMarkerSites
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.planning.markers.template import APART_MM, expected_error, sites_on
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.marker_template import TemplateMarker
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+FEWEST, MOST = 3, 8
+CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
+DIFFER_MM = 6.0  # the distances of three or four markers, which otherwise may be taken for one another
+TOLD_APART_BY_NUMBER = 5
+DRAWS = 20_000  # sets that are tried first, and stand for what a free hand chooses
+USUAL = 50.0  # per cent of them are better
+MOST_ROUNDS = 20  # of exchanges; three to five are usual
+
+
+class ExpectedError(Strict):
+    """Of one target."""
+
+    target: str = Field(description="Trajectory of the plan.")
+    expected_mm: float = Field(description="Rms error with the proposed markers.")
+    usual_mm: float = Field(description="With markers spread over the same skin by chance: the median.")
+
+
+class ProposedMarkers(Strict):
+    """Places for markers, and what they are expected to do for each target."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this form."
+    )
+    markers: tuple[TemplateMarker, ...] = Field(description="In no particular order.")
+    marker_error_mm: float = Field(description="Assumed of each marker, 3-D rms: CT, seating, stereo head.")
+    targets: tuple[ExpectedError, ...] = Field(description="Of the plan.")
+
+    @property
+    def centres_mm(self) -> tuple[Numbers3, ...]:
+        """Centres of the spheres, LPS."""
+        return tuple(one.centre_mm for one in self.markers)
+
+
+def propose_markers(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    count: int,
+    marker_error_mm: float,
+    *,
+    volume: Volume | None = None,
+    seed: int = 0,
+) -> ProposedMarkers:
+    """Places for `count` spheres with the least mean square error over the targets.
+
+    On the skin that the CT shows, or on the ellipsoid without one; clear of the trajectories and of one
+    another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
+    """
+    random = np.random.default_rng(seed)
+    centres, posts = sites_on(head, volume, random)
+    free = np.array([clear_of(trajectories, one) for one in centres], dtype=bool)
+    centres, posts = centres[free], posts[free]
+    targets = np.array([one.target_mm for one in trajectories])
+    sets = (
+        random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
+    )
+    sets = sets[allowed(centres[sets])] if len(sets) else sets
+    if not len(sets):
+        raise NoMarkerSites(
+            f"there is no room for {count} markers clear of the trajectories and of one another",
+            got=f"{len(centres)} places on the skin between forehead and vertex",
+        )
+    by_target = np.stack([expected_error(centres[sets], target) for target in targets], axis=1)
+    chosen = _exchanged(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])
+    usual = np.percentile(by_target, USUAL, axis=0)
+    return ProposedMarkers(
+        markers=tuple(
+            TemplateMarker(centre_mm=_three(centres[site]), post=_three(posts[site])) for site in chosen
+        ),
+        marker_error_mm=marker_error_mm,
+        targets=tuple(
+            ExpectedError(
+                target=one.identifier,
+                expected_mm=marker_error_mm * float(expected_error(centres[chosen][None], target)[0]),
+                usual_mm=marker_error_mm * float(middle),
+            )
+            for one, target, middle in zip(trajectories, targets, usual, strict=True)
+        ),
+    )
+
+
+def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The set after exchanging markers for other places while that lowers the error."""
+
+    def cost(points: Array) -> Array:
+        return np.asarray(sum(np.square(expected_error(points, target)) for target in targets))
+
+    least = float(cost(centres[chosen][None])[0])
+    for _ in range(MOST_ROUNDS):
+        before = least
+        for marker in range(len(chosen)):
+            sets = np.tile(chosen, (len(centres), 1))
+            sets[:, marker] = np.arange(len(centres))
+            sets = sets[allowed(centres[sets])]
+            costs = cost(centres[sets])
+            best = int(costs.argmin())
+            if costs[best] < least:
+                chosen, least = sets[best], float(costs[best])
+        if least == before:
+            break
+    return chosen
+
+
+def allowed(points: Array) -> NDArray[np.bool_]:
+    """Which sets (s, n, 3) stand apart and, where their number does not tell them apart, differ enough."""
+    first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
+    distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
+    good = distances[:, 0] >= APART_MM
+    if points.shape[1] < TOLD_APART_BY_NUMBER:
+        good &= np.diff(distances, axis=1).min(axis=1) >= DIFFER_MM
+    return np.asarray(good)
+
+
+def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
+    """Whether a place is aside of the line of every trajectory."""
+    for one in trajectories:
+        away = centre_mm - np.array(one.target_mm)
+        if np.linalg.norm(away - (away @ one.axis_ct) * one.axis_ct) < CLEAR_OF_WAY_MM:
+            return False
+    return True
+
+
+def _three(vector: Array) -> Numbers3:
+    x, y, z = (round(float(value), 3) for value in vector)
+    return x, y, z

@@ -1,0 +1,47 @@
+"""Files around a marker template: the head it is made for, and the template itself."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from pydantic import ConfigDict, ValidationError
+
+from procedures.planning.errors import HeadUnreadable
+from procedures.planning.head.shape import HeadEllipsoid
+from ronna_hw.bounded_input import read_toml
+from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.records import write_whole
+
+
+class _Head(Strict):
+    """Of a scene, what a template needs; the rest of it is the simulator's."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    centre_ct_mm: Numbers3
+    semi_axes_mm: Numbers3
+
+
+def head_of_scene(path: Path) -> HeadEllipsoid:
+    """The head's ellipsoid of a scene file. Raises PLAN-016."""
+    try:
+        head = read_toml(path, HeadUnreadable).get("head")
+    except OSError as error:
+        raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
+    try:
+        found = _Head.model_validate_json(json.dumps(head, default=str))
+        if min(found.semi_axes_mm) <= 0.0:
+            raise HeadUnreadable(f"{path.name}: a head's semi-axes are positive", got=f"{found.semi_axes_mm}")
+        return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
+    except ValidationError as error:
+        raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
+
+
+def write_template(path: Path, template: MarkerTemplate) -> None:
+    """Write it as TOML."""
+    import tomli_w
+
+    write_whole(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())

@@ -1,0 +1,319 @@
+"""A plan against what it is about: the CT series, the fiducials found in it, the arm's reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.planning.errors import (
+    NotReachable,
+    NotTheFrame,
+    NotTheTemplate,
+    OutsideField,
+    StopBeyondInstrument,
+    UnknownTool,
+    WrongMarkerCount,
+    WrongOrientation,
+    WrongSeries,
+    raise_together,
+)
+from procedures.planning.head.structure_check import structure_findings
+from procedures.planning.head.structures import StructureDistance, structure_distances
+from procedures.planning.head.tissue import standoff_in_skin, way_into_head
+from procedures.planning.markers.layout import layout_warnings, shows_template
+from procedures.planning.plan.guide_hold import held_trajectories, too_short
+from procedures.planning.plan.model import FiducialKind, Plan
+from procedures.planning.plan.seal import other_voxels
+from procedures.registration.errors import LayoutNotFound
+from procedures.registration.layout import find_layout
+from ronna_hw.errors import RonnaError
+from ronna_hw.tool_record import GuideBore
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.planning.reach.motions import PreviewedMotion
+    from procedures.planning.reach.visits import ArmSetting, PathCheck
+    from procedures.planning.sight.stereo_head import StereoSight
+    from procedures.strategies.strategy import Strategy
+    from procedures.strategies.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
+
+WITHIN_ROUNDING_MM = 0.5  # what the check of a path leaves open between two samples
+FEWEST_THAT_TELL_A_MOVE = 4  # with three, one that moved cannot be told from the others
+KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one only
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+
+    `motions` are those of the whole procedure as the arm would drive them, when it was given and reaches all.
+    `turns_rad` say by trajectory how far it was turned about its axis for that, `paths` with which joints.
+    `distances` are those of every trajectory to every structure.
+    """
+
+    plan: Plan
+    findings: tuple[RonnaError, ...]
+    warnings: tuple[str, ...]
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
+    distances: tuple[StructureDistance, ...] = ()
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing refuses the plan."""
+        return not self.findings
+
+    def require(self) -> None:
+        """Raises the finding, or one error that lists all of them."""
+        raise_together(self.findings, "the plan")
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain values for a record or a script."""
+        return {
+            "passed": self.passed,
+            "series_instance_uid": self.plan.series_instance_uid,
+            "trajectories": [
+                {"id": one.id, "depth_mm": round(one.depth_mm, 3), "margin_mm": one.margin_mm}
+                for one in self.plan.trajectories
+            ],
+            "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
+            "warnings": list(self.warnings),
+            "motions": [motion.as_payload() for motion in self.motions],
+            "free_angle_turns_rad": dict(self.turns_rad),
+            "structures": [
+                {
+                    "name": one.structure,
+                    "trajectory": one.trajectory,
+                    "distance_mm": round(one.distance_mm, 3),
+                    "margin_mm": one.margin_mm,
+                }
+                for one in self.distances
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class _Driven:
+    """What the arm can do of a plan."""
+
+    unmet: tuple[RonnaError, ...] = ()
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
+
+
+def check_plan(
+    plan: Plan,
+    volume: Volume,
+    *,
+    fiducials_mm: ArrayLike | None = None,
+    to_fiducials: bool = True,
+    arm: ArmSetting | None = None,
+    sight: StereoSight | None = None,
+    bore: GuideBore | None = None,
+) -> PlanCheck:
+    """Check a plan against its CT series, and against fiducials (n, 3) in LPS mm, arm and guide if given.
+
+    Without `to_fiducials` they are counted, but the arm's motions to them are left out.
+    With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
+    head sees the fiducials and all motions are clear.
+
+    Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
+    """
+    findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
+    warnings: list[str] = []
+    distances = structure_distances(plan)
+    for found, warned in (
+        _in_this_series(plan, volume),
+        _this_patient(plan, volume),
+        structure_findings(plan, distances, volume),
+    ):
+        findings += found
+        warnings += warned
+    if fiducials_mm is not None:
+        found, warned = _these_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
+        findings += found
+        warnings += warned
+    driven = _Driven()
+    if arm is not None:
+        held = tuple(one.trajectory for one in plan.trajectories)
+        held = held if bore is None else held_trajectories(plan, bore)
+        driven = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
+        findings += driven.unmet
+        warnings += _too_near_from_the_start(driven.motions)
+    return PlanCheck(
+        plan, tuple(findings), tuple(warnings), driven.motions, driven.turns_rad, driven.paths, distances
+    )
+
+
+def _in_this_series(plan: Plan, volume: Volume) -> Judged:
+    """The plan belongs to this series, and every trajectory leads into the head that it shows."""
+    if plan.series_instance_uid != volume.series_instance_uid:
+        wrong = WrongSeries(
+            "the plan belongs to another CT series",
+            expected=plan.series_instance_uid,
+            got=volume.series_instance_uid,
+        )
+        return [wrong], []
+    altered = other_voxels(plan, volume)
+    findings = [*_outside(plan, volume), *([] if altered is None else [altered])]
+    if findings:
+        return findings, []
+    into_head = [way_into_head(volume, one) for one in plan.trajectories]
+    findings += [finding for finding, _ in into_head if finding]
+    in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
+    findings += [finding for finding in in_skin if finding]
+    return findings, [warning for _, warning in into_head if warning]
+
+
+def _this_patient(plan: Plan, volume: Volume) -> Judged:
+    """The patient lay as the plan says, with enough fiducials to notice one that moves."""
+    findings: list[RonnaError] = []
+    warnings: list[str] = []
+    if not volume.patient_position:
+        warnings.append("the series does not say how the patient lay; compare left and right by eye")
+    elif volume.patient_position != plan.patient_orientation.value:
+        findings.append(
+            WrongOrientation(
+                "the CT was taken in another patient position",
+                expected=plan.patient_orientation.value,
+                got=volume.patient_position,
+            )
+        )
+    if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
+        warnings.append(f"with {plan.implanted} fiducials a displaced one cannot be detected")
+    return findings, warnings
+
+
+def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
+    """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart.
+
+    Of the x-shaped frame, it shows the frame, and what else looks like a sphere is told.
+    """
+    if plan.fiducials is FiducialKind.XFRAME:
+        return _the_frame(points_mm)
+    if len(points_mm) == plan.implanted:
+        if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
+            return [], layout_warnings(points_mm)
+        return [NotTheTemplate("the fiducials in the CT do not lie as the plan's template has them")], []
+    wrong = WrongMarkerCount(
+        "the CT shows another number of fiducials",
+        expected=str(plan.implanted),
+        got=str(len(points_mm)),
+    )
+    return [wrong], []
+
+
+def _the_frame(points_mm: Array) -> Judged:
+    try:
+        others = find_layout(SPHERE_CENTRES_MM, points_mm).others
+    except LayoutNotFound as missing:
+        wrong = NotTheFrame(
+            "the CT does not show the x-shaped frame", expected=missing.expected, got=missing.got
+        )
+        return [wrong], []
+    shown = ", ".join(str(one + 1) for one in others)
+    return [], [f"spheres that are not of the x-shaped frame are left aside: {shown}"] if others else []
+
+
+def _driven(
+    trajectories: tuple[Trajectory, ...],
+    fiducials_mm: ArrayLike | None,
+    arm: ArmSetting,
+    sight: StereoSight | None,
+) -> _Driven:
+    """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
+    from procedures.planning.prediction.best_strategy import with_best_chosen
+    from procedures.planning.reach.alternatives import advice, alternatives, unreached
+    from procedures.planning.reach.free_angle import TurnedPaths, choose_free_angles
+    from procedures.planning.reach.motions import previews_of
+    from procedures.planning.reach.paths import check_paths
+    from procedures.planning.reach.visits import Axes
+
+    fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
+    if sight is None:
+        axes = Axes.of(arm, trajectories, fiducials)
+        own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+        turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
+    else:
+        arm = with_best_chosen(arm, trajectories, fiducials, sight)
+        turned = choose_free_angles(arm, trajectories, fiducials, sight)
+    if not turned.check.passed:
+        would: dict[str, tuple[Strategy, ...]] = {}
+        if sight is not None and len(fiducials):
+            missed = unreached(turned.check, trajectories)
+            would = {
+                one.identifier: alternatives(arm, one, fiducials, sight)
+                for one in trajectories
+                if one.identifier in missed
+            }
+        unmet: list[RonnaError] = [
+            NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
+        ]
+        return _Driven(tuple(unmet))
+    turns = tuple(turned.turns_rad.items())
+    if arm.scene is None:
+        return _Driven(turns_rad=turns, paths=turned.check)
+    motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
+    return _Driven((), motions, turns, turned.check)
+
+
+def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
+    """Bodies that are nearer than the margin where a motion begins may stay or leave: is that so meant?"""
+    told: dict[tuple[str, str], str] = {}
+    for one in motions:
+        closest = one.preview.closest
+        if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
+            pair = (closest.first, closest.second)
+            told.setdefault(
+                pair,
+                f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at"
+                f" {one.motion.start} already: another place of head or home",
+            )
+    return list(told.values())
+
+
+def _unknown(plan: Plan) -> list[RonnaError]:
+    """What the plan asks for and this version does not have."""
+    found: list[RonnaError] = []
+    if plan.tool not in KNOWN_TOOLS:
+        found.append(
+            UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)
+        )
+    return found
+
+
+def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
+    """The depth stop must hold on the instrument."""
+    return [
+        StopBeyondInstrument(
+            f"trajectory {one.id}: the depth stop would sit beyond the instrument's end",
+            limit=f"{plan.instrument_length_mm:g} mm",
+            got=f"{stop_mm:.1f} mm",
+        )
+        for one, stop_mm in too_short(plan, bore)
+    ]
+
+
+def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:
+    """Points beyond the outer faces of the outermost voxels; indices name voxel centres."""
+    found: list[RonnaError] = []
+    last = np.array(volume.geometry.shape) - 0.5
+    for one in plan.trajectories:
+        for name, point in (("entry", one.entry_mm), ("target", one.target_mm)):
+            index = volume.geometry.to_index(point)
+            if np.any(index < -0.5) or np.any(index > last):
+                where = ", ".join(f"{value:.1f}" for value in point)
+                found.append(
+                    OutsideField(f"the {name} of trajectory {one.id} at ({where}) mm is outside the CT")
+                )
+    return found

@@ -1,0 +1,204 @@
+"""The plan: what was planned on which CT, for which patient position, with which tool.
+
+Strict: unknown keys are errors, nothing that decides about a side or a patient has a default.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from itertools import combinations
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from procedures.planning.head.structures import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.calibration import Strict
+from ronna_hw.marker_template import FEWEST, LEAST_DISTANCE_MM, MOST
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+SCHEMA_VERSION = 1
+FEWEST_MARKERS, MOST_MARKERS = 3, 8
+MOST_TRAJECTORIES = 100  # ten times a large implantation of electrodes
+LEAST_DEPTH_MM = 1.0  # entry and target nearer than this are one point to every instrument here
+MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more is a slip of the pen
+UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
+ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
+
+LONGEST_AUTHOR = 60
+DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
+LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # what lies inside the skin, its check refuses by name
+MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
+
+Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+
+class PatientPosition(StrEnum):
+    """How the patient lay in the scanner, in DICOM's words: head or feet first; supine, prone, on a side."""
+
+    HFS = "HFS"
+    HFP = "HFP"
+    HFDR = "HFDR"
+    HFDL = "HFDL"
+    FFS = "FFS"
+    FFP = "FFP"
+    FFDR = "FFDR"
+    FFDL = "FFDL"
+
+
+class FiducialKind(StrEnum):
+    """Single spheres on screws, or the x-shaped frame with four of them."""
+
+    FREE = "free"
+    XFRAME = "xframe"
+
+
+class PlannedTrajectory(Strict):
+    """One trajectory: entry and target in CT coordinates (LPS, mm), the angle about the axis, the margin.
+
+    `margin_mm` is the target error the surgeon accepts; a larger predicted error refuses the trajectory.
+    """
+
+    id: str = Field(min_length=1, max_length=32, pattern=ID_PATTERN, description="Its name.")
+    entry_mm: Point = Field(description="Where it enters the head, LPS.")
+    target_mm: Point = Field(description="Where it ends, LPS.")
+    free_angle_deg: float = Field(
+        default=0.0,
+        allow_inf_nan=False,
+        ge=-360.0,
+        le=360.0,
+        description="Of the guide about the axis.",
+    )
+    margin_mm: float = Field(
+        allow_inf_nan=False, gt=0.0, le=20.0, description="Largest target error that is accepted."
+    )
+
+    @model_validator(mode="after")
+    def _has_a_way(self) -> PlannedTrajectory:
+        if self.depth_mm < LEAST_DEPTH_MM:
+            raise PydanticCustomError("trajectory_geometry", "entry and target are the same point")
+        if self.depth_mm > MOST_DEPTH_MM:
+            raise PydanticCustomError(
+                "trajectory_geometry",
+                "the target is {depth} mm deep, limit {limit} mm",
+                {"depth": f"{self.depth_mm:.1f}", "limit": f"{MOST_DEPTH_MM:g}"},
+            )
+        return self
+
+    @property
+    def depth_mm(self) -> float:
+        """Distance from entry to target."""
+        return math.dist(self.entry_mm, self.target_mm)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The same for the strategies, angle in radians."""
+        return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
+
+
+def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
+    # Not a length constraint of the field: that also complains when every trajectory is wrong in itself.
+    if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
+        raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, not {len(trajectories)}")
+    return trajectories
+
+
+class Seal(Strict):
+    """Who saved a plan on which voxels; a plan that was altered since is refused."""
+
+    author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
+    ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
+    plan_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of all the rest of the plan.")
+
+
+class Plan(Strict):
+    """A whole plan, as `plan.toml` holds it."""
+
+    schema_version: Literal[1] = Field(alias="schema", description="Version of the file format.")
+    series_instance_uid: str = Field(
+        max_length=64, pattern=UID_PATTERN, description="DICOM UID of the CT series it was made on."
+    )
+    patient_orientation: PatientPosition = Field(description="How the patient lay in the scanner.")
+    implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
+    fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
+    template_mm: tuple[Point, ...] | None = Field(
+        default=None,
+        description="Centres of the template's spheres, in any frame, when they were implanted by one.",
+    )
+    tool: str = Field(min_length=1, max_length=64, description="What is carried to the target.")
+    standoff_mm: float = Field(
+        allow_inf_nan=False,
+        ge=LEAST_STANDOFF_MM,
+        le=MOST_STANDOFF_MM,
+        description="From the entry to the lower end of the guide, which is held outside the skin.",
+    )
+    instrument_length_mm: float = Field(
+        allow_inf_nan=False,
+        gt=0.0,
+        le=MOST_INSTRUMENT_MM,
+        description="Of the instrument, from its tip to the end on which a depth stop still holds.",
+    )
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
+        description="In the order in which they are meant to be done."
+    )
+    structures: Annotated[tuple[Structure, ...], Field(min_length=1, max_length=MOST_STRUCTURES)] | None = (
+        Field(default=None, description="What the trajectories keep away from.")
+    )
+    seal: Seal | None = Field(
+        default=None, description="What the planner puts under a plan; take it away to edit the file by hand."
+    )
+
+    @model_validator(mode="after")
+    def _is_the_frame(self) -> Plan:
+        if self.fiducials is FiducialKind.XFRAME:
+            spheres = len(SPHERE_CENTRES_MM)
+            if self.implanted != spheres:
+                raise PydanticCustomError(
+                    "frame",
+                    "the x-shaped frame has {spheres} spheres, {implanted} are implanted",
+                    {"spheres": spheres, "implanted": self.implanted},
+                )
+            if self.template_mm is not None:
+                raise PydanticCustomError(
+                    "frame", "template_mm is for free spheres, not for the x-shaped frame"
+                )
+        return self
+
+    @model_validator(mode="after")
+    def _is_a_template(self) -> Plan:
+        if self.template_mm is None:
+            return self
+        count = len(self.template_mm)
+        if not FEWEST <= count <= MOST or count != self.implanted:
+            raise PydanticCustomError(
+                "template",
+                "template_mm has {count} spheres, {implanted} are implanted ({fewest} or {most})",
+                {"count": count, "implanted": self.implanted, "fewest": FEWEST, "most": MOST},
+            )
+        if min(math.dist(a, b) for a, b in combinations(self.template_mm, 2)) < LEAST_DISTANCE_MM:
+            raise PydanticCustomError("template", "two spheres of template_mm are one")
+        return self
+
+    @model_validator(mode="after")
+    def _are_apart(self) -> Plan:
+        names = [one.name for one in self.structures or ()]
+        if len(set(names)) < len(names):
+            raise PydanticCustomError("structure", "two structures have the same name")
+        points = sum(len(one.points_mm) for one in self.structures or ())
+        if points > MOST_POINTS_TOGETHER:
+            raise PydanticCustomError(
+                "structure",
+                "the structures have {points} points together, limit {limit}",
+                {"points": points, "limit": MOST_POINTS_TOGETHER},
+            )
+        return self
+
+    def trajectory(self, identifier: str) -> PlannedTrajectory:
+        """The trajectory with this id; raises KeyError."""
+        for one in self.trajectories:
+            if one.id == identifier:
+                return one
+        raise KeyError(identifier)

@@ -1,0 +1,123 @@
+"""The error to expect at a target while it is planned: what the registration of the case will predict.
+
+The case predicts by what it has measured of the spheres; here stand the markers of the CT alone, or with the
+arm in the poses that a check of the paths found. The stereo measurement itself is not known yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors, tool_frame
+from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.prediction.instrument_error import (
+    DIRECTION,
+    INSTRUMENT,
+    direction_covariance_mm2,
+    instrument_covariance_mm2,
+)
+from procedures.planning.reach.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.registration.target_prediction import (
+    OwnErrors,
+    SharedErrors,
+    TargetPrediction,
+    predict_target_error,
+)
+from procedures.strategies.approach import arrival_signs
+
+if TYPE_CHECKING:
+    from procedures.planning.theatre.arm import TheatreArm
+
+Array = NDArray[np.float64]
+
+SEATING = "seating of the spheres"
+USUAL_SEATING_MM = 0.05  # per axis, as a theatre file has it by default
+
+
+def predicted_by_markers(
+    markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
+) -> TargetPrediction:
+    """What CT and seating of the markers (n, 3), with covariances (n, 3, 3), leave at a target; CT frame."""
+    return predict_target_error(
+        markers_mm, target_mm, [ct_errors(covariances_mm2), _seating(len(markers_mm), USUAL_SEATING_MM)]
+    )
+
+
+def predicted_with_arm(
+    theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
+) -> TargetPrediction:
+    """The same with arm, tool frame, calibrations and instrument, at the poses of a check that passed."""
+    planned = plan.trajectory(identifier)
+    setting = theatre.arm
+    looks, target = poses_for(setting, check, identifier)
+    rotation = setting.robot_from_ct.rotation_matrix
+    fiducials = [one.visit.fiducial for one in looks if one.visit.fiducial is not None]
+    tip_mm = np.asarray(setting.robot_from_ct.apply(planned.target_mm), dtype=float)
+    nothing = np.zeros((len(looks), 3, 3))
+    sources = [
+        ct_errors(rotation @ covariances_mm2[fiducials] @ rotation.T),
+        _seating(len(looks), theatre.seating_error_mm),
+        *arm_error_sources(setting, looks, target, tip_mm),
+        *_guide(theatre, plan, planned, target, nothing),
+        *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
+    ]
+    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    return predict_target_error(spheres, tip_mm, sources)
+
+
+def poses_for(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
+    """The localizations that serve a target, and the target, of a check that passed."""
+    target = next(
+        one
+        for one in check.reached
+        if one.visit.kind is VisitKind.TARGET and one.visit.trajectory == identifier
+    )
+    every = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
+    own = [one for one in every if one.visit.trajectory == identifier]
+    return own if setting.strategy.localizes_per_trajectory else every, target
+
+
+def arm_error_sources(
+    setting: ArmSetting, looks: Sequence[Reached], target: Reached, tip_mm: Array
+) -> tuple[SharedErrors | OwnErrors, ...]:
+    """The arm's own errors and the tool frame's between localizations and a tip (3,) mm, robot frame.
+
+    Where a strategy does not control the approach, nobody knows on which side of its backlash a joint rests.
+    """
+    signs = np.array(
+        [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)],
+        dtype=float,
+    )
+    rotations = np.array([one.visit.pose.rotation_matrix for one in looks])
+    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    return (
+        tool_frame(rotations, target.visit.pose.rotation_matrix, setting.sizes.tool_mm),
+        *arm_sources(
+            setting.kinematics.chain,
+            ArmPoses(
+                np.array([one.at_rad for one in looks]),
+                spheres,
+                np.repeat(signs, len(looks), axis=0) if setting.strategy.controls_approach else None,
+            ),
+            ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
+            setting.sizes,
+            servo_mm=0.0,  # what the servo leaves is measured
+        ),
+    )
+
+
+def _seating(markers: int, per_axis_mm: float) -> OwnErrors:
+    return OwnErrors(SEATING, np.tile(np.eye(3) * per_axis_mm**2, (markers, 1, 1)), np.zeros((3, 3)))
+
+
+def _guide(
+    theatre: TheatreArm, plan: Plan, planned: PlannedTrajectory, target: Reached, nothing: Array
+) -> Iterable[OwnErrors]:
+    held = target.visit.pose.rotation_matrix
+    yield OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, theatre.bore, held))
+    turned = direction_covariance_mm2(plan, planned, theatre.bore, theatre.guide_direction_rad, held)
+    yield OwnErrors(DIRECTION, nothing, turned)

@@ -1,0 +1,79 @@
+"""Which other strategies would serve a trajectory that the one of the case does not."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+from numpy.typing import ArrayLike
+
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.paths import drive
+from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.strategies.best import CANDIDATES, BestOfEach
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.free_turns import OUTWARDS_RAD
+from procedures.strategies.strategy import Strategy
+from procedures.strategies.trajectory import Trajectory
+
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an arm that is not calibrated
+
+
+def alternatives(
+    setting: ArmSetting,
+    trajectory: Trajectory,
+    fiducials_mm: ArrayLike,
+    sight: StereoSight,
+    tried: Collection[str] = (),
+) -> tuple[Strategy, ...]:
+    """Strategies by which this trajectory alone is seen, reached and clear, the best first.
+
+    The trajectory and the fiducials (n, 3) are in CT mm. That of the case and those tried are left out.
+    """
+    if not _target_reached(setting, trajectory):
+        return ()
+    known = {setting.strategy.name, *tried}
+    if isinstance(setting.strategy, BestOfEach):
+        known |= {one.name for one in CANDIDATES}
+    candidates = [strategy_named(name) for name in BY_ACCURACY if name not in known]
+    return tuple(
+        one
+        for one in candidates
+        if choose_free_angles(replace(setting, strategy=one), (trajectory,), fiducials_mm, sight).check.passed
+    )
+
+
+def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
+    """Which of the trajectories a check does not reach, and the first reason for each.
+
+    What belongs to none of them, such as a neutral orientation, keeps all of them from being reached.
+    """
+    reasons: dict[str, str] = {}
+    for unmet in check.unmet:
+        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
+    own = {one.identifier: reasons[one.identifier] for one in trajectories if one.identifier in reasons}
+    if len(own) == len(reasons):
+        return own
+    shared = next(iter(reasons.values()))
+    return {one.identifier: own.get(one.identifier, shared) for one in trajectories}
+
+
+def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
+    """Which strategies would serve, by trajectory; None, for the usual advice, when none would."""
+    told = [
+        f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
+    ]
+    if not told:
+        return None
+    return f"Choose another --strategy: {', '.join(told)} would be reached. Or move the cart or the head."
+
+
+def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:
+    """Whether the guide reaches the target at some angle; if not, no strategy serves it."""
+    return any(
+        drive(setting, target, (), branch, first_only=True).passed
+        for branch in setting.kinematics.branches
+        for turn in OUTWARDS_RAD
+        for target in (Axes((), (trajectory,)).turned({trajectory.identifier: turn}),)
+    )

@@ -1,0 +1,160 @@
+"""Use the free angle of a trajectory: turn about its axis until everything is seen and reached well.
+
+Turns are tried in the order of the strategy. The first that keeps the wrist clear of its singularity is
+taken; if none does, the clearest. The choice is a result, not a change of the plan: entry, target and axis
+stay as they are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.planning.reach.paths import branches_for, check_axes, drive
+from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
+from procedures.planning.reach.wrist import WristState
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.errors import LimitError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TurnedPaths:
+    """The paths along the axes as turned; `turns_rad` is how far each stands from the planned angle."""
+
+    check: PathCheck
+    axes: Axes
+    turns_rad: Mapping[str, float]
+
+
+def choose_free_angles(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
+) -> TurnedPaths:
+    """Find an angle for each axis in which all is seen and one branch drives all.
+
+    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) comes
+    before one that only passes. When there is none, `check` names what is unmet at the planned
+    angles, or at the nearest ones that are seen.
+    """
+    fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    axes = Axes.of(setting, trajectories, fiducials)
+    own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+    start = setting.kinematics.branch_of(setting.start_rad)
+    seen = _seen_along(setting, axes, fiducials, sight, start)
+    nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
+    blind = set(own)
+    for branch in branches_for(setting, axes.turned(nearest), fiducials):
+        options = _seen_along(setting, axes, fiducials, sight, branch)
+        first = {name: turn for name, turns in options.items() if (turn := next(turns, None)) is not None}
+        blind -= first.keys()
+        if first.keys() < options.keys():
+            continue
+        turns = {name: chain((first[name],), others) for name, others in options.items()}
+        found = _in_branch(setting, axes, fiducials, turns, branch)
+        if found is not None:
+            return found
+    if blind:
+        hidden = [
+            problem
+            for axis in axes.each
+            if axis.identifier in blind
+            for problem in _hidden(setting, axes.only(axis.identifier), fiducials, sight, start)
+        ]
+        return TurnedPaths(PathCheck(None, (), (), tuple(hidden)), axes, own)
+    turned = axes.turned(nearest)
+    check = check_axes(setting, turned, fiducials)
+    return TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, axes, own)
+
+
+def _in_branch(
+    setting: ArmSetting,
+    axes: Axes,
+    fiducials_mm: Array,
+    options: Mapping[str, Iterable[float]],
+    branch: Branch,
+) -> TurnedPaths | None:
+    """The best turns that this branch drives, one axis after the other; None when it cannot."""
+    ranked = {
+        name: _ranked(setting, axes.only(name), fiducials_mm, turns, branch)
+        for name, turns in options.items()
+    }
+    chosen: dict[str, float] = {}
+    for name, turns in ranked.items():
+        first = next(turns, None)
+        if first is None:
+            return None
+        chosen[name] = first
+    while True:
+        turned = axes.turned(chosen)
+        check = drive(setting, turned, fiducials_mm, branch)
+        if check.passed:
+            return TurnedPaths(check, turned, chosen)
+        # Each passes alone, but here it is approached from elsewhere: whole turns of an axis may differ.
+        failed = {problem.pose.partition("/")[0] for problem in check.unmet}
+        for name in [one for one in chosen if one in failed]:
+            other = next(ranked[name], None)
+            if other is None:
+                return None
+            chosen[name] = other
+
+
+def _ranked(
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
+) -> Iterator[float]:
+    """The turns this branch drives: those with a good wrist in their order, then the others, best first."""
+    others: list[tuple[float, float]] = []
+    for turn in turns:
+        check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
+        if not check.passed:
+            continue
+        wrist = WristState.of(setting.kinematics, check)
+        if wrist.good:
+            yield turn
+        else:
+            others.append((wrist.least_bend_rad, turn))
+    for _, turn in sorted(others, key=lambda one: -one[0]):
+        yield turn
+
+
+def _seen_along(
+    setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
+) -> dict[str, Iterator[float]]:
+    """By axis, the turns in which every sphere is seen, in the order of the strategy.
+
+    Mostly the first will do, and to look along the others takes most of the time: each is looked at when
+    it is asked for.
+    """
+    arm = setting.in_branch(branch)
+
+    def along(one: Trajectory) -> Iterator[float]:
+        axis = axes.only(one.identifier)
+        for turn in setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm):
+            if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch):
+                yield turn
+
+    return {one.identifier: along(one) for one in axes.each}
+
+
+def _hidden(
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
+) -> tuple[Unmet, ...]:
+    unmet: list[Unmet] = []
+    for one in axis.localized:
+        try:
+            visits = localizations_along(setting, one, fiducials_mm, branch)
+        except LimitError as error:
+            unmet.append(Unmet(f"{one.identifier}/fiducials", f"{error.summary} [{error.code}]"))
+        else:
+            unmet += sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
+    return tuple(unmet)
+
+
+def _turned(axis: Axes, turn_rad: float) -> Axes:
+    return axis.turned({one.identifier: turn_rad for one in axis.each})

@@ -1,0 +1,159 @@
+"""Every motion of the procedure with the tool it carries, previewed and checked for clearance.
+
+A move between two approach points that is not clear goes via home, when that is clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from procedures.planning.reach.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
+from procedures.planning.theatre.scene import PlanningScene
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.clearance.swept_path import Closest, sweep_path
+from ronna_hw.arm.motion.limits import MotionLimits, working_limits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
+from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.devices.readings import JointVector
+
+HOME = "home"
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One motion of the procedure: a joint move or a straight line, from one named place to another.
+
+    `clear` where it was swept, and was, before it was chosen.
+    """
+
+    start: str
+    end: str
+    plan: MotionPlan
+    around: Surroundings
+    clear: bool = False
+
+    @property
+    def kind(self) -> str:
+        """`line` or `move`."""
+        return "move" if self.plan.target is None else "line"
+
+
+@dataclass(frozen=True)
+class PreviewedMotion:
+    """A motion with its preview."""
+
+    motion: Motion
+    preview: PathPreview
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain numbers for a record."""
+        motion = self.motion
+        return {"from": motion.start, "to": motion.end, "kind": motion.kind, **self.preview.as_payload()}
+
+
+def unclear(
+    setting: ArmSetting,
+    scene: PlanningScene,
+    check: PathCheck,
+    trajectories: Sequence[Trajectory],
+    *,
+    first_only: bool = False,
+) -> tuple[Unmet, ...]:
+    """The motions of a procedure that are not clear, when all its poses are reached; empty when all are.
+
+    With `first_only` it stops at the first, without its worst place: for trying many angles.
+    """
+    found: dict[str, Unmet] = {}
+    for motion in motions_of(setting, scene, check, trajectories):
+        if motion.clear:
+            continue
+        bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
+        if bad is not None:
+            pose = motion.start if motion.end == HOME else motion.end
+            found.setdefault(pose, Unmet(pose, _told(motion, bad)))
+            if first_only:
+                break
+    return tuple(found.values())
+
+
+def previews_of(
+    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+) -> tuple[PreviewedMotion, ...]:
+    """Every motion of the procedure with its preview, in order."""
+    limits = setting.limits or working_limits(setting.kinematics)
+    return tuple(
+        PreviewedMotion(motion, preview(setting.kinematics, motion.plan, motion.around, limits))
+        for motion in motions_of(setting, scene, check, trajectories)
+    )
+
+
+def motions_of(
+    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+) -> Iterator[Motion]:
+    """The motions from home through all visits and back home; retreats are the lines backwards."""
+    limits = setting.limits or working_limits(setting.kinematics)
+    by_name = {one.identifier: one for one in trajectories}
+    stands: tuple[str, JointVector] = (HOME, setting.start_rad)
+    kind: VisitKind | None = None
+    around = Surroundings()
+    stereo = setting.flange_from_stereo or setting.flange_from_tool
+    for reached in check.reached:
+        visit = reached.visit
+        if visit.kind is VisitKind.LOCALIZATION:
+            before, around = around, scene.with_stereo_head(setting.robot_from_ct, stereo)
+        else:
+            trajectory = by_name[visit.trajectory]
+            before = around
+            around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
+        if kind is not None and visit.kind is not kind:  # the tool is exchanged at home
+            yield from _home(setting, stands, limits, before)
+            stands = (HOME, setting.start_rad)
+        kind = visit.kind
+        yield from _to(setting, stands, reached, limits, around)
+        stands = (visit.identifier, reached.approach_rad)
+    if kind is not None:
+        yield from _home(setting, stands, limits, around)
+
+
+def _to(
+    setting: ArmSetting,
+    stands: tuple[str, JointVector],
+    reached: Reached,
+    limits: MotionLimits,
+    around: Surroundings,
+) -> Iterator[Motion]:
+    start, joints = stands
+    name, kinematics = reached.visit.identifier, setting.kinematics
+    straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
+    if start == HOME:
+        yield straight
+    elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
+        yield replace(straight, clear=True)
+    else:
+        yield Motion(start, HOME, plan_joint_move(kinematics, joints, setting.start_rad, limits), around)
+        onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
+        yield Motion(HOME, name, onwards, around)
+    yield Motion(name, name, reached.line, around)
+
+
+def _home(
+    setting: ArmSetting, stands: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
+) -> Iterator[Motion]:
+    start, joints = stands
+    yield Motion(start, HOME, plan_joint_move(setting.kinematics, joints, setting.start_rad, limits), around)
+
+
+def _told(motion: Motion, bad: Closest) -> str:
+    leads = (
+        "on the line to it" if motion.kind == "line" else f"on the way from {motion.start} to {motion.end}"
+    )
+    near = f"comes within {bad.distance_mm:.1f} mm of"
+    if bad.distance_mm < 0.0:
+        near = f"runs {-bad.distance_mm:.1f} mm into"
+    return (
+        f"{leads} the {bad.first} {near} the {bad.second}, "
+        f"{bad.parameter:.0%} of the way, limit {motion.around.margin_mm:g} mm [ARM-007]"
+    )

@@ -1,0 +1,148 @@
+"""Whether the arm can drive the whole procedure: every pose, approach and line in one branch.
+
+Positions are checked in the order in which the procedure visits them: all localizations, then every target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+from numpy.typing import ArrayLike
+
+from procedures.planning.reach.motions import unclear
+from procedures.planning.reach.posture import Posture, place, ranked_branches
+from procedures.planning.reach.visits import (
+    ArmSetting,
+    Axes,
+    JointMove,
+    PathCheck,
+    Reached,
+    Unmet,
+    Visit,
+    VisitKind,
+    localizations_along,
+    target_visit,
+    visits_of,
+)
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.motion.limits import working_limits
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Transform
+
+
+def check_paths(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
+) -> PathCheck:
+    """Find one branch in which the arm can drive every pose and line of the procedure.
+
+    Trajectories and fiducials (n, 3) are in CT mm. Branches are tried with the start's own first, then by
+    how little the joints turn. When none works, the result names what is unmet in the best of them.
+    """
+    return check_axes(setting, Axes.of(setting, trajectories, fiducials_mm), fiducials_mm)
+
+
+def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
+    """The same for axes, as they were turned about themselves."""
+    best: PathCheck | None = None
+    for branch in branches_for(setting, axes, fiducials_mm):
+        checked = drive(setting, axes, fiducials_mm, branch)
+        if checked.passed:
+            return checked
+        if best is None or len(checked.unmet) < len(best.unmet):
+            best = checked
+    return best or PathCheck(None, (), (), ())
+
+
+def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
+    """All branches, the most promising for these axes first."""
+    own = setting.kinematics.branch_of(setting.start_rad)
+    try:
+        visits = visits_of(setting, axes, fiducials_mm, own)
+    except LimitError:  # poses that are for a branch: there are none in the start's own
+        visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
+    flanges = [_flange(setting, visit) for visit in visits]
+    return ranked_branches(setting.kinematics, flanges, setting.start_rad)
+
+
+@dataclass
+class _Journey:
+    """The joints and moves collected on the way through the visits."""
+
+    near_rad: JointVector
+    last: str = "start"
+    reached: list[Reached] = field(default_factory=list)
+    moves: list[JointMove] = field(default_factory=list)
+    unmet: list[Unmet] = field(default_factory=list)
+
+
+def drive(
+    setting: ArmSetting,
+    axes: Axes,
+    fiducials_mm: ArrayLike,
+    branch: Branch,
+    *,
+    first_only: bool = False,
+) -> PathCheck:
+    """Joints for every pose, one after the other, in this branch, and what is unmet in it.
+
+    Clearance of the motions between them is checked last, when all poses are reached. With `first_only` it
+    ends with the first that is unmet.
+    """
+    limits = setting.limits or working_limits(setting.kinematics)
+    journey = _Journey(setting.start_rad)
+    for visit in _poses(journey, setting, axes, fiducials_mm, branch):
+        if first_only and journey.unmet:
+            break
+        tool = _tool(setting, visit)
+        try:
+            posture = place(
+                setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
+            )
+        except LimitError as error:
+            journey.unmet.append(Unmet(visit.identifier, _told(error)))
+            continue
+        _note(journey, visit, posture)
+    check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
+    if setting.scene is None or not check.passed:
+        return check
+    unmet = unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
+    return replace(check, unmet=unmet)
+
+
+def _poses(
+    journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
+) -> Iterator[Visit]:
+    """The visits; axes along which the strategy finds no poses in this branch are unmet."""
+    for axis in axes.localized:
+        try:
+            yield from localizations_along(setting, axis, fiducials_mm, branch)
+        except LimitError as error:
+            journey.unmet.append(Unmet(f"{axis.identifier}/fiducials", _told(error)))
+    for trajectory in axes.targeted:
+        yield target_visit(setting, trajectory)
+
+
+def _told(error: LimitError) -> str:
+    return f"{error.summary} [{error.code}]"
+
+
+def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
+    turns_rad = [
+        abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
+    ]
+    journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
+    journey.reached.append(Reached(visit, posture.approach_rad, posture.line))
+    journey.near_rad, journey.last = posture.approach_rad, visit.identifier
+
+
+def _tool(setting: ArmSetting, visit: Visit) -> Transform:
+    if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
+        return setting.flange_from_stereo
+    return setting.flange_from_tool
+
+
+def _flange(setting: ArmSetting, visit: Visit) -> Transform:
+    return visit.pose @ _tool(setting, visit).inverse()

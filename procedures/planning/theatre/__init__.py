@@ -1,0 +1,1 @@
+"""Arm and surroundings, as the theatre file describes them."""

@@ -1,0 +1,65 @@
+"""What surrounds the arm when a motion is planned: the head of the CT with its spheres, and the cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from procedures.planning.head.shape import HeadEllipsoid
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.surroundings import Corridor, Obstacle, Surroundings
+from ronna_hw.arm.pose import Pose
+from ronna_hw.collision_config import CollisionConfig, ToolBody
+from ronna_hw.frames import Transform
+
+Points = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class PlanningScene:
+    """The head as the CT shows it, and the cell of the theatre file around it."""
+
+    cell: CollisionConfig
+    head: HeadEllipsoid
+    fiducials_ct_mm: Points = ()
+    frame_ct: tuple[Obstacle, ...] = ()  # bars and foot of the x-shaped frame
+    head_reserve_mm: float = 0.0
+
+    def with_reserve(self, reserve_mm: float) -> PlanningScene:
+        """The same, with so much more clearance asked for while the stereo head is mounted."""
+        return replace(self, head_reserve_mm=reserve_mm)
+
+    def with_stereo_head(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
+    ) -> Surroundings:
+        """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
+        around = self._around(self.cell.stereo_head, robot_from_ct, flange_from_tool, trajectory)
+        return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
+
+    def with_guide(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
+    ) -> Surroundings:
+        """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
+        return self._around(self.cell.guide, robot_from_ct, flange_from_tool, trajectory)
+
+    def _around(
+        self,
+        tool: tuple[ToolBody, ...],
+        robot_from_ct: Transform,
+        flange_from_tool: Transform,
+        trajectory: Trajectory | None,
+    ) -> Surroundings:
+        corridor = None
+        if trajectory is not None:
+            entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
+            corridor = Corridor(tuple(entry), tuple(target), self.cell.corridor_mm)
+        in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
+        around = self.cell.surroundings(
+            tool,
+            Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
+            Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),
+            self.head.semi_axes_mm,
+            tuple(in_robot.apply(point) for point in self.fiducials_ct_mm),
+            corridor,
+        )
+        frame = (one._replace(capsule=one.capsule.moved(in_robot)) for one in self.frame_ct)
+        return replace(around, obstacles=(*around.obstacles, *frame))

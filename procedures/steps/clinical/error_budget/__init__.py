@@ -1,0 +1,1 @@
+"""The error budget that a registration is judged by."""

@@ -1,0 +1,55 @@
+"""A motion of the case as it was previewed, in records."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from procedures.engine.result import Values
+from procedures.planning.reach.motions import PreviewedMotion
+from ronna_hw.arm.clearance.swept_path import Closest
+
+
+class ClosestApproach(Values):
+    """Where two bodies come nearest."""
+
+    first: str = Field(description="One body.")
+    second: str = Field(description="The other.")
+    distance_mm: float = Field(description="Between their surfaces.")
+    at: float = Field(description="Where on the path, 0 to 1.")
+
+    @classmethod
+    def of(cls, closest: Closest) -> ClosestApproach:
+        """As the clearance check has it."""
+        return cls(
+            first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.parameter
+        )
+
+
+class MotionPreview(Values):
+    """One motion, from one named pose to another."""
+
+    start: str = Field(description="Name of the pose it begins at.")
+    end: str = Field(description="Name of the pose it ends at.")
+    kind: str = Field(description="`move` of the joints or straight `line`.")
+    duration_s: float = Field(description="At the speed it would be driven.")
+    clear: bool = Field(description="Whether no body comes too near to another one.")
+    closest: ClosestApproach | None = Field(description="The nearest pair of bodies.")
+    largest_joint_speed_share: float = Field(description="Of the limits of the motion.")
+    largest_speed_mm_s: float = Field(description="Of any body that moves.")
+    nearest_to_head_mm: float | None = Field(description="Least distance of anything that moves to the head.")
+
+    @classmethod
+    def of(cls, motion: PreviewedMotion) -> MotionPreview:
+        """As the planner previewed it."""
+        preview = motion.preview
+        return cls(
+            start=motion.motion.start,
+            end=motion.motion.end,
+            kind=motion.motion.kind,
+            duration_s=preview.duration_s,
+            clear=preview.clear,
+            closest=None if preview.closest is None else ClosestApproach.of(preview.closest),
+            largest_joint_speed_share=preview.largest_joint_speed_share,
+            largest_speed_mm_s=preview.largest_speed_mm_s,
+            nearest_to_head_mm=preview.nearest_to_head_mm,
+        )

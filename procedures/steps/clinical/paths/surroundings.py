@@ -1,0 +1,48 @@
+"""What the arm is told of its surroundings: the head, as far as the case knows where it is, and the room."""
+
+from __future__ import annotations
+
+from procedures.engine.context import StepContext
+from procedures.planning.head.frame_bodies import frame_bodies
+from procedures.planning.theatre.scene import PlanningScene
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.strategies.trajectory import Trajectory
+from procedures.workcell import MountedTool
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.frames import Transform
+
+READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
+
+
+def planning_scene_of(context: StepContext) -> PlanningScene:
+    """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
+    plan, localized = context.result(CheckedPlan), context.result(LocalizedFiducials)
+    return PlanningScene(
+        context.setting.surroundings,
+        plan.head,
+        tuple(marker.centre_mm for marker in localized.markers),
+        frame_bodies(plan.plan.fiducials, localized.centres_mm),
+    )
+
+
+def surround_stereo_head(context: StepContext, trajectory: Trajectory | None = None) -> None:
+    """Tell the arm what is around while the stereo head hangs on it, by the coarse registration.
+
+    With a trajectory its corridor into the head is open.
+    """
+    workcell = context.workcell
+    robot_from_ct = context.result(Correspondence).robot_from_ct.transform
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory))
+
+
+def surround_guide(context: StepContext, robot_from_ct: Transform) -> Surroundings:
+    """Tell the arm what is around while the guide hangs on it, by this trajectory's registration."""
+    workcell = context.workcell
+    trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
+    guide = workcell.flange_from(MountedTool.GUIDE)
+    surroundings = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
+    workcell.surround(surroundings)
+    return surroundings

@@ -1,0 +1,1 @@
+"""Spheres as several steps know them: roughly matched, and left out."""

@@ -1,0 +1,1 @@
+"""The tool on the arm, and the instrument in it."""

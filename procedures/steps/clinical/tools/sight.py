@@ -1,0 +1,56 @@
+"""Gross check of a mounted tool: the tracker sees the frame on it where the tool's record says, to 1 mm.
+
+The frame on the tool is compared with frame M on the mount, in the same readings. So neither the arm nor the
+place of the tracker comes in. It is done before the tool is moved anywhere: a longer one would run into the
+gauge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.steps.errors import ToolSeenElsewhere
+from procedures.workcell import MountedTool
+from procedures.workcell.tracker_look import frames_at_rest, mean_pose
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.tool_record import ToolFrame
+
+SEEN_LIMIT_MM = 1.0  # issue 15; of any sphere on the tool
+FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
+
+
+def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
+    """How far the sphere of the tool that is off most is beside its place, mm. Raises TOOL-006."""
+    workcell = context.workcell
+    reference = workcell.calibrations.tracker_frame
+    workcell.rest()  # the tracker measures while the arm's stream is off
+    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock, count=FRAMES)
+    on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
+    on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
+    if on_mount is None or on_tool is None:
+        unseen = reference.tool if on_mount is None else frame.tool
+        raise ToolSeenElsewhere(
+            f"the tracker does not see {unseen}", expected=f"in {LEAST_FRAMES} of {FRAMES} frames at least"
+        )
+    seen_mm = (on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
+    expected_mm = _mount_from(context, frame).apply(workcell.tracker.markers_mm[frame.tool])
+    off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
+    if off_mm > SEEN_LIMIT_MM:
+        raise ToolSeenElsewhere(
+            f"the tracker sees {frame.tool} beside its place on the mount",
+            limit=f"{SEEN_LIMIT_MM:g} mm",
+            got=f"{off_mm:.2f} mm",
+        )
+    return off_mm
+
+
+def _mount_from(context: StepContext, frame: ToolFrame) -> Transform:
+    """Pose of the frame on the tool in that on the mount, by the records."""
+    workcell = context.workcell
+    head_from_mount = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    flange_from_mount = workcell.flange_from(MountedTool.STEREO_HEAD) @ head_from_mount
+    on_tool = workcell.flange_from(MountedTool.GUIDE) @ frame.tip_from_frame.transform(
+        Frame.TOOL, Frame.MARKER
+    )
+    return flange_from_mount.inverse() @ on_tool

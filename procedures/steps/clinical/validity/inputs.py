@@ -1,0 +1,98 @@
+"""Before every step and motion: CT, plan and proposed place are still those that results were made from.
+
+A file that nobody touched is not read again; one that somebody did is compared by its content.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.engine import Engine
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey
+from procedures.guards.errors import InputChanged
+from procedures.imaging.series import read_series
+from procedures.planning.plan.file import read_plan
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.errors import RonnaError
+
+Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
+Stamps = tuple[Stamp, ...]
+
+
+class UnchangedInputs:
+    """A guard. A change ends the running step and supersedes everything that descends from what was read."""
+
+    name = "CT, plan and place"
+
+    def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
+        """Raises OSError."""
+        self._engine = engine
+        self._inputs: dict[Path, type[StepResult]] = {
+            clinical.series: ImportedCt,
+            clinical.plan: CheckedPlan,
+            clinical.place: LockedCart,
+        }
+        self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
+
+    def unmet(self) -> str | None:
+        """Why they cannot be looked at. Raises PRO-021 when one has changed."""
+        for path, model in self._inputs.items():
+            stored = self._engine.case.find(model, None)
+            try:
+                stamps = _stamps(path)
+            except OSError as error:
+                if model is LockedCart and (stored is None or not _proposed(stored.result)):
+                    continue  # it need not be there
+                return f"{path.name} cannot be read ({error.strerror}): bring it back"
+            if stored is None or stamps == self._seen.get(path):
+                continue
+            key = StepKey(model.kind)
+            if model is LockedCart and not _proposed(stored.result):
+                self._engine.find(f"{path.name} was not there at {key}: the cart is not compared with it")
+            elif changed := _changed(stored.result, path):
+                problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
+                self._engine.context(key).void(model, problem)
+                self._seen[path] = stamps
+                raise problem
+            self._seen[path] = stamps
+        return None
+
+
+def _proposed(result: StepResult) -> bool:
+    return isinstance(result, LockedCart) and result.proposal is not None
+
+
+def _changed(result: StepResult, path: Path) -> str:
+    """What is different now, or why it cannot be read; empty when it is the same."""
+    try:
+        if isinstance(result, ImportedCt):
+            return result.differences(read_series(path))
+        if isinstance(result, LockedCart):
+            return result.differences(path)
+        same = isinstance(result, CheckedPlan) and read_plan(path) == result.plan
+        return "" if same else "another plan"
+    except (RonnaError, OSError) as problem:
+        return str(problem)
+
+
+def _stamps(path: Path) -> Stamps:
+    return tuple(sorted(_each(path)))
+
+
+def _each(path: Path) -> Iterator[Stamp]:
+    if not path.is_dir():
+        yield _stamp(path.name, path.stat())
+        return
+    with os.scandir(path) as files:  # a series has hundreds of slices, and this is asked before each motion
+        for file in files:
+            yield _stamp(file.name, file.stat())
+
+
+def _stamp(name: str, seen: os.stat_result) -> Stamp:
+    return name, seen.st_ino, seen.st_size, seen.st_mtime_ns

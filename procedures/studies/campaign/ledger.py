@@ -1,0 +1,99 @@
+"""The record of finished units, one JSON line each, from which an interrupted study resumes."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from procedures.studies.campaign.unit import Study, Sums, Unit
+from procedures.studies.errors import LedgerUnreadable, OtherStudy
+from ronna_hw.bounded_input import parse_json, read_json_lines
+from ronna_hw.records import canonical_json, write_whole
+
+FILE = "units.jsonl"
+
+
+def fingerprint(study: Study) -> str:
+    """Hash of everything the results of a study depend on."""
+    return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
+
+
+class Ledger:
+    """Finished units of one study in a folder. The first line says which study it is."""
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        """Open or start it; raises STU-001 for another study, STU-002 when nothing says which one it is."""
+        self._path = folder / FILE
+        self._units = {unit.key: unit for unit in study.units()}
+        self.finished: dict[str, Sums] = {}
+        self.damaged = 0  # lines that were dropped: their units are run again
+        head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
+        folder.mkdir(parents=True, exist_ok=True)
+        if not self._path.exists() or not self._path.stat().st_size:
+            self._append(head)
+        else:
+            self._read(head)
+
+    def add(self, unit: Unit, sums: Sums) -> None:
+        """Record a finished unit."""
+        self.finished[unit.key] = sums
+        self._append({"unit": unit.key, "sums": sums})
+
+    def missing(self) -> list[Unit]:
+        """Units still to be run, in the order of the study."""
+        return [unit for key, unit in self._units.items() if key not in self.finished]
+
+    def results(self) -> Iterator[tuple[Unit, Sums]]:
+        """Finished units in the order of the study, whatever order they finished in."""
+        for key, unit in self._units.items():
+            if key in self.finished:
+                yield unit, self.finished[key]
+
+    def _read(self, head: Mapping[str, object]) -> None:
+        lines = read_json_lines(self._path).decode(errors="replace").split("\n")
+        try:
+            there = parse_json(lines[0])
+            if there["fingerprint"] != head["fingerprint"]:
+                raise OtherStudy(f"{self._path.parent} holds {_difference(there, head)}")
+        except (ValueError, KeyError, TypeError) as error:
+            raise LedgerUnreadable(f"{self._path}: line 1 does not say which study it is: {error}") from error
+        kept = [lines[0]]
+        for line in lines[1:-1]:  # a line without an end was truncated
+            if (finished := _finished(line)) is not None:
+                kept.append(line)
+                if finished[0] in self._units:
+                    self.finished[finished[0]] = finished[1]
+        self.damaged = len(lines) - len(kept) - (not lines[-1])
+        if self.damaged:
+            write_whole(self._path, "\n".join([*kept, ""]).encode())
+
+    def _append(self, line: Mapping[str, object]) -> None:
+        with self._path.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+
+
+def _finished(line: str) -> tuple[str, Sums] | None:
+    """The unit of a line and its sums; None for a line that is damaged."""
+    try:
+        content = parse_json(line)
+        sums = content["sums"]
+        return (str(content["unit"]), sums) if isinstance(sums, dict) else None
+    except (ValueError, KeyError, TypeError):
+        return None
+
+
+def _difference(there: Any, head: Mapping[str, Any]) -> str:
+    """What another study is, in words: its name, or the parameters that differ."""
+    if there["study"] != head["study"]:
+        return f"the study {there['study']}, not {head['study']}"
+    # As the file has them: a list for a tuple, a name for a choice.
+    before, now = there.get("parameters", {}), json.loads(json.dumps(head["parameters"]))
+    differ = [
+        f"{name} {before.get(name)!r}, now {now.get(name)!r}"
+        for name in sorted({*before, *now})
+        if before.get(name) != now.get(name)
+    ]
+    return f"a study with other parameters: {'; '.join(differ)}"

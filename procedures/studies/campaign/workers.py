@@ -1,0 +1,161 @@
+"""Run the units of a study: in this process, on this computer's cores, or on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing import get_context, parent_process
+from typing import Any
+from urllib.parse import urlsplit
+
+from procedures.studies.campaign.ledger import Ledger
+from procedures.studies.campaign.unit import Study, Sums, Unit
+from procedures.studies.errors import (
+    ExtraMissing,
+    MethodAnswerWrong,
+    MethodFailed,
+    MethodRefused,
+    SchedulerUnreachable,
+    UnitFailed,
+)
+
+SCHEDULER_LIMIT_S = 10.0
+SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
+ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+Finished = Iterator[tuple[Unit, Sums]]
+
+
+def run_study(
+    study: Study,
+    ledger: Ledger,
+    *,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] = lambda share: None,
+) -> None:
+    """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
+
+    Raises STU-003 to STU-005, of own methods STU-012 to STU-014. Units finished before an error or an
+    interruption are kept.
+    """
+    missing = ledger.missing()
+    everything = len(study.units())
+    done = everything - len(missing)
+    progress(done / everything)
+    with _runner(study, missing, workers, scheduler) as finished:
+        for unit, sums in finished:
+            ledger.add(unit, sums)
+            done += 1
+            progress(done / everything)
+
+
+@contextmanager
+def _runner(
+    study: Study, units: list[Unit], workers: int | None, scheduler: str | None
+) -> Iterator[Finished]:
+    if scheduler is not None:
+        with _dask_client(scheduler) as client:
+            for file in dict.fromkeys(one.source for one in getattr(study, "own", ())):
+                if file is not None:
+                    client.upload_file(str(file))
+            yield _on_dask(client, study, units)
+    elif workers == 1:
+        yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
+    else:
+        count = workers or len(os.sched_getaffinity(0))
+        # Fresh processes: a forked child would inherit locks of the libraries' threads.
+        spawn = get_context("spawn")
+        with _one_thread_each(), ProcessPoolExecutor(count, spawn, _end_with_parent) as pool:
+            try:
+                yield _on_pool(pool, study, units)
+            except BaseException:  # including interruptions: nothing still queued may start
+                pool.shutdown(cancel_futures=True)
+                raise
+
+
+def _end_with_parent() -> None:
+    """In a worker: end if the campaign is killed; otherwise it would wait for its next unit for ever."""
+    parent = parent_process()
+    if parent is None:
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Processes started meanwhile inherit single-threaded linear algebra."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit]) -> Finished:
+    waiting = {pool.submit(study.run, unit): unit for unit in units}
+    for future in as_completed(waiting):
+        yield waiting[future], _result(waiting[future], future.result)
+
+
+def _require_address(scheduler: str) -> None:
+    """Given anything else, Dask's client fails half constructed and complains much later."""
+    try:
+        parts = urlsplit(scheduler)
+        whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port
+    except ValueError:  # an invalid port
+        whole = None
+    if not whole:
+        raise SchedulerUnreachable(
+            "not an address of a Dask scheduler", expected="tcp://HOST:PORT", got=scheduler
+        )
+
+
+@contextmanager
+def _dask_client(scheduler: str) -> Iterator[Any]:
+    _require_address(scheduler)
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ExtraMissing("the package distributed is not installed") from error
+    try:
+        client = Client(scheduler, timeout=SCHEDULER_LIMIT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise SchedulerUnreachable(f"no Dask scheduler at {scheduler}") from error
+    try:
+        yield client
+    finally:
+        client.close()
+
+
+def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
+    from distributed import as_completed as dask_as_completed
+
+    waiting = {client.submit(study.run, unit, pure=False): unit for unit in units}
+    futures: Iterable[Any] = dask_as_completed(waiting, loop=client.loop)
+    for future in futures:
+        yield waiting[future], _result(waiting[future], future.result)
+
+
+def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
+    try:
+        return result()
+    except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the reader's own, and told as such
+        where = f"{error.what}, in unit {unit.key}"
+        raise type(error)(where, expected=error.expected, got=error.got, action=error.advice) from error
+    except Exception as error:
+        raise UnitFailed(f"{unit.key}: {error}") from error

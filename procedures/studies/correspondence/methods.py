@@ -1,0 +1,37 @@
+"""Methods of correspondence as an option names them: ours, the thesis', and own ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+from procedures.studies.correspondence.study import Method
+from procedures.studies.errors import MethodRefused
+from procedures.studies.own.contracts import MethodKind
+from procedures.studies.own.method import OwnMethod, installed
+from procedures.studies.own.trial import tried
+
+NAMES = {
+    "clique": Method.CLIQUE,
+    "orientation": Method.PRIOR,
+    "count": Method.COUNT,
+    "thesis": Method.THESIS,
+    "thesis-validated": Method.VALIDATED,
+}
+
+
+def chosen_methods(names: Sequence[str]) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
+    """Known methods and own ones; all known ones where none is named. Raises STU-012 to STU-014."""
+    if not names:
+        return tuple(Method), ()
+    wanted = tuple(dict.fromkeys(names))
+    unknown = [name for name in wanted if name not in NAMES]
+    for name in unknown:
+        if ":" not in name and name not in (there := installed()):
+            known = [*NAMES, *there]
+            near = get_close_matches(name, known) or known
+            raise MethodRefused(
+                f"--method: there is no method {name!r}", expected=f"{', '.join(near)} or module:function"
+            )
+    own = tuple(tried(MethodKind.PAIRING, name) for name in unknown)
+    return tuple(NAMES[name] for name in wanted if name in NAMES), own

@@ -1,0 +1,84 @@
+"""What became of the runs of the correspondence study, in the thesis' words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from procedures.studies.campaign.bounds import Bounded, percent
+from procedures.studies.campaign.unit import Sums
+from procedures.studies.correspondence.study import FALSE, LOST, PART, cell_of
+from procedures.studies.heads import NoiseReading
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Series:
+    """Whose results these are: noise model, method, e as text (empty for ours), number of fiducials."""
+
+    noise: NoiseReading
+    method: str
+    tolerance: str
+    fiducials: int
+
+    @property
+    def tolerance_mm(self) -> float | None:
+        """The method's e."""
+        return float(self.tolerance) if self.tolerance else None
+
+
+@dataclass(frozen=True)
+class Shares:
+    """Per cent of the runs: all, and the range over the numbers of outliers as the thesis gives it.
+
+    `unsuccessful` and `false` in the thesis' words: a part of the true pairs is unsuccessful.
+    """
+
+    runs: int
+    unsuccessful: float
+    unsuccessful_range: Range
+    false: float
+    false_range: Range
+    part: float
+
+    @property
+    def lost(self) -> float:
+        """No answer at all."""
+        return self.unsuccessful - self.part
+
+    def bounded(self, share: float) -> Bounded:
+        """A share of the runs, per cent, with its bounds."""
+        return percent(share / 100.0 * self.runs, self.runs)
+
+
+def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
+    """What became of the runs of each series, over patients."""
+    counted: dict[Series, dict[int, dict[str, float]]] = {}
+    for cell, content in sums.items():
+        noise, _, fiducials, outliers = cell_of(cell)
+        for key, number in content.items():
+            method, tolerance, outcome = key.split("|")
+            cells = counted.setdefault(Series(noise, method, tolerance, fiducials), {})
+            into = cells.setdefault(outliers, {})
+            into[outcome] = into.get(outcome, 0.0) + number
+    ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
+    return {series: _shares(list(cells.values())) for series, cells in ordered}
+
+
+def _shares(cells: list[dict[str, float]]) -> Shares:
+    def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
+        of, outcomes = list(of), set(outcomes)
+        runs = sum(sum(cell.values()) for cell in of)
+        return 100.0 * sum(n for cell in of for outcome, n in cell.items() if outcome in outcomes) / runs
+
+    unsuccessful = [share((LOST, PART), [cell]) for cell in cells]
+    false = [share((FALSE,), [cell]) for cell in cells]
+    return Shares(
+        int(sum(sum(cell.values()) for cell in cells)),
+        share((LOST, PART), cells),
+        (min(unsuccessful), max(unsuccessful)),
+        share((FALSE,), cells),
+        (min(false), max(false)),
+        share((PART,), cells),
+    )

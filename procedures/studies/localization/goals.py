@@ -1,0 +1,89 @@
+"""The goals of the localization next to the results of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import sqrt
+
+from procedures.studies.campaign.table import Cell, Table
+from procedures.studies.campaign.unit import Sums
+from procedures.studies.localization.study import JUDGING, Method, pooled
+from procedures.studies.localization.tables import STREAKED, of_method, percentile_um, tables
+
+RMS_UM = {"good": (10.0, 35.0), "poor": (25.0, 50.0)}  # without and with streaks on posts
+SHARE_95_UM = {"good": 50.0, "poor": 70.0}  # with streaks
+CHI2 = (0.7, 1.4)
+LEAST_SPHERES, LEAST_VOLUMES = 200, 40
+FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
+
+
+def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
+    """All tables of the study; the goals come last, if judging families were scanned."""
+    held = goals(sums)
+    return [*tables(sums), held] if held is not None else tables(sums)
+
+
+def goals(sums: Mapping[str, Sums]) -> Table | None:
+    """Ours against the goals, on families not used for tuning; None without them."""
+    cells = [cell for cell in sums if cell.split("|")[0] in JUDGING]
+    if not cells:
+        return None
+    rows: list[Sequence[Cell]] = []
+    for protocol in dict.fromkeys(cell.split("|")[1] for cell in cells):
+        for streaked in (False, True):
+            chosen = [
+                cell
+                for cell in cells
+                if cell.endswith(f"|{protocol}") and (cell.split("|")[0] in STREAKED) == streaked
+            ]
+            total = pooled(sums, chosen)
+            found = of_method(total, Method.OURS, "found")
+            if found:
+                rows += _accuracy(total, protocol, streaked, found)
+    return Table(
+        "Goals",
+        ("figure", "value", "goal", "met"),
+        [*rows, *_detection(pooled(sums, cells))],
+        "chi² / 3n holds the errors against the stated covariances; 1 is honest.",
+    )
+
+
+def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
+    where = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
+    rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
+    chi2 = of_method(total, Method.OURS, "chi2") / (3.0 * found)
+    rows: list[Sequence[Cell]] = []
+    if protocol in RMS_UM:
+        rows.append(_at_most(f"rms µm, {where}", rms_um, RMS_UM[protocol][streaked]))
+    share_um = percentile_um(total, Method.OURS, found)
+    if streaked and share_um is not None and protocol in SHARE_95_UM:
+        rows.append(_at_most(f"95 % µm, {where}", share_um, SHARE_95_UM[protocol]))
+    low, high = CHI2
+    rows.append((f"chi² / 3n, {where}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)))
+    return rows
+
+
+def _detection(total: Sums) -> list[Sequence[Cell]]:
+    spheres, missed, false, large = (
+        of_method(total, Method.OURS, key) for key in ("spheres", "missed", "false", "large")
+    )
+    volumes = total.get("volumes", 0.0)
+    rows: list[Sequence[Cell]] = [
+        ("spheres", int(spheres), f"at least {LEAST_SPHERES}", _word(spheres >= LEAST_SPHERES)),
+        ("volumes", int(volumes), f"at least {LEAST_VOLUMES}", _word(volumes >= LEAST_VOLUMES)),
+        ("missed", int(missed), "0", _word(missed == 0)),
+        ("false", int(false), "0", _word(false == 0)),
+    ]
+    if large:
+        share = 100.0 * of_method(total, Method.OURS, "large flagged") / large
+        goal = f"at least {FLAGGED_PERCENT:g}"
+        rows.append(("errors above 0.1 mm flagged, %", share, goal, _word(share >= FLAGGED_PERCENT)))
+    return rows
+
+
+def _at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
+    return (what, value, f"at most {most:g}", _word(value <= most))
+
+
+def _word(met: bool) -> str:
+    return "yes" if met else "NO"

@@ -1,0 +1,68 @@
+"""An own method of correspondence, its answer checked: each point in one pair at most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.studies.errors import MethodAnswerWrong
+from procedures.studies.own.calling import called
+from procedures.studies.own.method import OwnMethod
+
+Array = NDArray[np.float64]
+Pairs = NDArray[np.intp]
+
+
+@dataclass(frozen=True)
+class OwnPairing:
+    """Called as `Pairing` says; raises STU-013 and STU-014."""
+
+    name: str
+    function: Callable[..., Any]
+
+    @classmethod
+    def of(cls, method: OwnMethod) -> Self:
+        """In this process. Raises STU-012."""
+        return cls(method.name, method.function())
+
+    def __call__(
+        self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
+    ) -> Pairs | None:
+        """Pairs (k, 2); None for no unique answer."""
+        answer = called(
+            self.name,
+            self.function,
+            image_mm,
+            physical_mm,
+            sigma_image_mm=sigma_image_mm,
+            sigma_physical_mm=sigma_physical_mm,
+        )
+        if answer is None:
+            return None
+        try:
+            pairs = np.asarray(answer)
+        except ValueError:  # rows of unequal length
+            pairs = np.asarray(None)
+        if pairs.size == 0 and pairs.dtype != object:
+            return np.empty((0, 2), dtype=np.intp)
+        if pairs.dtype.kind not in "iu" or pairs.ndim != 2 or pairs.shape[1] != 2:
+            raise self._wrong(f"{type(answer).__name__} of {pairs.dtype}, shape {pairs.shape}")
+        for side, points in enumerate((image_mm, physical_mm)):
+            of_side = pairs[:, side]
+            if of_side.min() < 0 or of_side.max() >= len(points):
+                raise self._wrong(f"index {of_side.max()} of {len(points)} points")
+            if len(set(of_side.tolist())) < len(of_side):
+                raise self._wrong("a point in two pairs")
+        return pairs.astype(np.intp)
+
+    def _wrong(self, got: str) -> MethodAnswerWrong:
+        return MethodAnswerWrong(
+            f"{self.name} answers with what is no pairing",
+            expected="None, or whole numbers (k, 2): indices from 0 of image and physical points,"
+            " each point once",
+            got=got,
+        )

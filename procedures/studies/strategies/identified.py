@@ -1,0 +1,151 @@
+"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and what it leaves unknown.
+
+A trial is arm x place of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
+identified once, where the phantom stands first, and serves in all places.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.calibration.arm_sources import ErrorSizes
+from procedures.studies.accuracy.identified import LOOKS, BelievedArm, identified, identified_errors
+from procedures.studies.accuracy.phantom import Markers, phantom, place
+from procedures.studies.accuracy.random_arms import RandomArms, drawn_arm
+from procedures.studies.accuracy.scenarios import FINE_CT_MM
+from procedures.studies.accuracy.scene import Scene
+from procedures.studies.accuracy.trials import Sizes
+from procedures.studies.campaign import bounds
+from procedures.studies.campaign.plots import boxes
+from procedures.studies.campaign.table import Table
+from procedures.studies.campaign.unit import Sums, Unit, blocks
+from procedures.studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
+
+STRATEGIES = ("nos", "ocs", "jdms", "improved")
+BLOCK_ARMS = 10
+CELL, ARM = "arms", "arm"
+# What the poses are chosen for: the tool frame and all of the arm known to about a tenth.
+EXPECTED = ErrorSizes(tool_mm=0.1, links=0.1, joints=0.1, backlash=0.1)
+GOAL_MM = 0.13
+HIGHEST = 99.0  # per cent
+
+
+@dataclass(frozen=True)
+class IdentifiedStudy:
+    """`arms` random arms of parameter set S, each identified and then used at all places."""
+
+    arms: int = 100
+    seed: int = 0
+    name: str = "strategies-identified"
+
+    def parameters(self) -> dict[str, object]:
+        """Everything the results depend on."""
+        return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
+
+    def units(self) -> Sequence[Unit]:
+        """Blocks of arms."""
+        return blocks(CELL, self.arms, BLOCK_ARMS)
+
+    def run(self, unit: Unit) -> Sums:
+        """Length of every error in mm: strategy|spheres|arm|place|target; of each arm arm|number|what."""
+        drawn = phantom(Markers.FREE, DEPTHS_MM, TARGETS)
+        scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
+        planned = {
+            (scene.number, strategy): scene.planned(strategy, EXPECTED)
+            for scene in scenes
+            for strategy in STRATEGIES
+        }
+        spheres = place(1).apply(drawn.spheres_mm)
+        first = unit.block * BLOCK_ARMS
+        found: Sums = {}
+        for number in range(first, first + unit.runs):
+            fit = identified(self.seed, number, spheres)
+            apart_rad = fit.deviations.backlash_rad - np.array(drawn_arm(self.seed, number)[0].backlash_rad)
+            found[f"{ARM}|{number}|backlash2"] = float(np.mean(np.degrees(apart_rad) ** 2))
+            found[f"{ARM}|{number}|scatter"] = fit.scatter_mm
+            believed = BelievedArm(fit.deviations, fit.flange_from_tool)
+            arm = RandomArms.draw(self.seed, [number])
+            for scene in scenes:
+                for strategy in STRATEGIES:
+                    errors = identified_errors(
+                        arm, believed, planned[scene.number, strategy], scene, [number], Sizes(FINE_CT_MM)
+                    )
+                    for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
+                        key = f"{strategy}|{scene.counts[count]}|{number}|{scene.number}|{target + 1}"
+                        found[key] = float(length)
+        return found
+
+
+def tables(sums: Mapping[str, Sums]) -> list[Table]:
+    """Errors at the targets, and what the identification leaves."""
+    errors = _errors(sums)
+    arms = defaultdict(list)
+    for content in sums.values():
+        for key, value in content.items():
+            if key.startswith(f"{ARM}|"):
+                arms[key.split("|")[2]].append(value)
+    return [
+        Table(
+            "Arms as they are identified",
+            (
+                "strategy",
+                "spheres",
+                "trials",
+                "mean mm",
+                bounds.column("mean"),
+                f"{HIGHEST:.0f} % below",
+                "largest mm",
+                "goal mm",
+            ),
+            [
+                [
+                    strategy,
+                    count,
+                    each.size,
+                    float(np.mean(each)),
+                    bounds.mean(each.mean(axis=1)).text,
+                    float(np.percentile(each, HIGHEST)),
+                    float(np.max(each)),
+                    GOAL_MM,
+                ]
+                for (strategy, count), each in errors.items()
+            ],
+            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm from {LOOKS} looks at the phantom's spheres."
+            f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
+        ),
+        Table(
+            "What the identification leaves",
+            ("arms", "backlash deg rms", "random error mm per axis"),
+            [
+                [
+                    len(arms["scatter"]),
+                    float(np.sqrt(np.mean(arms["backlash2"]))),
+                    float(np.mean(arms["scatter"])),
+                ]
+            ],
+            "Backlash of set S is 0.02 deg. The random error is found from the looks themselves.",
+        ),
+    ]
+
+
+def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
+    """A box for each strategy and number of spheres."""
+    groups = {f"{strategy} {count}": each.ravel() for (strategy, count), each in _errors(sums).items()}
+    return {"strategies-identified.png": boxes("Error at the target, identified arms", "mm", groups)}
+
+
+def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
+    """Errors (arms, trials) in mm."""
+    found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
+    for content in sums.values():
+        for key, error_mm in content.items():
+            strategy, count, arm, *_ = key.split("|")
+            if strategy in STRATEGIES:
+                found[strategy, int(count)][arm].append(error_mm)
+    ordered = sorted(found.items(), key=lambda one: (STRATEGIES.index(one[0][0]), one[0][1]))
+    return {series: np.array(list(arms.values())) for series, arms in ordered}
