@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 from sim.theatre.scene.model import Scene
 
@@ -35,7 +36,7 @@ class FaultKind:
     momentary: bool
     check: Check
 
-    @property
+    @cached_property
     def usage(self) -> str:
         """The phrase in readable form."""
         return _replaced(f"{self.device} {self.phrase}", USAGE)

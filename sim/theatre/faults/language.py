@@ -43,7 +43,7 @@ CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
-MOST_MISTAKES = 20  # that are told at once; each costs a search for what was meant
+MOST_MISTAKES = 20  # that are told at once
 MOST_LISTED = 6  # of what may stand at a place; beyond this the closest ones are listed
 END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
 BEGINS_NOW = f"{NOW}: "  # put before a line that was typed without a beginning
@@ -92,7 +92,7 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
         try:
             tree = _grammar().parse(line.rstrip())
         except UnexpectedInput as error:
-            mistakes.append(_unexpected(error, line.rstrip(), number))
+            mistakes.append(_unexpected(error, line.rstrip(), number, advises=not mistakes))
             if len(mistakes) == MOST_MISTAKES:
                 break
             continue
@@ -198,10 +198,13 @@ def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[st
 
 
 class Mistake(NamedTuple):
-    """What is wrong with a line, a line that is right, and what this one was probably meant to be."""
+    """What is wrong with a line, a line that is right, and what this one was probably meant to be.
+
+    Only the first of a script advises.
+    """
 
     what: str
-    example: str
+    example: str = EXAMPLE
     meant: str | None = None
 
 
@@ -213,8 +216,8 @@ def _refuse(mistakes: list[Mistake]) -> None:
         raise BadFaultScript(what, action=f"{write} `ronna-sim fault` lists all faults.")
 
 
-def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
-    """The mistake at which the parser stopped."""
+def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
+    """The mistake at which the parser stopped; what was meant is searched for where it `advises`."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -234,6 +237,9 @@ def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
     if not _begins(line) and _reads(f"{BEGINS_NOW}{line}"):
         what = f"{place}: expected 'at' or 'when', which say when it begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
+    what = f"{place}: expected {either(words)}, got {got}"
+    if not advises:
+        return Mistake(what)
     said = None
     if any(
         word not in READABLE.values() for word in words
@@ -241,9 +247,8 @@ def _unexpected(error: UnexpectedInput, line: str, number: int) -> Mistake:
         said = meant(
             typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
         )
-    return Mistake(
-        f"{place}: expected {either(words)}, got {got}", nearest_kind(typed, FAULT_KINDS).example, said
-    )
+    nearest = nearest_kind(typed, FAULT_KINDS)
+    return Mistake(what, nearest.example if nearest else EXAMPLE, said)
 
 
 def _reads(line: str) -> bool:

@@ -4,32 +4,32 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from difflib import SequenceMatcher
-from heapq import nlargest
+from difflib import get_close_matches
 
 from sim.theatre.faults.kinds import TERMINALS, FaultKind
 
 LONGEST_COMPARED = 200  # characters of a line
-MOST_TRIED = 4  # of the kinds that look alike: each is parsed
+MOST_TRIED = 4  # of the lines that look alike: each is parsed
 LEAST_ALIKE = 0.6  # of a line and what it may have meant; below, an example says more
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
-_TRIGGER = re.compile(r"\s*(at|when|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
+_TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
 
 
-def nearest_kind(line: str, kinds: Sequence[FaultKind]) -> FaultKind:
-    """The kind whose phrase is most like what the line says after its beginning."""
-    return _alike(_said(line), kinds, 1)[0]
+def nearest_kind(line: str, kinds: Sequence[FaultKind]) -> FaultKind | None:
+    """The kind whose phrase is most like what the line says after its beginning; None when none is near."""
+    by_usage = {kind.usage: kind for kind in kinds}
+    return next((by_usage[usage] for usage in _nearest(_said(line), [*by_usage], 1)), None)
 
 
 def meant(line: str, kinds: Sequence[FaultKind], reads: Callable[[str], bool]) -> str | None:
     """What was probably meant, with the numbers and names of the line; None when nothing is near enough."""
     begins, says = line[: len(line) - len(_said(line))], _said(line)
     phrase, lasts, duration = says.partition(" for ")
-    for kind in _alike(phrase, kinds, MOST_TRIED):
-        for filled in _filled(kind, phrase.split()):
-            whole = f"{begins}{filled}{lasts}{duration}".strip()
-            if _likeness(filled, phrase) >= LEAST_ALIKE and reads(whole):
-                return whole
+    filled = [one for kind in kinds for one in _filled(kind, phrase.split())]
+    for nearest in _nearest(phrase, filled, MOST_TRIED):
+        whole = f"{begins}{nearest}{lasts}{duration}".strip()
+        if reads(whole):
+            return whole
     return None
 
 
@@ -54,9 +54,5 @@ def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
                 yield " ".join(filled)
 
 
-def _alike(says: str, kinds: Sequence[FaultKind], count: int) -> list[FaultKind]:
-    return nlargest(count, kinds, key=lambda kind: _likeness(kind.usage, says))
-
-
-def _likeness(one: str, other: str) -> float:
-    return SequenceMatcher(None, one, other[:LONGEST_COMPARED]).ratio()
+def _nearest(says: str, known: Sequence[str], count: int) -> list[str]:
+    return get_close_matches(says[:LONGEST_COMPARED], known, count, LEAST_ALIKE)

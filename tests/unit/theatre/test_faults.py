@@ -59,6 +59,10 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
             "when step == relocalization:T1: robot dorp 5 % for 1 s",
             "line 2, .* Did you mean: when step == relocalization:T1: robot drop 5 % for 1 s",
         ),
+        (
+            "since step == relocalization: robot dorp 5 % for 1 s",
+            "line 2, .* Did you mean: since step == relocalization: robot drop 5 % for 1 s",
+        ),
         ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
         (
             "robot drop 5 %",
