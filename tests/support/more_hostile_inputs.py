@@ -35,7 +35,6 @@ from ronna_hw.bounded_input import parse_json
 from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import read_body
 from ronna_hw.devices.readings import AreaOfInterest
-from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
@@ -145,7 +144,6 @@ def _read_run(run: Path) -> None:
                 previous = hashlib.sha256(text).hexdigest()
                 lines.append(text)
     journal.write_bytes(b"".join(lines))
-    _ = inspected(run).problems
     reading = read_for_report(run)
     ending_of(reading.run.journal)
     happenings(reading.run.journal)

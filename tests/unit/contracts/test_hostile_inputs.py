@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from bounded_cost import bounded_cost
 from good_inputs import PARSER_NAMES
 from hostile_inputs import Parser, feed, parsers
+from memory_folder import memory_folder
 
 FEW = 40
 
 
 @pytest.fixture(scope="module")
-def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Parser]:
-    return parsers(tmp_path_factory.mktemp("hostile"))
+def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Parser]]:
+    with memory_folder(tmp_path_factory.mktemp("hostile")) as folder:
+        yield parsers(folder)
 
 
 @pytest.mark.parametrize("name", PARSER_NAMES)

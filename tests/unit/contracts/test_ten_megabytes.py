@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
 from bounded_cost import bounded_cost
 from good_inputs import PARSER_NAMES
 from hostile_inputs import Parser, parsers
+from memory_folder import memory_folder
 
 from drivers.ndi_polaris.line.command_link import LONGEST_REPLY_BYTES
 from ronna_hw.errors import RonnaError
@@ -58,8 +59,9 @@ WORST: dict[str, Callable[[bytes], bytes]] = {
 
 
 @pytest.fixture(scope="module")
-def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Parser]:
-    return parsers(tmp_path_factory.mktemp("large"))
+def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Parser]]:
+    with memory_folder(tmp_path_factory.mktemp("large")) as folder:
+        yield parsers(folder)
 
 
 @pytest.mark.parametrize("name", PARSER_NAMES)
