@@ -18,7 +18,7 @@ The table of codes in the reference is generated from these classes.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from ronna_hw.text.printable import printable
 
@@ -78,12 +78,22 @@ class RonnaError(Exception):
             return f"{self.what}: {self.got}"
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """To another process as it is: made anew from its one line it would say everything twice."""
+        return _restored, (type(self), self.args, vars(self))
+
     def _one_line(self) -> str:
         line = f"{self.code}: {self.summary}" if self.code else self.summary
         if self.wire:
             line = f"{line}; last bytes {self.wire.hex(' ')}"
         sentence = line if line.endswith("?") else f"{line.removesuffix('.')}."
         return f"{sentence} {self.advice}" if self.advice else line
+
+
+def _restored(kind: type[RonnaError], line: tuple[str], content: dict[str, Any]) -> RonnaError:
+    error = kind.__new__(kind, *line)
+    vars(error).update(content)
+    return error
 
 
 class ConfigurationError(RonnaError):

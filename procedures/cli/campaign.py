@@ -311,9 +311,9 @@ def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
     if not names:
         return ()
     from procedures.studies.own.contracts import MethodKind
-    from procedures.studies.own.trial import tried
+    from procedures.studies.own.trial import tried_apart
 
-    return tuple(tried(MethodKind[kind], name) for name in dict.fromkeys(names))
+    return tuple(tried_apart(MethodKind[kind], name) for name in dict.fromkeys(names))
 
 
 def _run(

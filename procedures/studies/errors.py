@@ -90,7 +90,7 @@ class MethodRefused(ConfigurationError):
 
 
 class MethodFailed(DataError):
-    """An own method raised an error."""
+    """An own method raised an error, or ended the process that it ran in."""
 
     code = "STU-013"
     action = "Correct the method and start again in another --out: a changed file is another study."

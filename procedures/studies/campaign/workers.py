@@ -6,6 +6,7 @@ import os
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from multiprocessing import get_context, parent_process
@@ -22,7 +23,10 @@ from procedures.studies.errors import (
     SchedulerUnreachable,
     UnitFailed,
 )
+from procedures.studies.own.method import OwnMethod
+from ronna_hw.errors import RonnaError
 
+ENDED_ITS_PROCESS = "ended its process: by os._exit, by a crash of compiled code, or for want of memory"
 SCHEDULER_LIMIT_S = 10.0
 SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -40,8 +44,8 @@ def run_study(
 ) -> None:
     """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
-    Raises STU-003 to STU-005, of own methods STU-012 to STU-014. Units finished before an error or an
-    interruption are kept.
+    Own methods never stay: what ends their process ends no campaign. Raises STU-003 to STU-005, of own
+    methods STU-012 to STU-014. Units finished before an error or an interruption are kept.
     """
     missing = ledger.missing()
     everything = len(study.units())
@@ -60,22 +64,30 @@ def _runner(
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:
-            for file in dict.fromkeys(one.source for one in getattr(study, "own", ())):
+            for file in dict.fromkeys(one.source for one in _own(study)):
                 if file is not None:
                     client.upload_file(str(file))
             yield _on_dask(client, study, units)
-    elif workers == 1:
+    elif workers == 1 and not _own(study):
         yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
     else:
         count = workers or len(os.sched_getaffinity(0))
-        # Fresh processes: a forked child would inherit locks of the libraries' threads.
-        spawn = get_context("spawn")
-        with _one_thread_each(), ProcessPoolExecutor(count, spawn, _end_with_parent) as pool:
+        with _one_thread_each(), fresh_processes(count) as pool:
             try:
-                yield _on_pool(pool, study, units)
+                yield _on_pool(pool, study, units, count)
             except BaseException:  # including interruptions: nothing still queued may start
                 pool.shutdown(cancel_futures=True)
                 raise
+
+
+def _own(study: Study) -> tuple[OwnMethod, ...]:
+    """The reader's own methods in a study, of the studies that take some."""
+    return getattr(study, "own", ())
+
+
+def fresh_processes(count: int) -> ProcessPoolExecutor:
+    """That many, which end with this one. A forked child would inherit locks of the libraries' threads."""
+    return ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent)
 
 
 def _end_with_parent() -> None:
@@ -106,10 +118,24 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit]) -> Finished:
+def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int) -> Finished:
     waiting = {pool.submit(study.run, unit): unit for unit in units}
+    lost = set()
     for future in as_completed(waiting):
-        yield waiting[future], _result(waiting[future], future.result)
+        if isinstance(future.exception(), BrokenProcessPool):  # so are all others, but what has finished
+            lost.add(waiting[future].key)
+        else:
+            yield waiting[future], _result(waiting[future], future.result)
+    if lost:
+        raise _ended(study, [unit.key for unit in units if unit.key in lost][:count])
+
+
+def _ended(study: Study, keys: list[str]) -> RonnaError:
+    """A worker's process is gone. The units begin in their order: it had one of the first that are lost."""
+    among = f", in {' or '.join(keys)}"
+    if own := _own(study):
+        return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
+    return UnitFailed(f"a worker's process was ended from outside, or ran out of memory{among}")
 
 
 def _require_address(scheduler: str) -> None:

@@ -9,7 +9,7 @@ from procedures.studies.correspondence.study import Method
 from procedures.studies.errors import MethodRefused
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.method import OwnMethod, installed
-from procedures.studies.own.trial import tried
+from procedures.studies.own.trial import tried_apart
 
 NAMES = {
     "clique": Method.CLIQUE,
@@ -33,5 +33,5 @@ def chosen_methods(names: Sequence[str]) -> tuple[tuple[Method, ...], tuple[OwnM
             raise MethodRefused(
                 f"--method: there is no method {name!r}", expected=f"{', '.join(near)} or module:function"
             )
-    own = tuple(tried(MethodKind.PAIRING, name) for name in unknown)
+    own = tuple(tried_apart(MethodKind.PAIRING, name) for name in unknown)
     return tuple(NAMES[name] for name in wanted if name in NAMES), own

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
+from procedures.studies.campaign.workers import ENDED_ITS_PROCESS, fresh_processes
 from procedures.studies.correspondence.readings import draw_readings
-from procedures.studies.errors import MethodRefused
+from procedures.studies.errors import MethodFailed, MethodRefused
 from procedures.studies.heads import NoiseReading, any_pose, sites_mm
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.correspondence import OwnPairing
@@ -28,6 +30,16 @@ TRIAL_VOXELS = 60  # along each axis, 1 mm
 TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0.75, 0.7))  # of the edge
 BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
+
+
+def tried_apart(kind: MethodKind, text: str) -> OwnMethod:
+    """As `tried`, first in a process of its own: what ends that one is told, and ends no campaign."""
+    with fresh_processes(1) as pool:
+        try:
+            pool.submit(tried, kind, text).result()
+        except BrokenProcessPool as error:
+            raise MethodFailed(f"{text} {ENDED_ITS_PROCESS}, when it was tried") from error
+    return own_method(kind, text)
 
 
 def tried(kind: MethodKind, text: str) -> OwnMethod:

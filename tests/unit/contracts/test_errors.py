@@ -1,8 +1,10 @@
+import pickle
 import re
 from pathlib import Path
 
 from generate import errors_with_a_code
 
+from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.errors import RonnaError
 
 TESTS = Path(__file__).resolve().parents[2]
@@ -31,6 +33,13 @@ def test_an_error_is_one_line_with_what_was_expected_the_limit_and_what_to_do() 
 
 def test_a_value_without_anything_to_compare_it_with_follows_a_colon() -> None:
     assert str(RonnaError("no way to the host", got="no route")) == "no way to the host: no route"
+
+
+def test_an_error_from_another_process_says_what_it_said_there() -> None:
+    plain = RonnaError("no answer", expected="OKAY", action="Try.", wire=b"\x01")
+    for error in (plain, CommandRejected(1, "TX")):
+        again = pickle.loads(pickle.dumps(error))
+        assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
 
 
 def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:

@@ -19,7 +19,7 @@ from procedures.studies.own.beside import modules_beside
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.method import OwnMethod, own_method
 from procedures.studies.own.strategy import OwnStrategy
-from procedures.studies.own.trial import tried
+from procedures.studies.own.trial import tried, tried_apart
 from procedures.studies.registration import RegistrationStudy
 
 METHODS = '''
@@ -327,6 +327,24 @@ def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: 
     study = study_of(tried(PAIRING, "late:late"))
     with pytest.raises(MethodFailed, match=r"late raised ZeroDivisionError: .*, in unit norm\|1\|4\|0 #0: "):
         results(study, folder / "out", workers=1)
+
+
+def test_a_method_that_ends_its_process_is_told_when_it_is_tried(folder: Path) -> None:
+    (folder / "gone.py").write_text("import os\ndef gone(image_mm, physical_mm, **given):\n    os._exit(0)\n")
+    with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: by os\._exit, .* tried"):
+        tried_apart(PAIRING, "gone:gone")
+
+
+def test_a_method_that_ends_its_process_later_is_told_with_the_unit_and_what_had_finished_is_kept(
+    folder: Path,
+) -> None:
+    gone = "import os\ndef gone(image_mm, physical_mm, **given):\n    return [] if %s else os._exit(0)\n"
+    (folder / "gone.py").write_text(gone % "len(physical_mm) < 6")
+    study = study_of(own_method(PAIRING, "gone:gone"))
+    ledger = Ledger(folder / "out", study)
+    with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: .*, in norm\|1\|4\|2 #0"):
+        run_study(study, ledger, workers=1)
+    assert [*Ledger(folder / "out", study).finished] == ["norm|1|4|0 #0", "norm|1|4|1 #0"]
 
 
 def test_an_installed_method_is_known_by_its_name_and_by_no_other_kind(folder: Path) -> None:
