@@ -7,7 +7,12 @@ import contextlib
 
 
 async def changed_within(changed: asyncio.Event, limit_s: float) -> None:
-    """Return when the event is set, or after the limit; the event is clear then."""
+    """Return when the event is set, or after the limit; the event is clear then.
+
+    Not by `asyncio.wait_for`: before Python 3.12 it forgets that it was cancelled when the event is set at
+    that moment, and the page of a closed tab would be kept fresh for ever.
+    """
     with contextlib.suppress(TimeoutError):
-        await asyncio.wait_for(changed.wait(), limit_s)
+        async with asyncio.timeout(limit_s):
+            await changed.wait()
     changed.clear()
