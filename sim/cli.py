@@ -9,6 +9,7 @@ import ronna_hw.host.parent_process  # noqa: F401 - first of all: a parent that 
 import typer
 
 from ronna_hw.command_line.console import run
+from ronna_hw.host.starting_up import begin_start
 
 app = typer.Typer(
     name="ronna-sim",
@@ -38,6 +39,7 @@ register(app)
 
 def main() -> None:
     """Entry point of the console script."""
+    begin_start()  # it ends with the READY line
     run(app)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from enum import IntEnum, IntFlag
+from functools import cache
 from types import MappingProxyType
 from typing import Final
 
@@ -40,15 +41,13 @@ def _crc16_table() -> tuple[int, ...]:
 CRC16_TABLE: Final = _crc16_table()
 
 
+@cache
 def _crc16_word_table() -> tuple[int, ...]:
-    """For each 16-bit word, low byte first, the CRC of its two bytes."""
+    """For each 16-bit word, low byte first, the CRC of its two bytes; made by whoever needs it."""
     table = CRC16_TABLE
     return tuple(
         (crc >> 8) ^ table[crc & 0xFF] for high in range(256) for crc in (low ^ high for low in table)
     )
-
-
-CRC16_WORD_TABLE: Final = _crc16_word_table()
 
 
 def crc16(data: bytes, start: int = 0) -> int:
@@ -57,7 +56,7 @@ def crc16(data: bytes, start: int = 0) -> int:
     Two bytes are taken at a time, because every reply of a tracker waits for this.
     """
     crc = start
-    table = CRC16_WORD_TABLE
+    table = _crc16_word_table()
     for word in struct.unpack_from(f"<{len(data) // 2}H", data):
         crc = table[crc ^ word]
     if len(data) % 2:

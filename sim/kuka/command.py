@@ -70,8 +70,6 @@ def kuka(
     ] = None,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated."""
-    import gc
-
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.arm.manipulator import Manipulator
     from sim.kuka.controller.autostart import Autostart
@@ -113,9 +111,6 @@ def kuka(
         endpoints={"rsi": str(client), "eki": sdk_server.endpoint, "eki_project": project_server.endpoint},
         **_summary(context, inferred=rsi_config is not None and rsi_context is None),
     )
-    # What lives now lives to the end: the collector need not look at it during a cycle.
-    gc.collect()
-    gc.freeze()
     cycle_loop.run()
 
 

@@ -41,8 +41,6 @@ def polaris(
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,
 ) -> None:
     """Simulate an NDI Polaris Spectra or Vicra, for any client, until terminated."""
-    import gc
-
     from sim.named_parameters import rows
     from sim.polaris.line.interpreter import CommandInterpreter
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
@@ -70,9 +68,6 @@ def polaris(
     end = EndSignal()
     server = Server(interpreter, end)
     end_with_parent(end.give)
-    # What exists now lives until exit: collecting it would delay a reply by more than a frame.
-    gc.collect()
-    gc.freeze()
     if address is None:
         line = PseudoTerminal(interpreter, throttle=throttle)
         announce("polaris", line.endpoint, control)

@@ -17,6 +17,7 @@ from types import FrameType
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.host.parent_process import PARENT
+from ronna_hw.host.starting_up import end_start
 from sim.errors import BadScene
 from sim.theatre.control import Room
 from sim.theatre.control_port import ControlPort
@@ -32,7 +33,8 @@ PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's de
 
 
 def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
-    """Print the line `READY {json}`: clients may connect."""
+    """Print the line `READY {json}`: the start is over, clients may connect."""
+    end_start()
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
         content["endpoint"] = endpoint

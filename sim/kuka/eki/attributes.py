@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from xml.sax.saxutils import escape
 
 from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES
 
 FRAME = ("X", "Y", "Z", "A", "B", "C")
-_QUOTES = {'"': "&quot;", "\n": " ", "\r": " "}
+_ESCAPED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": " ", "\r": " "})
 
 
 def whole(given: Mapping[str, str], name: str, otherwise: int | None = None) -> int:
@@ -62,4 +61,4 @@ def axes(given: Mapping[str, str]) -> list[float]:
 
 def text(content: str, longest: int) -> str:
     """An attribute's value, not longer than a KRL string."""
-    return escape(content[:longest], _QUOTES)
+    return content[:longest].translate(_ESCAPED)
