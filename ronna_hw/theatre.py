@@ -44,6 +44,7 @@ class Theatre:
         self._make = make
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
+        self._found_fit: dict[tuple[str, object], Device] = {}  # by interface; a driver is asked once
         self._byte_sink: ByteSink | None = None
         self._closed = False
 
@@ -163,12 +164,15 @@ class Theatre:
 
     def _device(self, name: str, interface: Callable[..., D]) -> D:
         device = self._made(name)
+        if self._found_fit.get((name, interface)) is device:
+            return cast("D", device)
         if not isinstance(device, cast("type", interface)):
             lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
             raise WrongKind(
                 f"{name}: driver {self.file.devices[name].driver} offers no {interface.__name__}",
                 got=f"it lacks {', '.join(lacking)}" if lacking else None,
             )
+        self._found_fit[name, interface] = device
         return cast("D", device)
 
     def _made(self, name: str) -> Device:
