@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +45,8 @@ from procedures.strategies.target import target_pose
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.stereo_look import Look
-from ronna_hw.calibration import Numbers3
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibration import Numbers3, Numbers4, PoseRecord
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
@@ -129,17 +131,36 @@ class SeeingTracker(RecordingDevice):
         assert self.cell is not None
         self.frames_read += 1
         records = self.cell.calibrations
-        tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-        marker = records.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-        flange = self.cell.arm.kinematics.flange_pose(self.cell.arm.joints_rad)
-        pose = shifted(flange @ tool @ marker, self.frame_shift_mm)
-        w, qx, qy, qz = pose.quaternion_wxyz.tolist()
-        x, y, z = pose.translation_mm.tolist()
-        reading = ToolReading(records.tracker_frame.tool, Validity.OK, (w, qx, qy, qz), (x, y, z), 0.1)
         if self.hidden:
             reading = ToolReading(records.tracker_frame.tool, Validity.MISSING, None, None, None)
+        else:
+            pose = _frame_on_the_arm(
+                self.cell.arm.kinematics,
+                self.cell.arm.joints_rad,
+                records.stereo_head.flange_from_tool,
+                records.tracker_frame.tool_from_marker,
+                self.frame_shift_mm,
+            )
+            reading = ToolReading(records.tracker_frame.tool, Validity.OK, *pose, 0.1)
         strays = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in self.spheres_mm.tolist())
         return TrackerFrame(STAMP, Validity.OK, (reading,), strays)
+
+
+@lru_cache(maxsize=4)  # an arm at rest is seen in one frame after the other
+def _frame_on_the_arm(
+    kinematics: Kinematics,
+    joints_rad: JointVector,
+    flange_from_tool: PoseRecord,
+    tool_from_marker: PoseRecord,
+    shift_mm: Numbers3,
+) -> tuple[Numbers4, Numbers3]:
+    """Rotation and place of the tracked frame, in mm."""
+    tool = flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+    marker = tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    pose = shifted(kinematics.flange_pose(joints_rad) @ tool @ marker, shift_mm)
+    w, qx, qy, qz = pose.quaternion_wxyz.tolist()
+    x, y, z = pose.translation_mm.tolist()
+    return (w, qx, qy, qz), (x, y, z)
 
 
 @dataclass
