@@ -28,14 +28,16 @@ from procedures.planning.errors import (
 )
 from procedures.planning.head.tissue import sampled_hu
 from procedures.planning.plan.file import parse_plan, read_plan, write_plan
-from procedures.planning.plan.lock import plan_in_use, replaced_plan
+from procedures.planning.plan.lock import PlannerLock, plan_in_use, replaced_plan
 from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.plan.seal import sealed
 from procedures.planning.theatre.arm import TheatreArm
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
 KEEPING_S = 0.3  # host time between two writings of what is not saved
+AGAIN_S = 0.5  # host time between two looks at whether the plan is free by now
 
 
 class PlanDesk(Bell):
@@ -52,23 +54,53 @@ class PlanDesk(Bell):
         self.problem: RonnaError | None = None  # why the file is left as it is
         self.notice: RonnaError | None = None  # of the CT or the plan, to be read before anything else
         self.not_kept: RonnaError | None = None  # why a crash would lose what is not saved
-        self._on_disk = ""
-        draft = self._opened() or Draft(volume.patient_position, FEWEST_MARKERS)
-        self.history = History(draft)
-        self._saved: Draft | None = draft if self._on_disk else None
+        self._markers: tuple[Marker, ...] = ()  # that were found
         self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
-        if self.read_only is None:
-            self._take_up()
+        self._lock = PlannerLock(plan)
+        self._begun = False
+        self._read()
+        self.problem = self.problem or _kept_by_a_run(plan)
+        self.begin()
         self.judged = Judged(self.draft)
 
     @property
     def read_only(self) -> RonnaError | None:
         """Why nothing can be changed."""
+        if self._begun and not self._saving.locked():  # our own save is no case
+            return self._hindrance()
+        return None if self._begun else self._waits_for
+
+    def begin(self) -> bool:
+        """Whether the plan is this desk's to change; what others saved, or did not save, is taken up then.
+
+        False while a case or another planner has it; to be asked again then.
+        """
+        if not self._begun:
+            self._waits_for = self._hindrance()
+            if self._waits_for is not None:
+                return False
+            self._begun = True
+            if _digest(self.file) != self._on_disk:
+                self._read()
+            if self.problem is None:
+                self._take_up()
+        return True
+
+    def close(self) -> Path | None:
+        """Leave the plan to the next planner; the file in which is kept what was not saved, if anything."""
+        kept = self.keep()
+        self._lock.leave()
+        return kept
+
+    def _hindrance(self) -> RonnaError | None:
         if self.problem is not None:
             return self.problem
-        if not self._saving.locked() and plan_in_use(self.file):  # our own save is no case
-            return PlanInUse(f"a case runs on {self.file.name}: it can only be looked at")
+        name = self.file.name
+        if not self._lock.take():
+            return PlanInUse(f"another planner has {name} open: it can only be looked at")
+        if plan_in_use(self.file):
+            return PlanInUse(f"a case runs on {name}: it can only be looked at")
         return None
 
     def hu_at(self, place_mm: Point) -> str:
@@ -78,12 +110,18 @@ class PlanDesk(Bell):
 
     # The file
 
+    def _read(self) -> None:
+        draft = self._opened() or Draft(self.volume.patient_position, FEWEST_MARKERS)
+        self.history = History(draft)
+        self._saved: Draft | None = draft if self._on_disk else None
+        self._found(self._markers)
+
     def _opened(self) -> Draft | None:
         """The draft of the plan file, if there is one that can be used."""
-        if not self.file.exists():
-            return None
         try:
             self._on_disk = _digest(self.file)
+            if not self._on_disk:
+                return None
             plan = read_plan(self.file, sealed_only=False)
             if plan.series_instance_uid != self.volume.series_instance_uid:
                 raise WrongSeries(
@@ -114,6 +152,8 @@ class PlanDesk(Bell):
     def keep(self) -> Path | None:
         """Keep what is not saved beside the plan; the file, or None where nothing is to be kept."""
         self.not_kept = None
+        if not self._begun:
+            return None
         saved = None if self._saved is None else replace(self._saved, markers=())
         try:
             if self.problem is None and self.history.can_undo and replace(self.draft, markers=()) != saved:
@@ -158,7 +198,7 @@ class PlanDesk(Bell):
             for number, one in enumerate(draft.markers, start=1)
         )
         with replaced_plan(self.file):  # a case that began since wins
-            if self.file.exists() and _digest(self.file) != self._on_disk:
+            if _digest(self.file) not in ("", self._on_disk):
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",
                     action="Nothing was overwritten. Move that file away, then save again.",
@@ -216,7 +256,13 @@ class PlanDesk(Bell):
 
     async def work(self) -> None:
         """Make the head, look for the spheres, judge and keep the draft whenever it changes; never ends."""
-        await asyncio.gather(self._prepare(), self._judge_all(), self._keep_all())
+        await asyncio.gather(self._prepare(), self._judge_all(), self._keep_all(), self._await_the_plan())
+
+    async def _await_the_plan(self) -> None:
+        while self.problem is None and not self._begun:
+            await asyncio.sleep(AGAIN_S)
+            if self.begin():
+                self.altered()
 
     async def _prepare(self) -> None:
         try:
@@ -237,6 +283,7 @@ class PlanDesk(Bell):
 
     def _found(self, markers: tuple[Marker, ...]) -> None:
         """Every draft so far gets the spheres: undoing a step does not lose them."""
+        self._markers = markers
         count = len(markers)
         is_new = not self._on_disk and FEWEST_MARKERS <= count <= MOST_MARKERS
 
@@ -268,4 +315,19 @@ class PlanDesk(Bell):
 
 
 def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Of a file; empty where there is none. Raises OSError."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except FileNotFoundError:
+        return ""
+
+
+def _kept_by_a_run(plan: Path) -> PlanInUse | None:
+    """Whatever is written in the folder of a run counts as tampered with."""
+    run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
+    if run is None:
+        return None
+    return PlanInUse(
+        f"{plan.name} belongs to the run {run.name}, which stays as it is",
+        action="Look at it as long as you like; to change it copy it, and open the copy by --plan.",
+    )

@@ -48,7 +48,7 @@ def open_planner(
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
         )
     finally:
-        if (kept := desk.keep()) is not None:
+        if (kept := desk.close()) is not None:
             console.tell(f"not saved; kept in {kept}: open the plan again to go on")
 
 

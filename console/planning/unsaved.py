@@ -42,12 +42,10 @@ class UnsavedFile:
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")
         self._series = series_instance_uid
-        self._is_ours = False  # another planner on the same plan keeps its own
+        self._is_ours = False  # written or taken up here
 
     def keep(self, draft: Draft, plan_sha256: str) -> None:
-        """Keep a draft that changes the plan file of that digest; puts aside what is not ours. OSError."""
-        if not self._is_ours and self.path.exists():
-            self._put_aside("were never taken up")
+        """Keep a draft that changes the plan file of that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_whole(self.path, kept.model_dump_json(indent=1).encode())

@@ -184,7 +184,7 @@ class PlanNotSaved(ConfigurationError):
 
 
 class PlanInUse(RefusedError):
-    """A case is running on the plan."""
+    """A case is running on the plan, a run has kept it, or another planner has it open."""
 
     code = "PLAN-026"
     action = "Look at it as long as you like; save it when the case has ended, or under another --plan."

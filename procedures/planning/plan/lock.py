@@ -1,4 +1,4 @@
-"""A plan that a case runs on is held and read, so that nobody saves another one in its place meanwhile."""
+"""Who has a plan: a case that runs on it, so that nobody saves another one in its place, or a planner."""
 
 from __future__ import annotations
 
@@ -71,6 +71,36 @@ def plan_in_use(path: Path) -> bool:
         return False
     os.close(file)
     return False
+
+
+class PlannerLock:
+    """Of several planners on a plan one may change it: from the first `take` that succeeds until `leave`."""
+
+    def __init__(self, plan: Path) -> None:
+        self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when it is saved
+        self._file: int | None = None
+
+    def take(self) -> bool:
+        """Whether no other planner has the plan; so it is where no file can be locked."""
+        if self._file is None:
+            try:
+                os.close(os.open(self._path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o644))
+            except OSError:
+                return True
+            try:
+                self._file = _locked(self._path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except (BlockingIOError, FileNotFoundError):  # held, or its holder is just leaving
+                return False
+            except OSError:  # a file system without locks
+                return True
+        return True
+
+    def leave(self) -> None:
+        """Let the next one have it."""
+        if self._file is not None:
+            self._path.unlink(missing_ok=True)
+            os.close(self._file)
+        self._file = None
 
 
 def _locked(path: Path, kind: int) -> int:

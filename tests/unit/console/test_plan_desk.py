@@ -62,12 +62,18 @@ def desk(file: Path) -> PlanDesk:
     return PlanDesk(scan(), file, None)
 
 
+def reopened(desk: PlanDesk) -> PlanDesk:
+    """By the next planner."""
+    desk.close()
+    return PlanDesk(scan(), desk.file, None)
+
+
 def test_a_plan_that_was_saved_is_opened_as_it_stood(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     assert not desk.is_saved
     save(desk)
     assert desk.is_saved
-    again = PlanDesk(scan(), file, None)
+    again = reopened(desk)
     assert again.draft.ways == desk.draft.ways
     assert again.is_saved
     seal = read_plan(file).seal
@@ -97,6 +103,7 @@ def test_a_plan_of_another_ct_is_told_and_never_overwritten(desk: PlanDesk, file
     draw(desk)
     save(desk)
     before = file.read_bytes()
+    desk.close()
     other = PlanDesk(scan("1.2.3.4"), file, None)
     assert other.read_only is not None
     assert other.read_only.code == "PLAN-003"
@@ -118,7 +125,7 @@ def test_an_altered_plan_is_opened_with_a_warning_and_sealed_again(desk: PlanDes
     draw(desk)
     save(desk)
     file.write_text(file.read_text().replace("30.0", "29.0", 1))
-    altered = PlanDesk(scan(), file, None)
+    altered = reopened(desk)
     assert altered.notice is not None
     assert altered.notice.code == "PLAN-023"
     assert altered.draft.standoff_mm == 29.0
@@ -213,7 +220,7 @@ def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan
     draw(desk, standoff_mm=31.0)
     half, name = desk.draft.with_new_way()
     desk.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
-    kept = desk.keep()
+    kept = desk.close()
     assert kept is not None
 
     again = PlanDesk(scan(), file, None)
@@ -227,20 +234,78 @@ def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan
     assert not kept.exists()
 
 
-def test_a_second_planner_leaves_what_the_first_has_not_saved(desk: PlanDesk, file: Path) -> None:
-    other = PlanDesk(scan(), file, None)
+def test_a_second_planner_looks_on_until_the_first_has_left_and_then_goes_on_with_its_draft(
+    desk: PlanDesk, file: Path
+) -> None:
     draw(desk)
-    kept = desk.keep()
+    save(desk)
+    draw(desk, standoff_mm=31.0)
+    other = PlanDesk(scan(), file, None)
+    assert other.draft.standoff_mm == 30.0
+    assert "another planner" in str(other.read_only)
+    draw(other, standoff_mm=35.0)
+    assert other.draft.standoff_mm == 30.0
+    save(desk)
+    draw(desk, standoff_mm=32.0)
+    assert other.close() is None
+    assert not other.begin()
+    kept = desk.close()
     assert kept is not None
-    assert other.keep() is None
-    assert kept.exists()
+    assert other.begin()
+    assert other.draft == desk.draft
+    other.undo()
+    assert other.draft.standoff_mm == 31.0
+    other.close()
+    assert [one.name for one in file.parent.iterdir()] == [file.name]
+
+
+def test_whoever_looks_on_is_told_when_the_plan_is_free(
+    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(desk_module, "AGAIN_S", 0.01)
+    other = PlanDesk(scan(), file, None)
+
+    async def becomes_free() -> None:
+        work = asyncio.create_task(other.work())
+        heard = other.subscribe()
+        while other.searching:
+            await heard.wait()
+            heard.clear()
+        assert other.read_only is not None
+        desk.close()
+        while other.read_only is not None:
+            await heard.wait()
+            heard.clear()
+        work.cancel()
+
+    asyncio.run(asyncio.wait_for(becomes_free(), 60.0))
+
+
+def test_the_plan_of_a_run_is_looked_at_and_nothing_is_written_beside_it(
+    desk: PlanDesk, tmp_path: Path
+) -> None:
+    draw(desk)
+    save(desk)
+    case = tmp_path / "run" / "case"
+    case.mkdir(parents=True)
+    (tmp_path / "run" / "journal.jsonl").touch()
+    kept = desk.file.rename(case / "plan.toml")
+    looked = PlanDesk(scan(), kept, None)
+    assert looked.draft.ways == desk.draft.ways
+    assert "the run run, which stays" in str(looked.read_only)
+    draw(looked, standoff_mm=31.0)
+    assert looked.close() is None
+    assert looked.is_saved
+    with pytest.raises(PlanInUse, match=r"PLAN-026.*open the copy"):
+        save(looked)
+    assert [one.name for one in case.iterdir()] == ["plan.toml"]
 
 
 def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told(
     desk: PlanDesk, file: Path
 ) -> None:
     draw(desk)
-    kept = desk.keep()
+    kept = desk.close()
     assert kept is not None
     content = kept.read_bytes()
     other = PlanDesk(scan(), file.with_name("other.toml"), None)
@@ -254,21 +319,23 @@ def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told
     assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
-def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_not_lost(
+def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_offered_when_it_has_ended(
     desk: PlanDesk, file: Path
 ) -> None:
     draw(desk)
     save(desk)
     draw(desk, standoff_mm=31.0)
-    kept = desk.keep()
-    assert kept is not None
-    content = kept.read_bytes()
+    desk.close()
     with held_plan(file):
         again = PlanDesk(scan(), file, None)
+        assert again.draft.standoff_mm == 30.0
         assert again.keep() is None
-    draw(again, standoff_mm=32.0)
-    assert again.keep() == kept
-    assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
+        assert not again.begin()
+    draw(again, standoff_mm=32.0)  # at once, before that is taken up
+    assert again.begin()
+    assert again.draft.standoff_mm == 31.0
+    assert again.notice is not None
+    assert again.notice.code == "PLAN-029"
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
