@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from procedures.engine.case import Case
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed, WrongResult
-from procedures.engine.events import Evidence, Happening, Progress
+from procedures.engine.events import EventStream, Evidence, Progress
 from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Task, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
@@ -71,6 +71,33 @@ class CaseSetting:
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
 
 
+class StepSupport(Protocol):
+    """What the engine does for a step while it runs."""
+
+    checkpoint: Checkpoint
+    events: EventStream
+
+    def ask(self, question: Question) -> str:
+        """The operator's answer, recorded."""
+        ...
+
+    def have_done(self, task: Task) -> tuple[float, ...]:
+        """What hands have read off, recorded."""
+        ...
+
+    def have_instrument_out(self) -> None:
+        """Have an instrument taken out, if one may be in the guide."""
+        ...
+
+    def find(self, text: str) -> None:
+        """Record something that the operator should know and that stops nothing."""
+        ...
+
+    def void(self, key: StepKey, reason: RonnaError) -> None:
+        """A standing result no longer holds, nor what descends from it."""
+        ...
+
+
 @dataclass(frozen=True)
 class StepContext:
     """One step's view of its case."""
@@ -81,13 +108,7 @@ class StepContext:
     left_out: Mapping[str, str]  # trajectories that stay left out whatever this step does, and why
     setting: CaseSetting
     _case: Case
-    _ask: Callable[[Question], str]
-    _work: Callable[[Task], tuple[float, ...]]
-    _instrument_out: Callable[[], None]
-    _checkpoint: Checkpoint
-    _publish: Callable[[Happening], object]
-    _find: Callable[[str], None]
-    _void: Callable[[StepKey, RonnaError], None]
+    _support: StepSupport
     _read: dict[str, Record] = field(default_factory=dict)
     _pictures: dict[str, str] = field(default_factory=dict)
 
@@ -182,16 +203,16 @@ class StepContext:
 
     def progress(self, share: float, text: str) -> None:
         """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""
-        self._publish(Progress(step=str(self.key), share=share, text=text))
-        self._checkpoint.here(f"{self.key}, {text}")
+        self._support.events.publish(Progress(step=str(self.key), share=share, text=text))
+        self._support.checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
         """Watch the patient meanwhile, as during a motion, while the arm rests."""
-        return self._checkpoint.watching(what, False)
+        return self._support.checkpoint.watching(what, False)
 
     def find(self, text: str) -> None:
         """Record something that the operator should know and that stops nothing."""
-        self._find(text)
+        self._support.find(text)
 
     def identifier(self, model: type[R]) -> str:
         """Of the record of a result that stands."""
@@ -211,11 +232,11 @@ class StepContext:
         """As `void`, for every trajectory that has a standing result of a step."""
         for trajectory in (None, *self.trajectories):
             if self._case.stands(key := StepKey(model.kind, trajectory)):
-                self._void(key, reason)
+                self._support.void(key, reason)
 
     def void(self, model: type[R], reason: RonnaError) -> None:
         """A result no longer holds: it is superseded, and all that descends from it, without a new one."""
-        self._void(StepKey(model.kind), reason)
+        self._support.void(StepKey(model.kind), reason)
 
     def confirm(
         self,
@@ -235,12 +256,12 @@ class StepContext:
 
     def have_done(self, task: Task) -> tuple[float, ...]:
         """Have hands do something, and record what they read off; raises PRO-002 when nobody reads it."""
-        return self._work(task)
+        return self._support.have_done(task)
 
     def have_instrument_out(self) -> None:
         """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless it is said."""
-        self._instrument_out()
+        self._support.have_instrument_out()
 
     def choose(self, question: Question) -> str:
         """Have the operator choose one of a question's answers, and record it."""
-        return self._ask(question)
+        return self._support.ask(question)

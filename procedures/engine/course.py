@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-from procedures.engine.case import Case
+from procedures.engine.case import Case, Stored
 from procedures.engine.order import CaseOrder
-from procedures.engine.step import StepKey
+from procedures.engine.result import StepResult
+from procedures.engine.step import Phase, StepKey
 from ronna_hw.records import Record
 
 
-@dataclass(frozen=True)
 class Course:
-    """The steps of a case and its results."""
+    """The steps of a case, its results, and the step that was done last, unless something came between."""
 
-    order: CaseOrder
-    case: Case
+    def __init__(self, order: CaseOrder, case: Case, latest: StepKey | None = None) -> None:
+        self.order = order
+        self.case = case
+        self.latest = latest
+
+    # What comes next
 
     def left_out(self, key: StepKey) -> str | None:
         """Why a step is not done because its trajectory was left out before it; None when it was not."""
@@ -28,24 +30,30 @@ class Course:
         return key.trajectory is not None and key.trajectory in self.case.past_trajectories
 
     @property
-    def all_finished_before(self) -> bool:
+    def _all_finished_before(self) -> bool:
         """Whether every target was finished before something moved: the steps would lead to none."""
         return self.case.past_trajectories.issuperset(self.order.trajectories or ("",))
 
     @property
     def over(self) -> bool:
         """Whether nothing remains to be done; the arm may still stand where it was stopped."""
-        return self.all_finished_before or all(map(self.settled, self.order.sequence))
+        return self._all_finished_before or all(map(self.settled, self.order.sequence))
 
-    def upcoming(self, latest: StepKey | None) -> StepKey | None:
-        """The step that comes next after `latest`, or None when nothing remains.
+    @property
+    def continuation(self) -> StepKey | None:
+        """The one step that may follow the latest, where nothing else may come between."""
+        return self.order.continuation(self.latest)
 
-        What must follow `latest` comes first. A step that may only follow another, which was not the last
-        one, comes after that one is done again.
+    @property
+    def upcoming(self) -> StepKey | None:
+        """The step that comes next, or None when nothing remains.
+
+        What must follow the latest step comes first. A step that may only follow another, which was not the
+        latest, comes after that one is done again.
         """
         if self.over:
             return None
-        only = self.order.continuation(latest)
+        latest, only = self.latest, self.continuation
         if latest is not None and only is not None and self.case.stands(latest) and not self.settled(only):
             return only
         key = next(key for key in self.order.sequence if not self.settled(key))
@@ -56,7 +64,15 @@ class Course:
             key = before
         return key
 
-    def status(self, key: StepKey, latest: StepKey | None) -> str:
+    def why_not_now(self, key: StepKey) -> tuple[str, ...]:
+        """Why it is not that step's turn; empty when it may be."""
+        if (reason := self.left_out(key)) is not None:
+            return (f"{key.trajectory} was left out: {reason}",)
+        if self._all_finished_before:
+            return ("the work at every target is done: home brings the arm there",)
+        return self.order.unmet(key, self.latest, self.settled)
+
+    def status(self, key: StepKey) -> str:
         """`done`, `left out`, `finished`: its target is; `next`, `superseded`, or nothing."""
         if self.case.stands(key):
             return "done"
@@ -64,10 +80,40 @@ class Course:
             return "left out"
         if self.settled(key):
             return "finished"
-        if key == self.upcoming(latest):
+        if key == self.upcoming:
             return "next"
         return "superseded" if self.case.was_superseded(key) else ""
 
+    # What stands
+
+    @property
+    def finished(self) -> tuple[str, ...]:
+        """The trajectories at whose targets the work is done."""
+        done = (key for key in self.order.sequence if self.order.spec(key).finishes and self.case.stands(key))
+        return tuple(key.trajectory for key in done if key.trajectory is not None)
+
     def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
         """What a new result of that step supersedes: of the targets that are finished, only of its own."""
-        return self.case.superseded_by(key, self.order.outlasting_again(key, self.case.stands))
+        return self.case.superseded_by(key, self._outlasting_again(key))
+
+    def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
+        """Let a new result stand in place of what it supersedes."""
+        self.case.accept(key, stored, self._outlasting_again(key))
+
+    def voided_with(self, key: StepKey) -> tuple[Record, ...]:
+        """What no longer holds when that step's result does not: nothing of the targets that are finished."""
+        return self.case.superseded_by(key, self._outlasting(key))
+
+    def void(self, key: StepKey) -> None:
+        """Let neither that step's result stand nor what no longer holds with it."""
+        self.case.void(key, self._outlasting(key))
+
+    def _outlasting(self, key: StepKey) -> tuple[str, ...]:
+        """Trajectories whose results stay: what moves later does not undo what was finished.
+
+        Another CT or plan does.
+        """
+        return () if self.order.spec(key).phase is Phase.PREOPERATIVE else self.finished
+
+    def _outlasting_again(self, key: StepKey) -> tuple[str, ...]:
+        return tuple(name for name in self._outlasting(key) if name != key.trajectory)

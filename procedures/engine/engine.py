@@ -7,31 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 
-from procedures.engine.acknowledging import acknowledged
 from procedures.engine.case import Case, Stored
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.course import Course
+from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
 from procedures.engine.inputs import unusable_inputs
 from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
-from procedures.engine.operator import Topic
+from procedures.engine.operator import Question, Task
 from procedures.engine.order import CaseOrder
 from procedures.engine.questions import Questions
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepKey
-from ronna_hw.devices.lifecycle import Lifecycle
+from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
 
-ARM = "arm"  # role of the device that carries the tools
 _log = logger(part="engine")
 
 
@@ -61,25 +59,25 @@ class Engine:
         """
         self.order = order
         self.case = case
-        self.course = Course(order, case)
+        self.course = Course(order, case, latest)
         self.setting = setting
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
         self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
-        self.checkpoint = Checkpoint(self.questions.ask, self._resting, setting.clock)
+        self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
+        self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock)
         self._journal = journal
         self._logged = order.without_names
         self._on_ending = on_ending
         self._before_result = before_result
         self._recorders = recorders
-        self._latest = latest  # the step that was done last
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
-        setting.workcell.ask_before_motion(self.checkpoint, self.questions.ask)
+        setting.workcell.ask_before_motion(self.checkpoint, self.ask)
 
     @property
     def upcoming(self) -> StepKey | None:
         """The step that comes next, or None when nothing remains: see `Course.upcoming`."""
-        return self.course.upcoming(self._latest)
+        return self.course.upcoming
 
     @property
     def instrument_in(self) -> str | None:
@@ -88,7 +86,7 @@ class Engine:
 
     def status(self, key: StepKey) -> str:
         """As `Course.status`."""
-        return self.course.status(key, self._latest)
+        return self.course.status(key)
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
@@ -96,15 +94,11 @@ class Engine:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
             return ("what was found after the restart has not been accepted",)
-        if faults := self.faults:
+        if faults := self.faults.now:
             return tuple(f"the {role} is in fault: {fault}" for role, fault in faults.items())
-        if (reason := self.course.left_out(key)) is not None:
-            return (f"{key.trajectory} was left out: {reason}",)
-        if self.course.all_finished_before:
-            return ("the work at every target is done: home brings the arm there",)
-        spec = self.order.spec(key)
-        if unmet := self.order.unmet(key, self._latest, self.course.settled):
+        if unmet := self.course.why_not_now(key):
             return unmet
+        spec = self.order.spec(key)
         return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
@@ -143,7 +137,7 @@ class Engine:
         except Exception as problem:
             self._fail(key, problem)
             raise
-        self._latest = key
+        self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} is left out: {reason}")
         _log.info(
@@ -180,39 +174,47 @@ class Engine:
             if key == last:
                 return
 
+    # While a step runs: see `StepSupport`
+
+    def context(self, key: StepKey) -> StepContext:
+        """A step's view of the case."""
+        return StepContext(
+            key=key,
+            spec=self.order.spec(key),
+            trajectories=self.order.trajectories,
+            left_out=self.case.left_out_besides(key),
+            setting=self.setting,
+            _case=self.case,
+            _support=self,
+        )
+
+    def ask(self, question: Question) -> str:
+        """The operator's answer, recorded."""
+        return self.questions.ask(question)
+
+    def have_done(self, task: Task) -> tuple[float, ...]:
+        """As `hands.have_done`."""
+        return have_done(self.setting, self._journal, task)
+
+    def have_instrument_out(self) -> None:
+        """As `hands.have_instrument_out`."""
+        have_instrument_out(self.setting, self._journal, self.ask)
+
+    def find(self, text: str) -> None:
+        """Record something that the operator should know and that stops nothing."""
+        self._write(Entry.FINDING, text=text)
+        self.events.publish(Finding(text=text))
+        _log.warning("finding", text=self._logged(text))
+
+    def void(self, key: StepKey, reason: RonnaError) -> None:
+        """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
+        gone = [record.identifier for record in self.course.voided_with(key)]
+        self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
+        self.course.void(key)
+        for identifier in gone:
+            self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
+
     # Between steps
-
-    @property
-    def faults(self) -> dict[str, str]:
-        """The devices that are in fault, by role, and why."""
-        devices = {role: device.observe() for role, device in self.setting.workcell.devices.items()}
-        return {role: str(seen.fault) for role, seen in devices.items() if seen.state is Lifecycle.FAULT}
-
-    def acknowledge(self, by: str) -> dict[str, str]:
-        """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.
-
-        `by` is the person's name. Raises what a driver raises whose device cannot be recovered yet.
-        """
-        workcell, done = self.setting.workcell, dict[str, str]()
-        self._doubt_localizations(self.faults.get(ARM))
-        for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
-            if role == ARM:
-                self._doubt_localizations(fault)
-            self._write(Entry.ACKNOWLEDGED, device=role, fault=fault, by=by)
-            _log.info("fault acknowledged", device=role)
-            done[role] = fault
-        return done
-
-    def _doubt_localizations(self, fault: str | None) -> None:
-        """Where the head is was measured before the arm was in fault: somebody may have been at it since.
-
-        In the journal before the fault can be gone, so that no restart forgets it.
-        """
-        keys = [key for key in self.order.localizations if fault is not None and self.case.trusts(key)]
-        if fault is not None and keys:
-            self._write(Entry.DOUBTED, steps=list(map(str, keys)), fault=fault)
-            for key in keys:
-                self.case.doubt(key, fault)
 
     def retreat_home(self) -> None:
         """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
@@ -223,13 +225,9 @@ class Engine:
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
             self.have_instrument_out()
-            workcell.start()
             if (on := workcell.insertion) is not None:
-                out = [workcell.facts(on.standoff)]
-                workcell.confirm_motion(Topic.RETREAT, f"retreat from {on.trajectory}", out, on.trajectory)
-                workcell.withdraw(on.trajectory)
-            workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
-            workcell.return_home()
+                withdraw(workcell, on, on.trajectory)
+            park(workcell)
         except BaseException:  # also an interruption: the arm comes to rest
             workcell.stop()
             raise
@@ -240,15 +238,11 @@ class Engine:
                 self._show_state()
         self._finish_if_over()
 
-    def have_instrument_out(self) -> None:
-        """As `hands.have_instrument_out`."""
-        have_instrument_out(self.setting, self._journal, self.questions.ask)
-
     def _forget_latest(self) -> None:
         """What was done last was left, unless the one step that may follow it still may."""
-        only = self.order.continuation(self._latest)
+        only = self.course.continuation
         if only is None or self.order.spec(only).preconditions(self.context(only)):
-            self._latest = None
+            self.course.latest = None
 
     def abort(self) -> None:
         """The operator ends the case between steps; moves nothing. Raises PRO-001 for one that has ended."""
@@ -258,12 +252,6 @@ class Engine:
         self._show_state()
         self._write(Entry.INTERRUPTED)
         _log.warning("case aborted")
-
-    def find(self, text: str) -> None:
-        """Record something that the operator should know and that stops nothing."""
-        self._write(Entry.FINDING, text=text)
-        self.events.publish(Finding(text=text))
-        _log.warning("finding", text=self._logged(text))
 
     def seated(self, session: str, name: str) -> None:
         """Record who operates from a console; without a name nobody does any more."""
@@ -299,7 +287,7 @@ class Engine:
         """End the sessions and the journal; `problem` is what ended the case, where something did."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
-            self._doubt_localizations(self.faults.get(ARM))
+            self.faults.doubt_localizations()
         self.events.hold_time()
         self.setting.workcell.close()
         for recorder in self._recorders:  # the journal's last line speaks for every file of the run
@@ -322,7 +310,6 @@ class Engine:
                 got=type(outcome.result).__name__,
             )
         stored = self.case.store(key, outcome.result, context.read)
-        finished = self.order.outlasting_again(key, self.case.stands)
         gone = [record.identifier for record in self.course.superseded_by(key)]
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         if context.pictures:
@@ -335,19 +322,10 @@ class Engine:
             sha256=stored.record.sha256,
             **more,
         )
-        self.case.accept(key, stored, finished)
+        self.course.accept(key, stored)
         for identifier in gone:
             self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
         return stored
-
-    def void(self, key: StepKey, reason: RonnaError) -> None:
-        """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
-        finished = self.order.outlasting(key, self.case.stands)
-        gone = [record.identifier for record in self.case.superseded_by(key, finished)]
-        self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
-        self.case.void(key, finished)
-        for identifier in gone:
-            self.events.publish(StepState(step=str(key), state="superseded", record=identifier))
 
     def _fail(self, key: StepKey, problem: Exception) -> None:
         self.setting.workcell.stop()
@@ -363,27 +341,9 @@ class Engine:
         self._show_state(str(problem))
         files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
         with suppress(JournalNotWritable):  # what the step met is told
-            self._doubt_localizations(self.faults.get(ARM))
+            self.faults.doubt_localizations()
         with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
-
-    def context(self, key: StepKey) -> StepContext:
-        """A step's view of the case."""
-        return StepContext(
-            key=key,
-            spec=self.order.spec(key),
-            trajectories=self.order.trajectories,
-            left_out=self.case.left_out_besides(key),
-            setting=self.setting,
-            _case=self.case,
-            _ask=self.questions.ask,
-            _work=partial(have_done, self.setting, self._journal),
-            _instrument_out=self.have_instrument_out,
-            _checkpoint=self.checkpoint,
-            _publish=self.events.publish,
-            _find=self.find,
-            _void=self.void,
-        )
 
     def _write(self, entry: Entry, **data: JournalValue) -> None:
         self._journal.write(entry, self.setting.clock.now_s(), **data)

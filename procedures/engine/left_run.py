@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from procedures.engine.case import Case, Stored
+from procedures.engine.course import Course
 from procedures.engine.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
@@ -14,7 +15,7 @@ from procedures.engine.step import StepKey
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
 from ronna_hw.evidence.journal_reading import Chain
-from ronna_hw.records import BadRecord
+from ronna_hw.records import BadRecord, Record
 
 
 @dataclass(frozen=True)
@@ -76,20 +77,19 @@ class LeftRun:
     def restored(self, order: CaseOrder) -> Case:
         """The case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
         case = Case(self.run.path, self.run.name)
+        course = Course(order, case)
         records = iter(self.run.records)
         for line in self.run.journal:
             if line["entry"] == Entry.RESULT:
                 key, record = step_key(line), next(records)
                 if key not in order.sequence:
                     raise BadRecord(f"{record.identifier} is of a step that this case does not have")
-                finished = order.outlasting_again(key, case.stands)
-                _require_superseded(case, key, line, finished)
-                case.accept(key, Stored(record, typed(record, order.spec(key).result)), finished)
+                _require_superseded(course.superseded_by(key), key, line)
+                course.accept(key, Stored(record, typed(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
                 key = step_key(line)
-                finished = order.outlasting(key, case.stands)
-                _require_superseded(case, key, line, finished)
-                case.void(key, finished)
+                _require_superseded(course.voided_with(key), key, line)
+                course.void(key)
             elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again
                 for name in _names(line, "steps"):
                     case.doubt(order.find(name), str(line.get("fault")))
@@ -111,8 +111,8 @@ def step_key(line: Line) -> StepKey:
     return StepKey(name, trajectory or None)
 
 
-def _require_superseded(case: Case, key: StepKey, line: Line, finished: Sequence[str]) -> None:
-    if [one.identifier for one in case.superseded_by(key, finished)] != list(_names(line, "supersedes")):
+def _require_superseded(gone: Sequence[Record], key: StepKey, line: Line) -> None:
+    if [one.identifier for one in gone] != list(_names(line, "supersedes")):
         raise JournalCorrupt(f"line {line['sequence']} supersedes other results than {key} does")
 
 

@@ -9,7 +9,7 @@ from itertools import groupby
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.result import StepResult
-from procedures.engine.step import LeftOut, Phase, Scope, StepKey, StepSpec
+from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
 
 Steps = Sequence[StepSpec[StepResult]]
 
@@ -42,22 +42,6 @@ class CaseOrder:
     def leads_to_targets(self) -> bool:
         """Whether the arm is brought to targets; a calibration leaves it where it is."""
         return any(step.finishes for step in self.steps)
-
-    def finished(self, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
-        """The trajectories at whose targets the work is done."""
-        last = (key for key in self.sequence if self.spec(key).finishes and stands(key))
-        return tuple(key.trajectory for key in last if key.trajectory is not None)
-
-    def outlasting(self, key: StepKey, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
-        """The trajectories whose results stay when that step's no longer holds.
-
-        What moves later does not undo what was finished; another CT or plan does.
-        """
-        return () if self.spec(key).phase is Phase.PREOPERATIVE else self.finished(stands)
-
-    def outlasting_again(self, key: StepKey, stands: Callable[[StepKey], bool]) -> tuple[str, ...]:
-        """The trajectories whose results stay when that step is repeated: not those of its own."""
-        return tuple(name for name in self.outlasting(key, stands) if name != key.trajectory)
 
     def without_names(self, text: str) -> str:
         """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from procedures.engine.engine import ARM, Engine
+from procedures.engine.device_faults import ARM
+from procedures.engine.engine import Engine
 from procedures.recovery.comparison import Comparison
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity

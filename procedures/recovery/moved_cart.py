@@ -31,7 +31,7 @@ class MovedCart:
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
         value = (f"nobody stands in the arm's way home; these stand: {stands}", *begun_elsewhere(engine))
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
-        if engine.questions.ask(question) != GO_ON:
+        if engine.ask(question) != GO_ON:
             return False
         if following is None or not engine.setting.workcell.at_home:
             engine.retreat_home()

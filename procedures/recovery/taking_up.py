@@ -114,7 +114,7 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
         comparison.note(MOVED_SINCE)
     _conclude(engine, comparison)
     question = Question(Topic.RESUME, subject, "; ".join((*order, *comparison.findings)))
-    if engine.questions.ask(question) != YES:
+    if engine.ask(question) != YES:
         raise RecoveryRefused(
             "the operator did not accept what was found", action="Give the command again when it may go on."
         )

@@ -8,15 +8,14 @@ is in it, nothing moves at all.
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.errors import JournalNotWritable, StepRefused
+from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import Journal
 from procedures.engine.operator import Question, Topic
-from procedures.workcell.arm_view import ArmView, stands_at
+from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
@@ -30,6 +29,7 @@ from procedures.workcell.starting import start
 from procedures.workcell.stereo_look import Look, look
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tool_records import ToolRecords
+from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.config import MASTER, Calibrations
@@ -43,8 +43,6 @@ from ronna_hw.theatre_kind import require_one_kind
 D = TypeVar("D")
 # How far each joint stands back before it turns onto a position: ten times the backlash of a worn gear.
 APPROACH_RAD = math.radians(0.2)
-TRAIL = 200  # joint angles that are kept to find the way back; a case visits fewer between two homes
-AT_HOME_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any way
 AXIAL_SPEED_FRACTION = 0.5  # of the working speed, on the way towards the skin
 
 
@@ -72,13 +70,12 @@ class Workcell:
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
-        self._trail: deque[JointVector] = deque(maxlen=TRAIL)  # where the arm was since it left home
+        self._way_home = WayHome(self.joints_rad, self._move_joints)
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(journal, theatre.clock)
         self._insertion: Insertion | None = None
         self._withdrawn_from: str | None = None
-        self._home_rad: JointVector | None = None
         self.surroundings: Surroundings | None = None  # as the arm was last told
         self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
         self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
@@ -134,7 +131,7 @@ class Workcell:
     @property
     def at_home(self) -> bool:
         """Whether the measured joints are those of home."""
-        return self._home_rad is not None and stands_at(self.joints_rad(), self._home_rad, AT_HOME_RAD)
+        return self._way_home.at_home
 
     @property
     def checked_tool_number(self) -> int | None:
@@ -179,19 +176,15 @@ class Workcell:
     @property
     def home_rad(self) -> JointVector:
         """Where the arm stood when the case was set up; raises PRO-001 before that."""
-        if self._home_rad is None:
-            raise StepRefused("the arm has no home position yet", action="Run set_up first.")
-        return self._home_rad
+        return self._way_home.home_rad
 
     def set_home(self) -> JointVector:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
-        self._home_rad = self.joints_rad()
-        return self._home_rad
+        return self._way_home.set_home()
 
     def take_up(self, left: LeftArm, home_rad: JointVector) -> None:
         """Take for true how a run that is taken up again left the arm. Moves nothing."""
-        self._home_rad = home_rad
-        self._trail = deque(left.trail, maxlen=TRAIL)
+        self._way_home.take_up(home_rad, left.trail)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
         self.instrument.take_up(left.instrument_in)
         self.instrument.stages.take_up(left.stages, left.stops)
@@ -207,7 +200,7 @@ class Workcell:
     @property
     def away(self) -> bool:
         """Whether the arm was led away from home and is not back. Raises what the arm raises."""
-        return self._insertion is not None or (bool(self._trail) and not self.at_home)
+        return self._insertion is not None or self._way_home.away
 
     @property
     def withdrawn_from(self) -> str | None:
@@ -216,7 +209,7 @@ class Workcell:
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
-        near_rad = self._home_rad or self.arm.kinematics.home_rad
+        near_rad = self._way_home.home_or(self.arm.kinematics.home_rad)
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 
@@ -245,18 +238,11 @@ class Workcell:
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
-        reached = self._move_joints("home", self.home_rad)
-        self._trail.clear()
-        return reached
+        return self._way_home.go()
 
     def return_home(self) -> ArmReading:
         """As `go_home`; where that is not clear, back along the way the arm came since it left home."""
-        try:
-            return self.go_home()
-        except NotClear:  # raised before anything moved
-            for joints_rad in reversed(tuple(self._trail)):
-                self._move_joints("back", joints_rad)
-            return self.go_home()
+        return self._way_home.go_back()
 
     def settle(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> ArmReading:
         """Take joint angles, each joint arriving in its direction, +1 or -1: backlash is then the same.
@@ -379,7 +365,7 @@ class Workcell:
         self._require_outside(what)
         to = goal.translation_mm.tolist() if isinstance(goal, Transform) else list(goal)
         reached = self._motion.carry_out(what, to, move, facts=lambda: self.facts(goal), resume=self._resume)
-        self._trail.append(reached.joints_rad)
+        self._way_home.came_by(reached.joints_rad)
         return reached
 
     def _move_joints(self, what: str, joints_rad: JointVector) -> ArmReading:

@@ -107,7 +107,7 @@ def test_a_link_that_is_cut_in_a_step_holds_the_case(tmp_path: Path, step: str, 
         engine.run_to()
     assert link.moved_before is not None
     assert not engine.machine.ended
-    assert engine.faults.keys() == {role}
+    assert engine.faults.now.keys() == {role}
     waiting = engine.upcoming
     assert waiting is not None
     assert any(f"the {role} is in fault" in reason for reason in engine.why_refused(waiting))

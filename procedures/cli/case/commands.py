@@ -74,7 +74,7 @@ def _back(engine: Engine, argument: str, say: Say) -> None:
     if not engine.why_refused(key):
         gone = ", ".join(record.identifier for record in engine.course.superseded_by(key))
         say(f"a new result of {key} supersedes {gone}")
-        if engine.questions.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {gone}")) != YES:
+        if engine.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {gone}")) != YES:
             raise NotConfirmed(f"the operator did not confirm: repeat {key}", got=gone)
     engine.run_step(key)
 
@@ -141,7 +141,7 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
             f"{argument} is a device, expected the name of the person who acknowledges",
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
-    done = [f"{role}: {fault}" for role, fault in engine.acknowledge(argument).items()]
+    done = [f"{role}: {fault}" for role, fault in engine.faults.acknowledge(argument).items()]
     say(f"acknowledged by {argument}: {'; '.join(done)}" if done else "no device is in fault")
 
 

@@ -72,7 +72,7 @@ class Pilot:
         question = Question(
             Topic.READING, subject, value, (READ, NOBODY), timeout_s=None, reads=reads, read=read.append
         )
-        if self._engine.questions.ask(question) != READ:
+        if self._engine.ask(question) != READ:
             return None if self.desk.gone else ()
         return read[-1]
 
@@ -179,7 +179,7 @@ class Pilot:
             self._abort(engine)
         elif wish.what == "acknowledge":
             try:
-                for role, fault in engine.acknowledge(wish.by).items():
+                for role, fault in engine.faults.acknowledge(wish.by).items():
                     tell(f"acknowledged by {wish.by}: {role}: {fault}")
             except RonnaError as error:
                 self._tell_fault(engine, error)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
-from procedures.engine.acknowledging import acknowledged
+from procedures.engine.device_faults import acknowledged
 from ronna_hw.command_line.console import print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
@@ -31,7 +31,7 @@ def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
         with leaving_report(path), opened_left(request, path, Watcher(), Resumption(left, False)) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
-                lambda: engine.acknowledge(by),
+                lambda: engine.faults.acknowledge(by),
                 by,
                 as_json=as_json,
                 run=path.name,

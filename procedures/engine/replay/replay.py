@@ -114,7 +114,7 @@ class _Replay:
                     self._engine.run_step(self._engine.order.find(str(line["step"])))
             for number, one in enumerate(following, begin + 1):
                 if one["entry"] == Entry.ACKNOWLEDGED:
-                    self._engine.acknowledge(str(one["by"]))
+                    self._engine.faults.acknowledge(str(one["by"]))
                 elif one["entry"] == Entry.VOIDED:
                     self._void(step_key(one))
                 elif one["entry"] == Entry.RESTARTED:
@@ -146,8 +146,7 @@ class _Replay:
 
     def _void(self, key: StepKey) -> None:
         """A watch or a guard saw what ended that result; where the step saw it itself, it is gone already."""
-        engine = self._engine
-        engine.case.void(key, engine.order.outlasting(key, engine.case.stands))
+        self._engine.course.void(key)
 
     def _rest(self) -> None:
         """Every device that was opened as it is when just configured; the next motion is a first one."""

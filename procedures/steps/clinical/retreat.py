@@ -5,7 +5,6 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
 from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -13,6 +12,7 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import inserted_or_just_out
 from procedures.steps.link_health import LinkHealth, link_health
+from procedures.workcell.parking import park, withdraw
 
 
 class Retreated(StepResult, kind="retreat"):
@@ -28,24 +28,17 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings are those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if comes_back := workcell.insertion is not None:
+    if (on := workcell.insertion) is not None:
         context.have_instrument_out()
-        workcell.start()
-        way_out = [workcell.facts(workcell.insertion.standoff)]
-        workcell.confirm_motion(
-            Topic.RETREAT, f"retreat from {context.trajectory}", way_out, context.trajectory
-        )
-        workcell.withdraw(context.trajectory)
+        withdraw(workcell, on, context.trajectory)
     joints_rad = workcell.joints_rad()
     context.result(PositionedGuide)
     context.result(ReachedTarget)
     if not context.is_last_trajectory():  # any may come first
-        if comes_back:  # else it was found to have moved, and the next step looks before it moves
+        if on is not None:  # else it was found to have moved, and the next step looks before it moves
             check_room(context, f"after {context.trajectory}")
         return Outcome(Retreated(parked=False, joints_rad=joints_rad, link=None), "away from the entry")
-    workcell.start()
-    workcell.confirm_motion(Topic.PARK, "park the arm", [workcell.facts(workcell.home_rad)])
-    reached = workcell.return_home()
+    reached = park(workcell)
     link = link_health(context)
     workcell.rest()
     return Outcome(Retreated(parked=True, joints_rad=reached.joints_rad, link=link), "parked")

@@ -15,6 +15,7 @@ from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.steps.conditions import exchangeable
 from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
+from procedures.workcell.parking import park
 
 
 class MountedGuide(StepResult, kind="tool_change"):
@@ -50,10 +51,7 @@ def _park(context: StepContext) -> None:
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
     check_room(context, "before the arm parks")
-    workcell.start()
-    to_home = [workcell.facts(workcell.home_rad)]
-    workcell.confirm_motion(Topic.PARK, "park the arm for the exchange of tools", to_home)
-    workcell.return_home()
+    park(workcell, "park the arm for the exchange of tools")
 
 
 STEP = StepSpec(

@@ -189,12 +189,6 @@ def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: R
     assert engine.why_refused(engine.order.find("tool_on")) == ("fit:T1 comes first",)
 
 
-def test_what_is_superseded_and_not_next_is_shown_as_such(cell: RecordingCell) -> None:
-    engine = run(run_to(cell.engine(plain_order()), "fit:T2"), "image")
-    states = [engine.status(key) for key in engine.order.sequence[:5]]
-    assert states == ["done", "next", "superseded", "superseded", "superseded"]
-
-
 def test_repeating_steps_leaves_every_record_that_the_journal_names(cell: RecordingCell) -> None:
     engine = run(run_to(cell.engine(plain_order()), "fit:T2"), *("localization:T1", "fit:T1") * 2)
     told = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.RESULT]

@@ -45,7 +45,7 @@ def test_while_a_device_is_in_fault_no_step_begins_and_the_fault_is_named(cell: 
 def test_acknowledging_recovers_the_device_by_name_and_moves_nothing(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
-    engine.acknowledge("A. Nurse")
+    engine.faults.acknowledge("A. Nurse")
     assert cell.arm.calls == ["recovered by A. Nurse"]
     assert cell.arm.motions == []
     assert cell.entries() == [("acknowledged", "")]
@@ -59,7 +59,7 @@ def test_a_message_of_an_earlier_session_is_acknowledged_too(cell: RecordingCell
     engine = cell.engine(plain_order())
     cell.arm.state = cell.stereo.state = Lifecycle.CONNECTED
     cell.stereo.recover = holds_none  # type: ignore[attr-defined]
-    assert list(engine.acknowledge("A. Nurse")) == ["arm"]
+    assert list(engine.faults.acknowledge("A. Nurse")) == ["arm"]
     assert cell.arm.calls == ["recovered by A. Nurse"]
 
 
@@ -68,7 +68,7 @@ def test_what_hangs_on_an_arm_that_was_recovered_counts_as_unchecked(cell: Recor
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
-    engine.acknowledge("A. Nurse")
+    engine.faults.acknowledge("A. Nurse")
     assert cell.workcell.tool is MountedTool.UNKNOWN
 
 

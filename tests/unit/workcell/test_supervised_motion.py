@@ -98,15 +98,3 @@ def test_a_motion_that_somebody_stopped_moves_no_more_when_the_operator_aborts(c
         cell.workcell.go(turned(0.2))
     assert cell.arm.motions == []
     assert cell.arm.state is Lifecycle.HOLD
-
-
-def test_where_the_way_home_is_blocked_the_arm_goes_back_the_way_it_came(
-    cell: RecordingCell,
-) -> None:
-    supervised(cell)
-    way = [turned(0.1), turned(0.2), turned(0.3)]
-    for joints in way:
-        cell.workcell.go(joints)
-    cell.arm.blocked = lambda start, target: abs(start[0] - target[0]) > 0.15
-    cell.workcell.return_home()
-    assert [joints for _, joints in cell.arm.motions[3:]] == [*reversed(way), HOME]

@@ -86,7 +86,7 @@ def told(known: Mapping[str, bool]) -> str:
 
 def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     """In words, where hands have worked through the guide and the target is not finished."""
-    finished = engine.order.finished(engine.case.stands)
+    finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
     return tuple(f"at {name} hands have worked: {told(stages.at(name))}" for name in names)

@@ -281,7 +281,7 @@ def after_a_fault(cell: ClinicalCell) -> Engine:
     )
     engine.run_to(engine.order.sequence[7])
     cell.arm.state = Lifecycle.FAULT
-    engine.acknowledge("A. Nurse")
+    engine.faults.acknowledge("A. Nurse")
     return engine
 
 

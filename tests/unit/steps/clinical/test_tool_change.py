@@ -129,6 +129,6 @@ def test_after_a_fault_of_the_arm_its_tool_is_read_again_before_the_next_step(ce
     engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     engine.run_to(engine.order.sequence[3])
     cell.arm.state = Lifecycle.FAULT
-    engine.acknowledge("A. Nurse")
+    engine.faults.acknowledge("A. Nurse")
     engine.run_to()
     assert cell.workcell.tool is MountedTool.GUIDE

@@ -1,0 +1,84 @@
+"""Faults of devices: what a person has acknowledged is recovered. Nothing here can move the arm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from procedures.engine.course import Course
+from procedures.engine.journal import Entry, Journal
+from ronna_hw.clock import Clock
+from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.logs import logger
+
+if TYPE_CHECKING:
+    from procedures.workcell import Workcell
+
+ARM = "arm"  # role of the device that carries the tools
+EARLIER = "a message from before this session"  # drivers do not say which
+_log = logger(part="engine")
+
+
+def acknowledged(devices: Mapping[str, Device], recover: Callable[[str], None]) -> Iterator[tuple[str, str]]:
+    """Recover each device that is in fault or, only connected yet, holds a message of an earlier session.
+
+    Yields its role, and what was acknowledged. Raises what `recover` raises, which is called with the role.
+    """
+    for role, device in devices.items():
+        seen = device.observe()
+        if seen.state is Lifecycle.FAULT:
+            recover(role)
+            yield role, str(seen.fault)
+        elif seen.state is Lifecycle.CONNECTED:
+            try:
+                recover(role)
+            except WrongState:  # it holds none
+                continue
+            yield role, EARLIER
+
+
+class DeviceFaults:
+    """The faults in a case, and what is doubted because of them."""
+
+    def __init__(self, course: Course, workcell: Workcell, journal: Journal, clock: Clock) -> None:
+        self._course = course
+        self._workcell = workcell
+        self._journal = journal
+        self._clock = clock
+
+    @property
+    def now(self) -> dict[str, str]:
+        """The devices that are in fault, by role, and why."""
+        devices = {role: device.observe() for role, device in self._workcell.devices.items()}
+        return {role: str(seen.fault) for role, seen in devices.items() if seen.state is Lifecycle.FAULT}
+
+    def acknowledge(self, by: str) -> dict[str, str]:
+        """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.
+
+        `by` is the person's name. Raises what a driver raises whose device cannot be recovered yet.
+        """
+        workcell, done = self._workcell, dict[str, str]()
+        self.doubt_localizations()
+        for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
+            if role == ARM:
+                self._doubt_localizations(fault)
+            self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
+            _log.info("fault acknowledged", device=role)
+            done[role] = fault
+        return done
+
+    def doubt_localizations(self) -> None:
+        """Where the head is was measured before the arm was in fault: somebody may have been at it since.
+
+        In the journal before the fault can be gone, so that no restart forgets it.
+        """
+        if (fault := self.now.get(ARM)) is not None:
+            self._doubt_localizations(fault)
+
+    def _doubt_localizations(self, fault: str) -> None:
+        order, case = self._course.order, self._course.case
+        if keys := [key for key in order.localizations if case.trusts(key)]:
+            self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
+            for key in keys:
+                case.doubt(key, fault)

@@ -1,0 +1,118 @@
+"""What comes next in a case, and what stands, from its steps and results alone."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from plain_steps import Fit, Held, Image, plain_order
+
+from procedures.engine.case import Case
+from procedures.engine.course import Course
+from procedures.engine.result import StepResult
+from procedures.engine.step import Phase
+
+REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")
+AT_T1 = ("approach:T1", "held:T1", "back:T1")
+AT_T2 = ("approach:T2", "held:T2", "back:T2")
+
+
+@pytest.fixture
+def course(tmp_path: Path) -> Course:
+    """Of a case whose image is preoperative, and whose targets are finished once they were held."""
+    changed = {Image: {"phase": Phase.PREOPERATIVE}, Held: {"finishes": True}}
+    order = plain_order()
+    steps = tuple(replace(step, **changed.get(step.result, {})) for step in order.steps)
+    return Course(replace(order, steps=steps), Case(tmp_path))
+
+
+def do(course: Course, *names: str, **results: StepResult) -> None:
+    """Steps one after the other; `results` takes the place of what a step leaves, by its name."""
+    for name in names:
+        key = course.order.find(name)
+        spec = course.order.spec(key)
+        parents = [course.case.get(model, key.trajectory).record for model in spec.reads]
+        result = results.get(key.name, spec.result())
+        course.accept(key, course.case.store(key, result, parents))
+        course.latest = key
+
+
+@pytest.mark.parametrize(
+    ("done", "following"),
+    [
+        ((), "image"),
+        (("image",), "localization:T1"),
+        (REGISTERED, "approach:T1"),
+        ((*REGISTERED, "approach:T2"), "held:T2"),  # any may be the first: then its own steps come
+        ((*REGISTERED, *AT_T2[:2]), "back:T2"),
+        ((*REGISTERED, *AT_T2), "approach:T1"),
+        ((*REGISTERED, *AT_T1, *AT_T2), None),
+        ((*REGISTERED, "localization:T1"), "fit:T1"),  # again: what was made from it is made again
+    ],
+)
+def test_next_comes_what_must_follow_or_else_the_first_that_is_not_done(
+    course: Course, done: tuple[str, ...], following: str | None
+) -> None:
+    do(course, *done)
+    assert course.upcoming == (following and course.order.find(following))
+    assert course.over is (following is None)
+
+
+@pytest.mark.parametrize("left_before", ["held:T1", "back:T1"])
+def test_a_step_that_may_only_follow_another_begins_with_the_approach_when_something_came_between(
+    course: Course, left_before: str
+) -> None:
+    do(course, *REGISTERED, *AT_T1[: AT_T1.index(left_before)])
+    course.latest = None
+    assert str(course.upcoming) == "approach:T1"
+
+
+def test_nothing_more_comes_for_a_trajectory_that_was_left_out(course: Course) -> None:
+    do(course, "image", "localization:T1")
+    do(course, "fit:T1", fit=Fit(not_for=("T1",)))
+    do(course, *REGISTERED[3:])
+    approach = course.order.find("approach:T1")
+    assert str(course.upcoming) == "approach:T2"
+    assert course.status(approach) == "left out"
+    assert course.why_not_now(approach) == ("T1 was left out: the error is too large",)
+
+
+def test_what_is_superseded_and_not_next_is_shown_as_such(course: Course) -> None:
+    do(course, *REGISTERED[:5], "image")
+    states = [course.status(key) for key in course.order.sequence[:6]]
+    assert states == ["done", "next", "superseded", "superseded", "superseded", ""]
+
+
+SUPERSEDING: dict[str, Callable[[Course, str], object]] = {
+    "void": lambda course, name: course.void(course.order.find(name)),
+    "repeat": do,
+}
+
+
+@pytest.mark.parametrize(
+    ("what", "step", "standing"),
+    [
+        ("void", "tool_on", {"T1"}),
+        ("repeat", "tool_on", {"T1"}),
+        ("void", "localization:T1", {"T1", "T2"}),
+        ("repeat", "localization:T1", {"T2"}),  # of its own trajectory what is done again is not kept
+        ("void", "image", set()),  # another CT undoes also what was finished
+    ],
+)
+def test_what_moves_later_does_not_undo_what_was_finished(
+    course: Course, what: str, step: str, standing: set[str]
+) -> None:
+    do(course, *REGISTERED, *AT_T1, "approach:T2")
+    assert course.finished == ("T1",)
+    SUPERSEDING[what](course, step)
+    approaches = [course.order.find(name) for name in ("approach:T1", "approach:T2")]
+    assert {key.trajectory for key in approaches if course.case.stands(key)} == standing
+
+
+def test_when_every_target_was_finished_before_a_move_no_step_comes_any_more(course: Course) -> None:
+    do(course, *REGISTERED, *AT_T1, *AT_T2)
+    tool_on = course.order.find("tool_on")
+    course.void(tool_on)
+    assert course.over
+    assert course.upcoming is None
+    assert course.why_not_now(tool_on) == ("the work at every target is done: home brings the arm there",)

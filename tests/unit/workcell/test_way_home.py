@@ -1,0 +1,86 @@
+"""The way home: straight where that is clear, or else back the way the arm came."""
+
+import pytest
+
+from procedures.engine.errors import StepRefused
+from procedures.workcell.way_home import AT_HOME_RAD, WayHome
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices.readings import ArmReading, JointVector, Stamp, Validity
+
+HOME, ONE, TWO = ((A1, -1.5, 1.5, 0.0, 1.5, 0.0) for A1 in (0.0, 0.1, 0.2))
+
+
+class Arm:
+    """Stands where it was moved to; a way longer than `clear_rad` is not clear."""
+
+    def __init__(self) -> None:
+        self.joints_rad: JointVector = HOME
+        self.clear_rad = 1.0
+        self.moves: list[tuple[str, JointVector]] = []
+        self.way = WayHome(lambda: self.joints_rad, self.move)
+
+    def move(self, what: str, joints_rad: JointVector) -> ArmReading:
+        if abs(joints_rad[0] - self.joints_rad[0]) > self.clear_rad:
+            raise NotClear("the head is in the way")
+        self.moves.append((what, joints_rad))
+        self.joints_rad = joints_rad
+        self.way.came_by(joints_rad)
+        return ArmReading(Stamp(0, 0, 0.0), Validity.OK, joints_rad, None, moving=False)
+
+
+@pytest.fixture
+def arm() -> Arm:
+    """Came from home by two places."""
+    arm = Arm()
+    arm.way.set_home()
+    for place in (ONE, TWO):
+        arm.move("go", place)
+    arm.moves.clear()
+    return arm
+
+
+def test_where_it_is_clear_the_arm_goes_straight(arm: Arm) -> None:
+    assert arm.way.go_back().joints_rad == HOME
+    assert arm.moves == [("home", HOME)]
+
+
+def test_where_it_is_not_clear_the_arm_goes_back_the_way_it_came(arm: Arm) -> None:
+    arm.clear_rad = 0.15
+    arm.way.go_back()
+    assert arm.moves == [("back", TWO), ("back", ONE), ("home", HOME)]
+
+
+def test_the_way_is_forgotten_at_home(arm: Arm) -> None:
+    assert arm.way.away
+    arm.way.go_back()
+    arm.joints_rad, arm.clear_rad = TWO, 0.15  # brought there by other hands
+    with pytest.raises(NotClear):
+        arm.way.go_back()
+    assert not arm.way.away
+
+
+def test_an_arm_that_came_back_by_itself_is_not_away(arm: Arm) -> None:
+    arm.move("go", HOME)
+    assert not arm.way.away
+
+
+@pytest.mark.parametrize(("beside", "at_home"), [(0.9, True), (1.1, False)])
+def test_home_is_where_every_joint_is_near_its_own(arm: Arm, beside: float, at_home: bool) -> None:
+    arm.joints_rad = (*HOME[:5], HOME[5] + beside * AT_HOME_RAD)
+    assert arm.way.at_home is at_home
+
+
+def test_a_way_that_is_taken_up_leads_as_the_one_that_was_left(arm: Arm) -> None:
+    again = Arm()
+    again.joints_rad, again.clear_rad = TWO, 0.15
+    again.way.take_up(HOME, (ONE, TWO))
+    again.way.go_back()
+    assert [place for _, place in again.moves] == [TWO, ONE, HOME]
+
+
+def test_before_there_is_a_home_nothing_leads_there() -> None:
+    arm = Arm()
+    assert not arm.way.at_home
+    with pytest.raises(StepRefused, match="Run set_up first"):
+        arm.way.go()
+    assert arm.moves == []
