@@ -6,14 +6,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
-    checked_paths,
-    mounted_guide,
-    relocalization,
-    up_to_correspondence,
-)
+from clinical_case import FIRST, ClinicalCell
+from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
 
 from procedures.engine.journal import Entry
 from procedures.reporting.outcome import TargetTruth, Truth

@@ -12,22 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomli_w
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
+from clinical_case import FIRST, ClinicalCell, done_later, given
+from painted_ct import write_series
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_tool,
     coarse,
-    done_later,
-    given,
     localized_fiducials,
     locked_cart,
     mounted_guide,
     plan,
     registered_robot,
 )
-from painted_ct import write_series
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine

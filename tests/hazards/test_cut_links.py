@@ -8,12 +8,8 @@ from pathlib import Path
 from typing import NoReturn
 
 import pytest
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
-    checked_paths,
-    up_to_correspondence,
-)
+from clinical_case import FIRST, ClinicalCell
+from prepared_results import checked_paths, up_to_correspondence
 from recording_cell import RecordingDevice
 from user_commands import Commands
 

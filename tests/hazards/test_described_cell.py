@@ -5,14 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    SPHERES_MM,
-    ClinicalCell,
-    checked_plan,
-    checked_set_up,
-    correspondence,
-    localized_fiducials,
-)
+from clinical_case import SPHERES_MM, ClinicalCell
+from prepared_results import checked_plan, checked_set_up, correspondence, localized_fiducials
 
 from procedures.steps.clinical import path_check
 from ronna_hw.collision_config import BodyFrame, RoomBody

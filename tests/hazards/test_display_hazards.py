@@ -6,7 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
-from clinical_case import registered_robot
+from prepared_results import registered_robot
 
 from procedures.cli.case.display import show_outcome
 from procedures.engine.case import Case

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import registered_robot
 from painted_ct import write_series
+from prepared_results import registered_robot
 from pydicom import dcmread
 from recording_cell import RecordingCell
 from spoiled_slices import every, setting

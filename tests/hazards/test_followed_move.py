@@ -6,13 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import (
-    CENTRES_CT_MM,
-    FIRST,
-    LAST,
-    ROBOT_FROM_CT,
-    SPHERES_MM,
-    ClinicalCell,
+from clinical_case import CENTRES_CT_MM, FIRST, LAST, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
+from numpy.typing import NDArray
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_tool,
@@ -21,7 +17,6 @@ from clinical_case import (
     mounted_guide,
     relocalization,
 )
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from watched_case import findings
 

@@ -7,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import (
-    FIRST,
-    SPHERES_MM,
-    ClinicalCell,
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell
+from numpy.typing import NDArray
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_tool,
@@ -19,7 +18,6 @@ from clinical_case import (
     mounted_guide,
     registered_robot,
 )
-from numpy.typing import NDArray
 from room_trials import STILL, TrackedCase
 
 from procedures.engine.engine import Engine

@@ -15,11 +15,8 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from clinical_case import (
-    SPHERES_MM,
-    ClinicalCell,
-    up_to_correspondence,
-)
+from clinical_case import SPHERES_MM, ClinicalCell
+from prepared_results import up_to_correspondence
 from recording_cell import RecordingArm
 
 from drivers.kuka_rsi.link_client import LinkClient

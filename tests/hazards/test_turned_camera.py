@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import SPHERES_MM, ClinicalCell, checked_paths, checked_plan, coarse
-from clinical_case import localized_fiducials as fiducials
+from clinical_case import SPHERES_MM, ClinicalCell
+from prepared_results import checked_paths, checked_plan, coarse
+from prepared_results import localized_fiducials as fiducials
 
 from benchmarks.head_looks import ENDPOINTS
 from benchmarks.stereo_cell import StereoCell

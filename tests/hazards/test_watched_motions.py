@@ -8,13 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clinical_case import (
-    FIRST,
-    SPHERES_MM,
-    ClinicalCell,
-    checked_set_up,
-)
+from clinical_case import FIRST, SPHERES_MM, ClinicalCell
 from frame_trials import frames_to_alarm
+from prepared_results import checked_set_up
 from recording_cell import STEREO_HEAD
 from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched

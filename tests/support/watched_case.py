@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
+from clinical_case import FIRST, ClinicalCell
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_set_up,

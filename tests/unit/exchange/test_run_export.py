@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import SERIES, imported_ct, localized_fiducials, registered_robot
+from prepared_results import SERIES, imported_ct, localized_fiducials, registered_robot
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 

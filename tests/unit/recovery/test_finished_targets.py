@@ -6,19 +6,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    FIRST,
-    HOME_RAD,
-    LAST,
-    TRAJECTORIES,
-    ClinicalCell,
+from clinical_case import FIRST, HOME_RAD, LAST, TRAJECTORIES, ClinicalCell, done_later
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_set_up,
     checked_tool,
     coarse,
     correspondence,
-    done_later,
     imported_ct,
     localized_fiducials,
     locked_cart,

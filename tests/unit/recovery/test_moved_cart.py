@@ -5,15 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    FIRST,
-    LAST,
-    ClinicalCell,
+from clinical_case import FIRST, LAST, ClinicalCell, done_later
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_set_up,
     clamped_head,
-    done_later,
     imported_ct,
     localized_fiducials,
 )

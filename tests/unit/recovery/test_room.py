@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import ClinicalCell, SeeingTracker, coarse
+from clinical_case import ClinicalCell, SeeingTracker
+from prepared_results import coarse
 from recording_cell import HOME
 
 from procedures.engine.engine import Engine

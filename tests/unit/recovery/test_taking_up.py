@@ -8,15 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
+from clinical_case import FIRST, ClinicalCell, given
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_set_up,
     checked_tool,
     correspondence,
-    given,
     global_localization,
     localized_fiducials,
     mounted_guide,

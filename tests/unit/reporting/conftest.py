@@ -1,13 +1,8 @@
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    ClinicalCell,
-    checked_paths,
-    mounted_guide,
-    relocalization,
-    up_to_correspondence,
-)
+from clinical_case import ClinicalCell
+from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
 
 from procedures.engine.engine import Engine
 from procedures.engine.journal import Entry

@@ -7,7 +7,8 @@ import json
 from typing import Any
 
 import pytest
-from clinical_case import ClinicalCell, imported_ct
+from clinical_case import ClinicalCell
+from prepared_results import imported_ct
 
 from procedures.reporting.calibration import RESULT_FILE
 from procedures.reporting.outcome import RunError

@@ -11,14 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import (
-    FIRST,
-    TRAJECTORIES,
-    ClinicalCell,
-    checked_paths,
-    registered_robot,
-    up_to_correspondence,
-)
+from clinical_case import FIRST, TRAJECTORIES, ClinicalCell
+from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
 from procedures.engine.engine import Engine
 from procedures.engine.step import StepKey

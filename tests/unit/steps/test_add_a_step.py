@@ -7,7 +7,8 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 
 import pytest
-from clinical_case import ClinicalCell, given, mounted_guide
+from clinical_case import ClinicalCell, given
+from prepared_results import mounted_guide
 
 from procedures.engine.errors import GateFailed
 from procedures.engine.machine import mermaid

@@ -6,12 +6,10 @@ from collections.abc import Iterator
 from typing import Any, get_args
 
 import pytest
-from clinical_case import (
-    HOME_RAD,
+from clinical_case import HOME_RAD, OUTLINE, ClinicalCell
+from prepared_results import (
     LINK,
-    OUTLINE,
     SERIES,
-    ClinicalCell,
     checked_paths,
     checked_tool,
     correspondence,

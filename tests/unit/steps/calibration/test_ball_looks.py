@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from clinical_case import HOME_RAD, IN_VIEW_MM, ClinicalCell, checked_set_up
+from clinical_case import HOME_RAD, IN_VIEW_MM, ClinicalCell
+from prepared_results import checked_set_up
 from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from clinical_case import ClinicalCell, global_localization
+from clinical_case import ClinicalCell
+from prepared_results import global_localization
 
 from procedures.calibration.errors import NoBall
 from procedures.engine.case import Stored

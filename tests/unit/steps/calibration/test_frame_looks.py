@@ -5,7 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from clinical_case import ClinicalCell, checked_set_up
+from clinical_case import ClinicalCell
+from prepared_results import checked_set_up
 from recording_cell import RecordingOperator
 
 from procedures.calibration.errors import PosesOutOfReach

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from clinical_case import ClinicalCell, checked_set_up
+from clinical_case import ClinicalCell
+from prepared_results import checked_set_up
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible

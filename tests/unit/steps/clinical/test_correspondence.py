@@ -2,16 +2,9 @@
 
 import numpy as np
 import pytest
-from clinical_case import (
-    CENTRES_CT_MM,
-    ROBOT_FROM_CT,
-    SPHERES_MM,
-    ClinicalCell,
-    checked_plan,
-    global_localization,
-    localized_fiducials,
-)
+from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
 from numpy.typing import NDArray
+from prepared_results import checked_plan, global_localization, localized_fiducials
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored

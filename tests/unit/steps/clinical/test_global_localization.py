@@ -8,7 +8,8 @@ from types import MappingProxyType, SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from clinical_case import ClinicalCell, checked_set_up
+from clinical_case import ClinicalCell
+from prepared_results import checked_set_up
 
 from procedures.engine.errors import GateFailed
 from procedures.steps.clinical.global_localization import STEP

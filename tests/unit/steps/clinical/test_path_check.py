@@ -1,19 +1,14 @@
 """Every path is checked before anything moves, for the strategy that was chosen."""
 
 import pytest
-from clinical_case import (
-    FIRST,
-    LAST,
-    ROBOT_FROM_CT,
-    TRAJECTORIES,
-    ClinicalCell,
+from clinical_case import FIRST, LAST, ROBOT_FROM_CT, TRAJECTORIES, ClinicalCell, shifted
+from prepared_results import (
     checked_plan,
     checked_set_up,
     correspondence,
     far_away,
     joints_at,
     localized_fiducials,
-    shifted,
 )
 from recording_cell import RecordingOperator
 from strategy_arms import Stuck

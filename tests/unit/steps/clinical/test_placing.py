@@ -9,16 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import (
-    ROBOT_FROM_CT,
-    SERIES,
-    SPHERES_MM,
-    ClinicalCell,
-    checked_plan,
-    checked_set_up,
-    clamped_head,
-    localized_fiducials,
-)
+from clinical_case import ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
+from prepared_results import SERIES, checked_plan, checked_set_up, clamped_head, localized_fiducials
 from watched_case import findings
 
 from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused

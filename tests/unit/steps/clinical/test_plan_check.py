@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import tomli_w
-from clinical_case import CENTRES_CT_MM, SCENE, SERIES, ClinicalCell, imported_ct, localized_fiducials, plan
+from clinical_case import CENTRES_CT_MM, SCENE, ClinicalCell
 from numpy.typing import NDArray
 from painted_ct import SeriesEdit, write_series
+from prepared_results import SERIES, imported_ct, localized_fiducials, plan
 from pydicom.dataset import Dataset
 from recording_cell import RecordingOperator
 

@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from clinical_case import (
-    FIRST,
-    ROBOT_FROM_CT,
-    SPHERES_MM,
-    TRAJECTORIES,
-    ClinicalCell,
+from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
+from numpy.typing import NDArray
+from prepared_results import (
     checked_paths,
     checked_plan,
     correspondence,
@@ -15,7 +12,6 @@ from clinical_case import (
     localized_fiducials,
     relocalization,
 )
-from numpy.typing import NDArray
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored

@@ -5,20 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from clinical_case import (
-    ARRIVING,
-    FIRST,
-    HOME_RAD,
-    ROBOT_FROM_CT,
-    SPHERES_MM,
-    TRAJECTORIES,
-    ClinicalCell,
-    checked_paths,
-    checked_plan,
-    coarse,
-    localized_fiducials,
-    shifted,
-)
+from clinical_case import FIRST, HOME_RAD, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell, shifted
+from prepared_results import ARRIVING, checked_paths, checked_plan, coarse, localized_fiducials
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored

@@ -13,16 +13,18 @@ from clinical_case import (
     SPHERES_MM,
     TRAJECTORIES,
     ClinicalCell,
+    given,
+    shifted,
+)
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_tool,
     coarse,
-    given,
     localized_fiducials,
     mounted_guide,
     plan,
     registered_robot,
-    shifted,
 )
 from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 

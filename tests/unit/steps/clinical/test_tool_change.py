@@ -1,14 +1,8 @@
 """Parked, with its stream ended, the arm is given the guide; what hangs there is read and confirmed."""
 
 import pytest
-from clinical_case import (
-    HOME_RAD,
-    ClinicalCell,
-    checked_plan,
-    checked_set_up,
-    coarse,
-    localized_fiducials,
-)
+from clinical_case import HOME_RAD, ClinicalCell
+from prepared_results import checked_plan, checked_set_up, coarse, localized_fiducials
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored

@@ -8,7 +8,8 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
-from clinical_case import FIRST, ClinicalCell, checked_plan, coarse, localized_fiducials, mounted_guide
+from clinical_case import FIRST, ClinicalCell
+from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 from recording_cell import RecordingOperator
 
 from procedures.engine.errors import NotConfirmed, StepRefused

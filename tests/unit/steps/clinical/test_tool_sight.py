@@ -6,15 +6,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    ClinicalCell,
-    SeeingTracker,
-    checked_plan,
-    coarse,
-    localized_fiducials,
-    mounted_guide,
-    shifted,
-)
+from clinical_case import ClinicalCell, SeeingTracker, shifted
+from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 
 from procedures.steps.clinical.tool_check import STEP, CheckedTool
 from procedures.steps.errors import ToolSeenElsewhere

@@ -4,11 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from clinical_case import (
-    HOME_RAD,
-    ROBOT_FROM_CT,
-    TRAJECTORIES,
-    ClinicalCell,
+from clinical_case import HOME_RAD, ROBOT_FROM_CT, TRAJECTORIES, ClinicalCell
+from prepared_results import (
     checked_plan,
     far_away,
     global_localization,

@@ -3,9 +3,8 @@
 from contextlib import AbstractContextManager
 
 import pytest
-from clinical_case import (
-    FIRST,
-    ClinicalCell,
+from clinical_case import FIRST, ClinicalCell
+from prepared_results import (
     checked_paths,
     checked_plan,
     checked_tool,
