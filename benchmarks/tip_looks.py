@@ -13,8 +13,8 @@ from scipy.spatial.transform import RigidTransform
 from benchmarks.frame_looks import FLANKS, FrameCell
 from benchmarks.head_looks import TrueHead
 from procedures.calibration.head_model import cameras_of, intersected, pose_record
-from procedures.calibration.pose_set import turned_about
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, pairs_of
+from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
+from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.strategies.orientation import tool_orientation
 from ronna_hw.devices.readings import JointVector
@@ -52,15 +52,9 @@ class TipCell(FrameCell):
         reference = tool_orientation(DOWN, ball, 0.0)
         total = count + validation
         planned = turned_about(reference, ball, round(SPARE * total), tilt_rad=tilt_rad, turn_rad=TURN_RAD)
-        looks: list[BallLook] = []
-        for one in planned:
-            if len(looks) == total:
-                break
-            try:
-                joints = self.arm.compensated(one.pose @ self.head.inverse(), self.home).joints_rad
-            except LimitError:
-                continue
-            looks.append(self._ball(joints))
+        reached = {id(one): joints for one in planned if (joints := self._joints(one)) is not None}
+        first = [one for one in planned if id(one) in reached][:total]
+        looks = [self._ball(reached[id(one)]) for one in in_short_order(first)]
         observed = TipLooks(
             created=datetime.now(UTC),
             arm=self.scene.arm.variant,
@@ -69,7 +63,7 @@ class TipCell(FrameCell):
             arm_record=self.calibrations.arm,
             looks=tuple(looks),
             readings=(),
-            validation=tuple(range(1, total, total // validation))[:validation],
+            validation=kept_apart(len(looks), validation),
         )
         for number, look in enumerate(looks):
             for _ in range(2):  # the second is near
@@ -90,6 +84,12 @@ class TipCell(FrameCell):
         left, right = (np.array([one]) for one in pixels)
         in_flange, _ = intersected(cameras_of(self.calibrations.stereo_head), left, right)
         return self.head.inverse().apply(in_flange[0])
+
+    def _joints(self, look: PlannedLook) -> JointVector | None:
+        try:
+            return self.arm.compensated(look.pose @ self.head.inverse(), self.home).joints_rad
+        except LimitError:
+            return None
 
     def _ball(self, joints: JointVector) -> BallLook:
         flange = self._at_rest(joints)

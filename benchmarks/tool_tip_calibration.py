@@ -18,7 +18,7 @@ from sim.theatre.rigid import matrix_of
 Array = NDArray[np.float64]
 
 SEEDS = 20
-READINGS, VALIDATION = 8, 3
+READINGS, VALIDATION = 10, 3
 WHO = "ronna-procedure calibrate tool-tip"
 GOAL_MM = 0.05
 

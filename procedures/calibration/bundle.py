@@ -15,6 +15,7 @@ Nothing here needs the ball's diameter: the arm gives the scale.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -28,6 +29,7 @@ from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, camera
 from procedures.calibration.observations import Observation
 from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import StereoHeadCalibration
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -109,7 +111,7 @@ def fit_bundle(
         raise DegeneratePoses(
             "the orientations of the poses hardly vary",
             limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
         )
     cameras = cameras_of(start)
     points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
@@ -122,7 +124,7 @@ def fit_bundle(
         raise DoesNotFit(
             "the ball seems to move from look to look",
             limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{arm_error:.2f} mm",
+            got=f"{beyond(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
         )
     if arm is not None and arm_error > REPEATABILITY_MM:
         columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
@@ -307,11 +309,13 @@ def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
         raise DoesNotFit(
             "left and right images contradict each other",
             limit=f"{GAP_LIMIT_PX:g} px",
-            got=f"{gap_px:.1f} px",
+            got=f"{beyond(gap_px, GAP_LIMIT_PX, 1)} px",
         )
     if np.mean(~used) > MOST_OUTLIERS:
         raise DoesNotFit(
-            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
+            "too many looks do not fit the others",
+            limit=f"{MOST_OUTLIERS:.0%}",
+            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
         )
 
 

@@ -14,6 +14,7 @@ The scale of each sign is the scatter of the views themselves, from both runs.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,6 +30,7 @@ from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -119,7 +121,7 @@ class CheckResult:
             f"the stereo head has changed since its calibration ({', '.join(sign.name for sign in bad)}); "
             f"the ball is seen {1000 * moved:.0f} um away",
             limit=f"chi square {bad[0].limit:.1f}",
-            got=f"{bad[0].statistic:.1f}",
+            got=beyond(bad[0].statistic, bad[0].limit, 1),
         )
 
 
@@ -159,7 +161,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
         raise CheckUncertain(
             "the check could not detect a camera rotated by 0.01 degrees",
             limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
-            got=f"{1000 * worst:.0f} um",
+            got=f"{beyond(1000 * worst, 1000 * TWIST_SHIFT_MM / SENSITIVITY, 0)} um",
         )
     share = float(np.sum(1.0 / then.visits + 1.0 / now.visits)) / len(numbers) ** 2
     gap_variance = 0.5 * (then.gap_variance_mm2 + now.gap_variance_mm2) * share + GAP_FLOOR_MM**2
@@ -220,7 +222,7 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
             raise NotTheBaseline(
                 f"orientation {look.orientation + 1} was viewed from a different pose than in the baseline",
                 limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
-                got=f"{np.degrees(apart):.2f} deg",
+                got=f"{beyond(math.degrees(apart), math.degrees(SAME_POSE_RAD), 2)} deg",
             )
 
 

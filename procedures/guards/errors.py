@@ -6,6 +6,7 @@ import math
 from typing import Self
 
 from ronna_hw.errors import RefusedError
+from ronna_hw.text.beyond import beyond
 
 
 class BaseShifted(RefusedError):
@@ -52,6 +53,6 @@ class PatientMoved(RefusedError):
     @classmethod
     def by(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
         """A move of that size."""
-        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{moved_mm:.2f} mm")
+        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{beyond(moved_mm, limit_mm, 2)} mm")
         moved.moved_mm = moved_mm
         return moved

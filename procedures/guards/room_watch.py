@@ -18,6 +18,7 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
 from procedures.registration.shift import NEAR_MM, PointShift, shift_of, shift_of_few
 from ronna_hw.frames import Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -207,7 +208,7 @@ def _base_shifted(base_mm: Array, head_mm: Array | None, limit_mm: float) -> Bas
     shifted = BaseShifted(
         f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_in_words(way_mm)}",
         limit=f"{limit_mm:g} mm",
-        got=f"{np.linalg.norm(base_mm):.2f} mm",
+        got=f"{beyond(float(np.linalg.norm(base_mm)), limit_mm, 2)} mm",
     )
     shifted.cart = not tracker
     return shifted

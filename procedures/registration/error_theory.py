@@ -18,6 +18,7 @@ from scipy.special import chdtri, fdtri
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.weighted_rigid_fit import pose_jacobian
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -97,7 +98,7 @@ class FreGate:
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
                 limit=f"{self.limit_mm:.3f} mm at {self.confidence:.0%}",
-                got=f"{self.fre_mm:.3f} mm",
+                got=f"{beyond(self.fre_mm, self.limit_mm, 3)} mm",
             )
 
 

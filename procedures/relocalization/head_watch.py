@@ -16,6 +16,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from procedures.relocalization.errors import HeadTurned
+from ronna_hw.text.beyond import beyond
 
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
 # to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg make it 0.16e-2 to 0.20e-2.
@@ -46,5 +47,5 @@ def check_head(
         raise HeadTurned(
             "a camera of the stereo head has moved: the lines of sight pass each other",
             limit=f"{limit_mm:.2f} mm",
-            got=f"{gap_mm:.2f} mm",
+            got=f"{beyond(gap_mm, limit_mm, 2)} mm",
         )

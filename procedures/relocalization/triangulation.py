@@ -13,6 +13,7 @@ from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, Wron
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -68,7 +69,9 @@ def triangulate(
     start, gap = _nearest_point(cameras, centres)
     if gap > ray_gap_limit_mm:
         raise RaysDoNotMeet(
-            "the lines of sight do not meet", limit=f"{ray_gap_limit_mm} mm", got=f"{gap:.3f} mm"
+            "the lines of sight do not meet",
+            limit=f"{ray_gap_limit_mm} mm",
+            got=f"{beyond(gap, ray_gap_limit_mm, 3)} mm",
         )
     pixels = [camera.pixel_of(centre) for camera, centre in zip(cameras, centres, strict=True)]
     position, covariance = _weighted_point(cameras, outlines, pixels, start)

@@ -15,6 +15,7 @@ from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.frames import Frame
+from ronna_hw.text.beyond import beyond
 
 FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
@@ -41,7 +42,7 @@ class ArmCheck:
             raise ArmChanged(
                 f"the looks are not as calibration {self.calibration} says",
                 limit=f"{self.expected_mm:.3f} mm rms expected",
-                got=f"{self.error_mm:.3f} mm",
+                got=f"{beyond(self.error_mm, self.expected_mm, 3)} mm",
             )
 
 

@@ -7,6 +7,7 @@ looks themselves, with the share of each look in the fit taken into account.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from procedures.calibration.bundle import orientation_spread
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.frames import Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -75,7 +77,7 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
         raise DegeneratePoses(
             "the orientations of the looks hardly vary",
             limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
         )
     stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
     values = _start(model, looks)
@@ -92,11 +94,13 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
         raise DoesNotFit(
             "spheres seem to move from look to look",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{scatter:.2f} mm",
+            got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
         )
     if np.mean(~used) > MOST_OUTLIERS:
         raise DoesNotFit(
-            "too many looks do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
+            "too many looks do not fit the others",
+            limit=f"{MOST_OUTLIERS:.0%}",
+            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
         )
     return ArmFit(model, values, covariance, scatter, residuals, used)
 

@@ -12,6 +12,7 @@ from procedures.calibration.arm.error_model import BACKLASH
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
 from procedures.calibration.errors import DoesNotFit, TooFewPoses, Unobservable
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -56,7 +57,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
             "the looks do not reveal enough of the arm: least of all "
             + ", ".join(model.names[number] for number in worst),
             limit=f"{LARGEST_ERROR_MM:g} mm where it was not looked",
-            got=f"{model_mm:.2f} mm",
+            got=f"{beyond(model_mm, LARGEST_ERROR_MM, 2)} mm",
         )
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
     statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
@@ -64,7 +65,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         raise DoesNotFit(
             "the identified arm does not hold for looks that it has not seen",
             limit=f"chi-square {limit:.0f}",
-            got=f"{statistic:.0f}: {_rms(misses):.3f} mm",
+            got=f"{beyond(statistic, limit, 0)}: {_rms(misses):.3f} mm",
         )
     return ArmValidation(
         misses_mm=misses,

@@ -58,6 +58,11 @@ class TipLooks(Strict):
     validation: tuple[int, ...] = Field(description="Numbers of the looks that are kept to judge by.")
 
 
+def kept_apart(count: int, validation: int) -> tuple[int, ...]:
+    """Which of so many looks are kept to judge by: evenly among them, in the order of their orientations."""
+    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
+
+
 @dataclass(frozen=True)
 class TipPairs:
     """Ball and divot in m orientations, in the tool frame of the head as its record has it on the flange."""

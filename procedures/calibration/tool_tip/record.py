@@ -8,7 +8,7 @@ from datetime import timedelta
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from procedures.calibration.errors import (
     BadObservations,
@@ -23,6 +23,7 @@ from procedures.calibration.tool_tip.looks import TipLooks, TipPairs, pairs_of
 from procedures.calibration.tool_tip.tip import TipFit, fit_tip, tips_of
 from ronna_hw.calibration import ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -59,7 +60,9 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
     if change_mm > FAR_MM:
         raise FarFromRecord(
-            "the tip is not where its record has it", limit=f"{FAR_MM:g} mm", got=f"{change_mm:.1f} mm"
+            "the tip is not where its record has it",
+            limit=f"{FAR_MM:g} mm",
+            got=f"{beyond(change_mm, FAR_MM, 1)} mm",
         )
     # A divot shows where the tip is, not where the guide points: that and its error are taken over.
     found = Transform(
@@ -117,12 +120,14 @@ def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
         )
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
-    statistic = float(np.sum(misses**2) / variance)
-    limit = float(chdtri(3 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
-    if statistic > limit:
+    rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+    # The scatter is known from few readings only: its own error belongs to the limit (Fisher's F).
+    ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
+    limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
+    if rms_mm > limit_mm:
         raise DoesNotFit(
             "the tip does not hold for readings that it was not fitted to",
-            limit=f"chi-square {limit:.0f}",
-            got=f"{statistic:.0f}: {np.sqrt(np.mean(np.sum(misses**2, axis=1))):.3f} mm",
+            limit=f"{limit_mm:.3f} mm rms",
+            got=f"{beyond(rms_mm, limit_mm, 3)} mm",
         )
     return misses, float(np.sqrt(3.0 * variance))

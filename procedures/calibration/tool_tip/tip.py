@@ -12,6 +12,7 @@ turns with the tool is the tip, what stays is the gap between divot and ball. Th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,17 +22,18 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.bundle import orientation_spread
 from procedures.calibration.errors import BallAndDivotApart, DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.tool_tip.looks import TipPairs
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
-LEAST_READINGS = 6
+LEAST_READINGS = 8  # with fewer, pivoting leaves more than twice LARGEST_GAP_MM open
 LEAST_CONE = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
 SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
 LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
 LARGEST_GAP_MM = 0.08  # of ball and divot; what is smaller goes into the tip, so the stand must be good
 SURE = 3.0  # standard errors, where pivoting leaves more open than that
-MOST_OPEN_MM = 0.15  # beyond, readings this bad would excuse any gap; good ones leave 0.08 to 0.13
+LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; worse would excuse any gap
 
 
 @dataclass(frozen=True)
@@ -69,23 +71,23 @@ def fit_tip(pairs: TipPairs) -> TipFit:
         raise DoesNotFit(
             "the readings do not put the tip in one place",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{scatter:.2f} mm",
+            got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
             action="Check that stand, guide and dials are rigid, and x, y, z not mixed up; then repeat.",
         )
-    gap, gap_error = _pivoted_gap(pairs)
-    if SURE * gap_error > MOST_OPEN_MM:
+    gap, gap_error, pivot_scatter = _pivoted_gap(pairs)
+    if pivot_scatter > LARGEST_PIVOT_SCATTER_MM:
         raise DoesNotFit(
-            "pivoting does not tell whether the divot is where the ball was",
-            limit=f"{MOST_OPEN_MM:g} mm",
-            got=f"{SURE * gap_error:.2f} mm",
-            action="Check that stand, guide and dials are rigid, or read more orientations; then repeat.",
+            "pivoting does not tell whether the divot is where the ball was: the readings scatter too much",
+            limit=f"{LARGEST_PIVOT_SCATTER_MM:g} mm per axis",
+            got=f"{beyond(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
+            action="Check that stand, guide and dials are rigid; then repeat.",
         )
     limit = max(LARGEST_GAP_MM, SURE * gap_error)
     if np.linalg.norm(gap) > limit:
         raise BallAndDivotApart(
             "by pivoting, the divot is not where the ball was",
             limit=f"{limit:.2f} mm",
-            got=f"{np.linalg.norm(gap):.2f} mm",
+            got=f"{beyond(float(np.linalg.norm(gap)), limit, 2)} mm",
         )
     covariance = scatter**2 / pairs.count * np.eye(3)
     return TipFit(tip, covariance, scatter, misses, gap, gap_error)
@@ -110,7 +112,7 @@ def _require_usable(pairs: TipPairs) -> None:
         raise DegeneratePoses(
             "the tip was pivoted over too narrow a cone",
             limit=f"{np.degrees(np.arcsin(LEAST_CONE)):.0f} deg rms about every axis",
-            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_CONE)), 1)} deg",
             action="Tilt the guide by 20 degrees or more to all sides of the divot.",
         )
     between = pairs.at_ball[:, :3, :3].transpose(0, 2, 1) @ pairs.at_divot[:, :3, :3]
@@ -119,19 +121,22 @@ def _require_usable(pairs: TipPairs) -> None:
         raise DoesNotFit(
             "head and tip were not brought there in the same orientation",
             limit=f"{np.degrees(SAME_ORIENTATION_RAD):g} deg",
-            got=f"{np.degrees(turned):.1f} deg",
+            got=f"{beyond(math.degrees(turned), math.degrees(SAME_ORIENTATION_RAD), 1)} deg",
         )
 
 
-def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float]:
-    """The divot beside the ball, and its standard error in space: of `reach = R tip - gap`, both unknown."""
+def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
+    """The divot beside the ball, its standard error in space, and the scatter of one reading per axis.
+
+    Of `reach = R tip - gap`, both unknown.
+    """
     rotations, reach = pairs.at_divot[:, :3, :3], _reach_mm(pairs)
     rows = np.concatenate([rotations, np.tile(-np.eye(3), (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
     inverse = np.linalg.inv(rows.T @ rows)
     solution = inverse @ rows.T @ reach.ravel()
     misses = rows @ solution - reach.ravel()
     variance = max(float(misses @ misses) / (len(misses) - 6), LEAST_SCATTER_MM**2)
-    return solution[3:], float(np.sqrt(variance * np.trace(inverse[3:, 3:])))
+    return solution[3:], float(np.sqrt(variance * np.trace(inverse[3:, 3:]))), float(np.sqrt(variance))
 
 
 def _reach_mm(pairs: TipPairs) -> Array:

@@ -8,6 +8,7 @@ rotations and positions each weighted by the scatter that the looks themselves s
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from scipy.special import chdtri
 from procedures.calibration.bundle import orientation_spread
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, FrameNotCarried, TooFewPoses
 from procedures.calibration.tracker_frame.looks import PosePairs
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -118,14 +120,14 @@ def _require_solvable(pairs: PosePairs) -> None:
         raise FrameNotCarried(
             "the reference frame that the tracker sees does not turn as the flange does",
             limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
-            got=f"{np.degrees(np.median(apart)):.1f} deg",
+            got=f"{beyond(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)} deg",
         )
     spread = orientation_spread(flange)
     if spread < LEAST_SPREAD:
         raise DegeneratePoses(
             "the poses turn the frame about nearly parallel axes, or hardly at all",
             limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{np.degrees(np.arcsin(spread)):.1f} deg",
+            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
             action="Let the arm turn the frame about axes in all directions, by 20 degrees or more.",
         )
 
@@ -135,12 +137,15 @@ def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_])
         raise DoesNotFit(
             "no place of the frame on the flange explains what arm and tracker say",
             limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
-            got=f"{scatter_mm:.2f} mm and {np.degrees(scatter_rad):.2f} deg",
+            got=f"{beyond(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
+            f"{beyond(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
             action="Check that frame, mount and tracker's stand are rigid and the arm variant is right.",
         )
     if np.mean(~used) > MOST_OUTLIERS:
         raise DoesNotFit(
-            "too many poses do not fit the others", limit=f"{MOST_OUTLIERS:.0%}", got=f"{np.mean(~used):.0%}"
+            "too many poses do not fit the others",
+            limit=f"{MOST_OUTLIERS:.0%}",
+            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
@@ -19,6 +20,7 @@ from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, sl
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
 from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -108,7 +110,8 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
             raise TrackerMoved(
                 f"tracker, arm or frame moved between looks {number} and {later} at the first pose",
                 limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
-                got=f"{moved_mm:.2f} mm and {np.degrees(moved_rad):.2f} deg",
+                got=f"{beyond(moved_mm, MOVED_MM, 2)} mm and "
+                f"{beyond(math.degrees(moved_rad), math.degrees(MOVED_RAD), 2)} deg",
             )
 
 
@@ -131,7 +134,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
         raise DoesNotFit(
             "the frame does not hold for poses that it was not fitted to",
             limit=f"chi-square {limit:.0f}",
-            got=f"{statistic:.0f}: {rms_mm:.2f} mm",
+            got=f"{beyond(statistic, limit, 0)}: {rms_mm:.2f} mm",
         )
     variances = np.einsum("mii->mi", covariances)
     mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))
@@ -146,6 +149,7 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
         raise FarFromRecord(
             "the reference frame is not where its record has it",
             limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
-            got=f"{apart_mm:.1f} mm and {np.degrees(apart_rad):.1f} deg",
+            got=f"{beyond(apart_mm, FAR_MM, 1)} mm and "
+            f"{beyond(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",
         )
     return apart_mm, apart_rad

@@ -106,7 +106,7 @@ def tool_tip(
             help="Place of the stand's ball in $ROBROOT, mm, within 10 [default: the theatre file's].",
         ),
     ] = None,
-    readings: Annotated[int, typer.Option(min=6, max=30, help="Orientations to find the tip with.")] = 8,
+    readings: Annotated[int, typer.Option(min=8, max=30, help="Orientations to find the tip with.")] = 10,
     validation: Annotated[
         int, typer.Option(min=2, max=20, help="More orientations, kept apart to judge the result by.")
     ] = 3,

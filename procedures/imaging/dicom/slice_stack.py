@@ -6,6 +6,8 @@ Slice thickness and instance numbers are never used for the geometry: positions 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -19,6 +21,7 @@ from procedures.imaging.errors import (
     SpacingUneven,
 )
 from procedures.imaging.volume import VoxelGeometry
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -145,7 +148,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
         raise SpacingUneven(
             f"{slices[worst].path.name} deviates from the even spacing of {spacing_mm:.3f} mm",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            got=f"{deviation_mm[worst]:.3f} mm",
+            got=f"{beyond(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
         )
     return float(spacing_mm)
 
@@ -165,7 +168,7 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise GantryTilted(
             "the slices are not stacked along their normal",
             limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
-            got=f"{np.degrees(np.arctan(size)):.2f} degrees",
+            got=f"{beyond(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)} degrees",
         )
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))
@@ -173,5 +176,5 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise SpacingUneven(
             f"{slices[worst].path.name} is shifted sideways relative to the other slices",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            got=f"{deviation_mm[worst]:.3f} mm",
+            got=f"{beyond(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
         )

@@ -31,6 +31,7 @@ from procedures.planning.plan.seal import other_voxels
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.layout import find_layout
 from ronna_hw.errors import RonnaError
+from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -298,7 +299,7 @@ def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
         StopBeyondInstrument(
             f"trajectory {one.id}: the depth stop would sit beyond the instrument's end",
             limit=f"{plan.instrument_length_mm:g} mm",
-            got=f"{stop_mm:.1f} mm",
+            got=f"{beyond(stop_mm, plan.instrument_length_mm, 1)} mm",
         )
         for one, stop_mm in too_short(plan, bore)
     ]

@@ -91,7 +91,8 @@ class StandBall:
                 got=f"{len(reached)} of {wanted}",
                 action="Put the stand nearer to the middle of the workspace, with free space around it.",
             )
-        return in_short_order(reached)
+        # The first are spread evenly; a chain of neighbours through all of them would leave out one side.
+        return [*in_short_order(reached[: self.count]), *reached[self.count :]]
 
 
 def _stated(context: StepContext) -> Outcome[BallPlace]:

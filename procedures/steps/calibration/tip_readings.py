@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, pairs_of
+from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks, kept_apart, pairs_of
 from procedures.calibration.tool_tip.record import require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
@@ -74,8 +74,7 @@ class TipReadings:
     def _observed(self, context: StepContext, stand: ObservedStand) -> TipLooks:
         """Before the first reading."""
         workcell = context.workcell
-        calibrations, count = workcell.calibrations, len(stand.looks)
-        judging = {round((number + 0.5) * count / self.validation) for number in range(self.validation)}
+        calibrations = workcell.calibrations
         return TipLooks(
             created=context.setting.began,
             arm=workcell.arm.kinematics.name,
@@ -84,7 +83,7 @@ class TipReadings:
             arm_record=calibrations.arm,
             looks=stand.looks,
             readings=(),
-            validation=tuple(sorted(judging)),
+            validation=kept_apart(len(stand.looks), self.validation),
         )
 
 

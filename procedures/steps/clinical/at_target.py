@@ -24,6 +24,7 @@ from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, Stage,
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
 from procedures.steps.conditions import inserted
+from ronna_hw.text.beyond import beyond
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
@@ -58,7 +59,9 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     error_mm = float(np.linalg.norm(beside_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(
-            "the arm is not where it was sent", limit=f"{POSITION_LIMIT_MM} mm", got=f"{error_mm:.3f} mm"
+            "the arm is not where it was sent",
+            limit=f"{POSITION_LIMIT_MM} mm",
+            got=f"{beyond(error_mm, POSITION_LIMIT_MM, 3)} mm",
         )
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:

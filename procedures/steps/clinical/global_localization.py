@@ -25,6 +25,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
+from ronna_hw.text.beyond import beyond
 
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
@@ -96,7 +97,7 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
         raise GateFailed(
             "a sphere moved while the tracker was measuring",
             limit=f"{SPREAD_LIMIT_MM} mm",
-            got=f"{spread_mm:.2f} mm",
+            got=f"{beyond(spread_mm, SPREAD_LIMIT_MM, 2)} mm",
         )
     return spread_mm
 

@@ -50,6 +50,7 @@ from procedures.steps.clinical.validity.followed_move import FollowedMove, Measu
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -226,7 +227,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
     refusal = GateFailed(
         f"the fit disagrees with its own error budget at {names}",
         limit=f"{gate.limit_mm:.3f} mm",
-        got=f"{gate.fre_mm:.3f} mm",
+        got=f"{beyond(gate.fre_mm, gate.limit_mm, 3)} mm",
         action=_advice([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
     )
     if len(moved) != 1:
@@ -255,7 +256,7 @@ def _beyond_margin(
         refusal = GateFailed(
             f"the predicted error at {trajectory.id} exceeds the plan's margin",
             limit=f"{trajectory.margin_mm:g} mm",
-            got=f"{predicted.rms_mm:.2f} mm",
+            got=f"{beyond(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
         )
         others = [name for name in context.remaining if name not in (trajectory.id, *left_out)]
         if not others:

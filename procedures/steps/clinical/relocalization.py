@@ -35,6 +35,7 @@ from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -176,7 +177,7 @@ def _gate(differences_mm: Array, fiducials: Sequence[int], limit_mm: float) -> N
         raise GateFailed(
             f"sphere {fiducials[int(apart_mm.argmax())] + 1} is not where the tracker saw it",
             limit=f"{limit_mm:g} mm",
-            got=f"{apart_mm.max():.2f} mm",
+            got=f"{beyond(float(apart_mm.max()), limit_mm, 2)} mm",
             action="Check that the patient has not moved, then localize with the tracker again.",
         )
 

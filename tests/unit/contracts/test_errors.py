@@ -2,10 +2,12 @@ import pickle
 import re
 from pathlib import Path
 
+import pytest
 from generate import errors_with_a_code
 
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.errors import RonnaError
+from ronna_hw.text.beyond import beyond
 
 TESTS = Path(__file__).resolve().parents[2]
 
@@ -40,6 +42,22 @@ def test_an_error_from_another_process_says_what_it_said_there() -> None:
     for error in (plain, CommandRejected(1, "TX")):
         again = pickle.loads(pickle.dumps(error))
         assert (type(again), str(again), vars(again)) == (type(error), str(error), vars(error))
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "decimals", "shown"),
+    [
+        (0.1504, 0.15, 2, "0.1504"),
+        (0.31, 0.3, 2, "0.31"),
+        (7.96, 8.0, 1, "7.96"),
+        (0.21049, 0.21001, 3, "0.2105"),
+        (2.0, 2.0, 2, "2.00"),
+    ],
+)
+def test_a_figure_is_shown_apart_from_the_limit_that_refuses_it(
+    value: float, limit: float, decimals: int, shown: str
+) -> None:
+    assert beyond(value, limit, decimals) == shown
 
 
 def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:

@@ -14,6 +14,7 @@ from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
 
 SEEN_LIMIT_MM = 1.0  # issue 15; of any sphere on the tool
@@ -40,7 +41,7 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
         raise ToolSeenElsewhere(
             f"the tracker sees {frame.tool} beside its place on the mount",
             limit=f"{SEEN_LIMIT_MM:g} mm",
-            got=f"{off_mm:.2f} mm",
+            got=f"{beyond(off_mm, SEEN_LIMIT_MM, 2)} mm",
         )
     return off_mm
 

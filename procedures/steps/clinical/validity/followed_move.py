@@ -31,6 +31,7 @@ from procedures.workcell.tracker_look import FRAMES, frames_at_rest
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
@@ -180,7 +181,7 @@ def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
         raise BaseShifted(
             "cart or tracker was moved: a move of the head cannot be measured",
             limit=f"{BASE_LIMIT_MM:g} mm",
-            got=f"{base_mm:.2f} mm",
+            got=f"{beyond(base_mm, BASE_LIMIT_MM, 2)} mm",
         )
     return base_mm
 
@@ -190,7 +191,7 @@ def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
         raise PatientMoved(
             "the spheres on the head have not moved as one body",
             limit=f"{move.limit_mm:.2f} mm",
-            got=f"{move.residual_mm:.2f} mm",
+            got=f"{beyond(move.residual_mm, move.limit_mm, 2)} mm",
         )
     if fit.rms_mm > MOST_FOLLOWED_MM or fit.turn_rad > MOST_FOLLOWED_RAD:
         raise PatientMoved(

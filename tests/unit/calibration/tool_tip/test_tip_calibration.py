@@ -7,6 +7,7 @@ from datetime import timedelta
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from user_commands import in_this_process
 
 from benchmarks.tip_looks import TipCell
 from procedures.calibration.errors import (
@@ -18,13 +19,15 @@ from procedures.calibration.errors import (
     ReadingImplausible,
     TooFewPoses,
 )
+from procedures.calibration.tool_tip import tip as tip_module
 from procedures.calibration.tool_tip.looks import DivotReading, TipLooks, TipPairs, pairs_of
-from procedures.calibration.tool_tip.record import calibrate_tip
-from procedures.calibration.tool_tip.tip import fit_tip
+from procedures.calibration.tool_tip.record import LEAST_VALIDATION, calibrate_tip
+from procedures.calibration.tool_tip.tip import LEAST_READINGS, fit_tip
+from procedures.cli.procedure import app
 from ronna_hw.frames import Frame
 from sim.theatre.rigid import matrix_of
 
-COUNT, VALIDATION = 8, 3
+COUNT, VALIDATION = LEAST_READINGS, LEAST_VALIDATION  # so every good calibration here passes with the fewest
 Numbers3 = tuple[float, float, float]
 
 
@@ -77,7 +80,7 @@ def test_too_few_readings_are_refused(read: tuple[TipCell, TipLooks]) -> None:
     kept = [one for one in observed.readings if one.look in observed.validation]
     used = [one for one in observed.readings if one.look not in observed.validation]
     with pytest.raises(TooFewPoses, match="too few readings of the divot"):
-        calibrate_tip(among(observed, [*used[:5], *kept]))
+        calibrate_tip(among(observed, [*used[1:], *kept]))
     with pytest.raises(TooFewPoses, match="validate the tip"):
         calibrate_tip(among(observed, used))
 
@@ -153,6 +156,25 @@ def test_a_gap_that_is_accepted_is_counted_and_bad_readings_excuse_none(
     shaky = [with_dials(one, generator.normal(0.0, 0.06, 3)) for one in observed.readings]
     with pytest.raises(DoesNotFit, match="does not tell whether"):
         calibrate_tip(among(observed, shaky))
+
+
+def test_a_figure_beyond_its_limit_by_little_is_told_apart_from_it(
+    read: tuple[TipCell, TipLooks], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    _, observed = read
+    scatter_mm = calibrate_tip(observed).fit.scatter_mm
+    monkeypatch.setattr(tip_module, "LARGEST_SCATTER_MM", round(0.9999 * scatter_mm, 6))
+    with pytest.raises(DoesNotFit, match="in one place") as refused:
+        calibrate_tip(observed)
+    got, limit = (float((words or "").split()[0]) for words in (refused.value.got, refused.value.limit))
+    assert got > limit
+
+
+def test_the_command_asks_for_as_many_readings_as_the_fit_needs() -> None:
+    for option, least in (("--readings", LEAST_READINGS), ("--validation", LEAST_VALIDATION)):
+        done = in_this_process(app, "calibrate", "tool-tip", "--sim", option, str(least - 1))
+        assert done.returncode == 2
+        assert f"{least}<=x<=" in done.stderr
 
 
 def test_head_and_tip_in_different_orientations_are_refused(read: tuple[TipCell, TipLooks]) -> None:
