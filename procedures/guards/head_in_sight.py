@@ -18,6 +18,14 @@ from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 
+CLEAR_THE_LINE = (
+    "clear the line between tracker and head; where only arm or guide stand in it, leave the step and move "
+    "the tracker or turn the trajectory (free_angle_deg of the plan), or go on without sight"
+)
+ARM_IN_THE_WAY = (
+    "arm or guide is in the way, as was expected; leave the step and move the tracker or turn the trajectory "
+    "(free_angle_deg of the plan), or go on without sight"
+)
 PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none where the arm itself is in the way
 
 
@@ -53,7 +61,7 @@ class HeadInSight:
         now_s = self.clock.now_s()
         if not room.overdue(now_s):
             return None
-        why = "the arm is in the way" if room.arm_hides_head else "clear the line between tracker and head"
+        why = ARM_IN_THE_WAY if room.arm_hides_head else CLEAR_THE_LINE
         return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
 
     def excuse(self) -> None:

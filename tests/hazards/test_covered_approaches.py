@@ -30,7 +30,9 @@ def ended(scenes: int, trials: int, moved: Moved, shift_mm: float, *, covers: bo
 def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
     scenes: int, trials: int
 ) -> None:
-    assert {one.how for one in ended(scenes, trials, Moved.NOTHING, 0.0, covers=False)} == {How.PASSED}
+    quiet = list(ended(scenes, trials, Moved.NOTHING, 0.0, covers=False))
+    assert {one.how for one in quiet if not one.arm_hides} == {How.PASSED}
+    assert {one.how for one in quiet} <= {How.PASSED, How.SUSPENDED}
     covered = {one.how for one in ended(scenes, trials, Moved.NOTHING, 0.0, covers=True)}
     assert How.NOTICED not in covered
 
@@ -39,7 +41,7 @@ def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
 @pytest.mark.parametrize(("scenes", "trials"), SIZES)
 def test_a_shift_of_the_head_is_noticed_before_the_next_motion(scenes: int, trials: int) -> None:
     for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=False):
-        assert one.how is How.NOTICED
+        assert one.how is How.NOTICED or (one.arm_hides and one.how is How.SUSPENDED)
         assert one.begun == 0 or one.unseen_s > READING_S  # the arm itself was in the way over the target
 
 
@@ -58,6 +60,6 @@ def test_nothing_goes_to_a_covered_head_that_was_not_seen_for_longer_than_allowe
 def test_a_shift_of_the_cart_is_noticed_at_the_latest_when_the_guide_is_out(scenes: int, trials: int) -> None:
     late = 0
     for one in ended(scenes, trials, Moved.CART, CART_MM, covers=False):
-        assert one.how is How.NOTICED
+        assert one.how is How.NOTICED or (one.arm_hides and one.how is How.SUSPENDED)
         late += one.begun > 0
     assert late <= LATE_SHARE * scenes * trials

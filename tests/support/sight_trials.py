@@ -21,6 +21,7 @@ from procedures.guards.motion_watch import PASSED_FRAMES
 from procedures.guards.room_reading import FRAMES
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
 from procedures.planning.sight.tracker import TrackerSight
+from procedures.registration.shift import LEAST_POINTS
 from ronna_hw.arm.clearance.surroundings import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
@@ -104,6 +105,7 @@ class Ended:
     how: How
     begun: int
     unseen_s: float  # at the begin of the last of them
+    arm_hides: bool = False  # at the target itself
 
 
 @dataclass
@@ -141,7 +143,8 @@ class CoveredApproach:
             how = How.NOTICED
         except PatientUnseen:
             how = How.HELD
-        return Ended(how, self._begun, self._unseen_s)
+        hidden = int(self.sight.seen(self._at).sum()) < LEAST_POINTS
+        return Ended(how, self._begun, self._unseen_s, hidden)
 
     def _run(self) -> How:
         home, watch = self.case.home_rad, self._watch

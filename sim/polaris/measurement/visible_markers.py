@@ -84,10 +84,15 @@ class MarkerVisibility:
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
-        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted, disturbance.room)) & in_field(points)
+        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted, disturbance.room))
+        bodies_past_mount = scene.bodies(arm, mounted, disturbance.room, past_mount=True)
         ends = np.cumsum([len(group.markers_mm) for group in groups]).tolist()
         for group, end in zip(groups, ends, strict=True):
-            seen[:, [end - len(group.markers_mm) + row for row in group.covered]] = False
+            first = end - len(group.markers_mm)
+            if scene.on_mount(group):
+                seen[:, first:end] = visible(eyes_mm(), points[first:end], bodies_past_mount)
+            seen[:, [first + row for row in group.covered]] = False
+        seen &= in_field(points)
         rows = {
             id(group): seen[:, end - len(group.markers_mm) : end]
             for group, end in zip(groups, ends, strict=True)

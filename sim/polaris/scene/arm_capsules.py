@@ -1,7 +1,15 @@
 """The arm as a few capsules that block the tracker's line of sight.
 
 Roughly the hull of a KR 6 R900 and of what its flange carries. The joints are those of the nominal arm,
-which is millimetres away from the true one.
+which is millimetres away from the true one. Head and guide hang on one mount, which keeps clear of the
+patient: a plate on the flange, a riser at its end, away from the patient, and from its top a bridge over to
+the tool's axis.
+
+          top ---- bridge ---- on the axis
+           |                        |
+         riser                    tool
+           |
+    flange - plate - foot           :
 """
 
 from __future__ import annotations
@@ -14,15 +22,18 @@ from numpy.typing import NDArray
 from sim.kuka.arm.robot_description import description
 from sim.polaris.scene.line_of_sight import Capsules
 from sim.theatre.rigid import Matrix, apply, inverse, matrix_of
-from sim.theatre.scene.model import Scene
+from sim.theatre.scene.model import Mount, Scene
 from sim.theatre.world import ArmState
 
 Vector = NDArray[np.float64]
+Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius
 
 UPPER_ARM_RADIUS_MM = 90.0
 FOREARM_RADIUS_MM = 55.0
 WRIST_RADIUS_MM = 45.0
-MOUNT_RADIUS_MM = 15.0
+MOUNT_RADIUS_MM = 12.0
+RISER_MM = 130.0  # beside the tool's axis, towards the flange
+RISER_TOP_MM = 170.0  # above the tool centre point
 CAMERA_RADIUS_MM = 22.0  # housing of 29 mm, measured over its corners
 GUIDE_RADIUS_MM = 8.0
 CAMERA_LENGTH_MM = 80.0  # of housing and lens, from the lens' centre backwards
@@ -34,48 +45,37 @@ class ArmBody:
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
-        self._mount = mount
         self._joints = [
             (np.array(joint.origin_mm, dtype=float), _turns(joint.axis))
             for joint in description(scene.arm.variant).joints[: WRIST + 1]
         ]
         self._flange_from_tool = matrix_of(mount.flange_from_tool_true)
-        ends_of_guide_mm = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
-        # Per camera, tool frame: the lens' centre and the back of the housing.
-        ends_mm = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]
-        cameras_mm = [
-            apply(inverse(matrix_of(camera.camera_from_tool)), ends_mm)
-            for camera in (scene.left, scene.right)
-        ]
-        self._carried_mm = {
-            mount.tool_number_guide: apply(matrix_of(mount.tool_from_tip_true), ends_of_guide_mm),
-            mount.tool_number_stereo: np.vstack(cameras_mm),
+        self._mount_limbs, top = _mount(inverse(self._flange_from_tool)[:3, 3])
+        self._carried = {
+            mount.tool_number_guide: _guide(mount, top),
+            mount.tool_number_stereo: _stereo_head(scene, top),
         }
 
-    def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix) -> Capsules:
-        """In the tracker frame."""
+    def capsules(
+        self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix, *, past_mount: bool = False
+    ) -> Capsules:
+        """In the tracker frame; `past_mount` as what hangs on the mount itself is seen."""
         shoulder, elbow, wrist = self._joints_mm(arm)
         flange = arm.robot_from_flange
-        tool = flange @ self._flange_from_tool
-        hand = flange[:3, 3]
-        # The mount reaches sideways in the plane of the flange until it is above the tool centre point.
-        side = tool[:3, 3] - flange[:3, 2] * self._flange_from_tool[2, 3]
-        limbs = [
+        limbs: list[Limb] = [
             (shoulder, elbow, UPPER_ARM_RADIUS_MM),
             (elbow, wrist, FOREARM_RADIUS_MM),
-            (wrist, hand, WRIST_RADIUS_MM),
-            (hand, side, MOUNT_RADIUS_MM),
+            (wrist, flange[:3, 3], WRIST_RADIUS_MM),
         ]
-        if mounted_tool in self._carried_mm:
-            carried = apply(tool, self._carried_mm[mounted_tool])
-            if mounted_tool == self._mount.tool_number_guide:
-                lower, upper = carried
-                limbs += [(side, upper, MOUNT_RADIUS_MM), (upper, lower, GUIDE_RADIUS_MM)]
-            else:
-                for lens, back in zip(carried[::2], carried[1::2], strict=True):
-                    limbs += [(side, lens, MOUNT_RADIUS_MM), (lens, back, CAMERA_RADIUS_MM)]
-        starts, ends, radii = (np.array(column) for column in zip(*limbs, strict=True))
-        return Capsules(apply(tracker_from_robot, starts), apply(tracker_from_robot, ends), radii)
+        on_tool = self._mount_limbs + self._carried.get(mounted_tool, [])
+        if past_mount:
+            on_tool = [limb for limb in on_tool if limb[2] != MOUNT_RADIUS_MM]
+        tool = flange @ self._flange_from_tool
+        if on_tool:
+            begins, stops, radii = zip(*on_tool, strict=True)
+            limbs += zip(apply(tool, np.array(begins)), apply(tool, np.array(stops)), radii, strict=True)
+        starts, ends, thick = (np.array(column) for column in zip(*limbs, strict=True))
+        return Capsules(apply(tracker_from_robot, starts), apply(tracker_from_robot, ends), thick)
 
     def _joints_mm(self, arm: ArmState) -> tuple[Vector, Vector, Vector]:
         """Shoulder, elbow and wrist in the robot frame."""
@@ -86,6 +86,33 @@ class ArmBody:
             rotation = rotation @ (np.eye(3) + math.sin(angle) * once + (1.0 - math.cos(angle)) * twice)
             places.append(place)
         return places[SHOULDER], places[ELBOW], places[WRIST]
+
+
+def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
+    """Plate and riser in the tool frame, and where the riser ends."""
+    beside = flange_mm[:2] / np.linalg.norm(flange_mm[:2]) * RISER_MM
+    foot, top = np.array([*beside, flange_mm[2]]), np.array([*beside, -RISER_TOP_MM])
+    return [(flange_mm, foot, MOUNT_RADIUS_MM), (foot, top, MOUNT_RADIUS_MM)], top
+
+
+def _guide(mount: Mount, top: Vector) -> list[Limb]:
+    """The tube, and the bridge to its upper end, in the tool frame."""
+    ends = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
+    lower, upper = apply(matrix_of(mount.tool_from_tip_true), ends)
+    return [(top, upper, MOUNT_RADIUS_MM), (upper, lower, GUIDE_RADIUS_MM)]
+
+
+def _stereo_head(scene: Scene, top: Vector) -> list[Limb]:
+    """The cameras, the beam between them and the bridge to its middle, in the tool frame."""
+    ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]  # the lens' centre, the back of the housing
+    left, right = (apply(inverse(matrix_of(one.camera_from_tool)), ends) for one in (scene.left, scene.right))
+    beam = (left.mean(axis=0), right.mean(axis=0))
+    return [
+        (top, np.mean(beam, axis=0), MOUNT_RADIUS_MM),
+        (*beam, MOUNT_RADIUS_MM),
+        (*left, CAMERA_RADIUS_MM),
+        (*right, CAMERA_RADIUS_MM),
+    ]
 
 
 def _turns(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:

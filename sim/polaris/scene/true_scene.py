@@ -81,17 +81,32 @@ class TrueScene:
         return apply(self._tracker_from(room), self._centres_mm + room.of_spheres_mm(self.fiducial_numbers))
 
     def bodies(
-        self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
+        self,
+        arm: ArmState | None,
+        mounted_tool: int,
+        room: RoomShift = NOTHING_MOVED,
+        *,
+        past_mount: bool = False,
     ) -> tuple[Body, ...]:
-        """Opaque bodies: the head, where there is one, which hides the same wherever it is moved; the arm."""
+        """Opaque bodies: the head, where there is one, which hides the same wherever it is moved; the arm.
+
+        The frames stand out of the mount that carries them, on posts: `past_mount` it hides none of them.
+        """
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
-        return (*head, self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room)))
+        return (
+            *head,
+            self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room), past_mount=past_mount),
+        )
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
         """True for the reference frame M, as long as there is an arm that carries it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
+
+    def on_mount(self, tool: TrueTool) -> bool:
+        """Whether a tool hangs on the arm's mount, or on the guide there."""
+        return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
     def tool(
         self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance

@@ -5,13 +5,12 @@ from room_trials import TrackedCase
 from sight_trials import GuideSight
 
 from procedures.planning.sight.tracker import TrackerSight
-from procedures.registration.shift import LEAST_POINTS
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 
 SCENES = 8
-LEAST_AGREEMENT = 0.9  # the bodies of planning are thicker than those of the simulator
+LEAST_AGREEMENT = 0.97  # sphere by sphere; the bodies of planning are thicker than those of the simulator
 
 
 def test_a_sphere_behind_the_forearm_is_hidden_and_one_beside_it_is_not() -> None:
@@ -28,12 +27,11 @@ def test_a_sphere_behind_the_forearm_is_hidden_and_one_beside_it_is_not() -> Non
     assert seen.tolist() == [False, True]
 
 
-def test_most_poses_of_a_case_are_told_as_the_simulator_has_them() -> None:
+def test_nearly_every_sphere_is_told_as_the_simulator_has_it() -> None:
     told = []
     for seed in range(SCENES):
         case = TrackedCase(seed)
         sight = GuideSight(case)
         for joints in (joints for approach in sight.approaches for joints in approach):
-            truly = int(sight.seen(joints).sum()) >= LEAST_POINTS
-            told.append((int(sight.expected(joints).sum()) >= LEAST_POINTS) == truly)
+            told.extend(sight.expected(joints) == sight.seen(joints))
     assert np.mean(told) >= LEAST_AGREEMENT

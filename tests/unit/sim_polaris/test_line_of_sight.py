@@ -8,6 +8,7 @@ import pytest
 from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.polaris.optics.marker_noise import eyes_mm
+from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.disturbance import NONE
 from sim.polaris.scene.line_of_sight import Capsules, Ellipsoid, visible
 from sim.polaris.scene.true_scene import TrueScene
@@ -81,10 +82,24 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: SceneName, s
     scene, world = stage_at_home(name, seed)
     arm = scene.arm()
     assert arm is not None
-    markers = scene.frame(arm, NONE).markers_mm
-    points = np.vstack([scene.fiducials_mm, markers])
+    frame = scene.frame(arm, NONE)
+    assert scene.on_mount(frame)
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
-        assert visible(eyes_mm(), points, scene.bodies(arm, tool)).all()
+        assert visible(eyes_mm(), scene.fiducials_mm, scene.bodies(arm, tool)).all()
+        assert visible(eyes_mm(), frame.markers_mm, scene.bodies(arm, tool, past_mount=True)).all()
+
+
+def test_a_guide_held_before_the_head_keeps_its_mount_out_of_the_skin() -> None:
+    _, world = stage_at_home("default", 0)
+    mount = world.scene.mount
+    flange = np.linalg.inv(matrix_of(mount.flange_from_tool_true))  # the tool's frame is the tracker's
+    joints = tuple(np.radians(world.scene.arm.home_deg).tolist())
+    capsules = ArmBody(world.scene).capsules(
+        ArmState(joints, flange, 0, True), mount.tool_number_guide, np.eye(4)
+    )
+    along_axis = np.linspace((0.0, 0.0, -mount.guide.reach_mm + 20.0), (0.0, 0.0, 0.0), 50)
+    side_mm = np.array([0.0, 200.0, 0.0])  # seen from beside the axis, where nothing else stands
+    assert not capsules.hides((along_axis.mean(axis=0) + side_mm)[None], along_axis).any()
 
 
 def test_a_sphere_behind_the_head_is_not_seen() -> None:
