@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 from ronna_hw.records import Record
 
@@ -23,5 +23,18 @@ def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
 
 def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
     """The one of that kind that a record was made from, among `records` by identifier; None without one."""
-    parents = (records[name] for name in record.parents if name in records)
-    return next((parent for parent in parents if parent.kind == kind), None)
+    return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
+
+
+def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """The nearest of that kind that a record descends from, among `records`; None without one."""
+    level = [record]
+    while level:
+        level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())
+        if found := next((one for one in level if one.kind == kind), None):
+            return found
+    return None
+
+
+def _parents(record: Record, records: Mapping[str, Record]) -> Iterator[Record]:
+    return (records[name] for name in record.parents if name in records)

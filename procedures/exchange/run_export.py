@@ -12,6 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
+from procedures.engine.ancestry import ancestor_of_kind
 from procedures.engine.case import Stored
 from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder, run_of
@@ -33,10 +34,12 @@ from procedures.exchange.plain_files import (
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
 from procedures.reporting.used_registrations import UsedRegistration, used_registrations
+from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.records import Record
 
 R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that is for every trajectory
@@ -90,6 +93,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
             fit.result.robot_from_ct.transform,
             replace(origin, made=datetime.fromisoformat(fit.record.created), key=fit.record.sha256),
             spheres=origin,
+            placing=_placing(fit.record, folder),
             description=f"trajectory {trajectory}",
             fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
         )
@@ -122,6 +126,13 @@ def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRo
         label = ALL if for_all else "-".join(labels[name] for name in one.targets)
         labelled[label] = Stored(one.stored.record, result)
     return labelled
+
+
+def _placing(registration: Record, folder: RunFolder) -> str:
+    """By the hash of its record how the cart stood: it names the run too; empty where none was locked."""
+    by_name = {record.identifier: record for record in folder.records}
+    locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
+    return "" if locked is None else locked.sha256
 
 
 def _summary(fits: dict[str, Stored[RegisteredRobot]]) -> str:

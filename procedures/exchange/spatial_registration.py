@@ -21,6 +21,7 @@ def spatial_registration(
     origin: Origin,
     *,
     spheres: Origin | None = None,
+    placing: str = "",
     label: str = "CT_TO_ROBOT",
     description: str = "",
     fiducial_uids: Sequence[str] = (),
@@ -28,12 +29,13 @@ def spatial_registration(
     """The object for a pose robot <- CT.
 
     Its own frame of reference is the robot's; the CT's maps into it by the pose. `fiducial_uids` name the
-    spheres that the fit used, in the fiducials object of the origin `spheres` (by default the same). All
-    registrations made from the same spheres share the robot's frame.
+    spheres that the fit used, in the fiducials object of the origin `spheres` (by default the same). The
+    robot's frame is that of all registrations made from the same spheres and at the same `placing` of the
+    cart, whatever names it: after a move of the cart it is another one.
     """
     spheres = spheres or origin
     made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = uid(spheres, "robot frame")
+    made.FrameOfReferenceUID = uid(spheres, "robot frame", placing)
     made.PositionReferenceIndicator = ""
     made.RegistrationSequence = [
         _item(made.FrameOfReferenceUID, np.eye(4)),

@@ -8,9 +8,11 @@ import subprocess
 from pathlib import Path
 
 import pytest
+from pydicom import dcmread
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
+from procedures.exchange.run_export import export_run
 from procedures.steps.branches import GO_ON
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
@@ -106,6 +108,10 @@ def test_after_a_move_of_the_cart_the_case_goes_on_from_the_lock_and_reaches_its
         finished = "retreat:T1" in done(lines[: lines.index(line)])
         kept = [one for one in stood if one[3:] in KEPT or (finished and one.endswith("-T1"))]
         assert line["supersedes"] == [one for one in stood if one not in kept]
+    (run_folder,) = (tmp_path / "runs").iterdir()
+    registrations = [one for one in export_run(run_folder, tmp_path / "out") if one.match("reg*.dcm")]
+    frames = {dcmread(one).FrameOfReferenceUID for one in registrations}
+    assert len(frames) == (2 if step == "at_target:T2" else 1)  # before and after a move: two
 
 
 @pytest.mark.hazard(50)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from prepared_results import (
     mounted_guide,
     registered_robot,
 )
+from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
@@ -134,6 +136,18 @@ def test_the_export_has_both_registrations_each_for_its_target(tmp_path: Path) -
     assert {f"registration-{name}.dcm" for name in TRAJECTORIES} < names
     table = (tmp_path / "out" / "registrations.csv").read_text().splitlines()
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
+
+
+def test_after_the_move_the_robot_has_another_frame_of_reference(tmp_path: Path) -> None:
+    registered_twice(ClinicalCell(tmp_path / "run"))
+    seal(tmp_path / "run", closed_files(read_chain(tmp_path / "run" / JOURNAL_FILE).lines))
+    first, again = (frames_of(export_run(tmp_path / "run", tmp_path / name)) for name in ("one", "two"))
+    assert len(set(first)) == len(TRAJECTORIES)
+    assert first == again
+
+
+def frames_of(files: Iterable[Path]) -> list[str]:
+    return [dcmread(one).FrameOfReferenceUID for one in files if one.match("registration-*.dcm")]
 
 
 @dataclass
