@@ -19,6 +19,7 @@ from procedures.engine.journal import JOURNAL_FILE
 from procedures.engine.replay.recorded_answers import read_in_order
 from procedures.engine.replay.sections import BEGINS
 from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.raw_extent import RawExtent, write_extent
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import chain_until_broken
 from ronna_hw.records import PARTIAL
@@ -65,7 +66,7 @@ def raw_readings(run: Path) -> Iterator[RawReading]:
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
-    """Write them as PNG and CSV into the folder `out`, which must not be there yet.
+    """Write them as PNG and CSV, and how far they go, into the folder `out`, which must not be there yet.
 
     Returns it, and whether all is in it: no more than about `most_bytes` are written. Raises EXC-002,
     EXC-003, PRO-024, and leaves nothing then.
@@ -76,7 +77,9 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
     try:
         shutil.rmtree(made, ignore_errors=True)
         (made / PICTURES_FOLDER).mkdir(parents=True)
+        lines = len(chain_until_broken(run / JOURNAL_FILE)[0].lines)
         whole = _write_all(run, made, most_bytes)
+        write_extent(made, RawExtent(journal_lines=lines, whole=whole))
         os.replace(made, out)
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error

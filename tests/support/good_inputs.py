@@ -64,6 +64,7 @@ PARSER_NAMES = (
     "proposed place",
     "marker template",
     "order",
+    "raw extent",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">

@@ -20,6 +20,7 @@ from painted_ct import write_series
 from drivers.basler_stereo.images import pixels_of
 from procedures.engine.orders import read_order
 from procedures.engine.replay.recorded_answers import read_answers
+from procedures.exchange.raw_extent import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.dicom.slice_pixels import read_pixels_into
@@ -84,7 +85,7 @@ TAPE = (
 def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
     """What each takes when all is well, and what takes it; `folder` is theirs."""
     run = folder / "run"
-    for name in ("records", "report", "theatre", "readings"):
+    for name in ("records", "report", "theatre", "readings", "raw"):
         (run / name).mkdir(parents=True)
 
     def of(name: str, read: Callable[[Path], object], where: Path = run) -> Take:
@@ -128,6 +129,10 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             of("template.toml", lambda _run: read_marker_template(run / "template.toml")),
         ),
         "order": (ORDERS, _order),
+        "raw extent": (
+            (b'{"schema":1,"journal_lines":9,"whole":true}\n',),
+            of("raw/extent.json", lambda _run: missing_in_raw(run, ())),
+        ),
     }
 
 

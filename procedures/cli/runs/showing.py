@@ -8,6 +8,7 @@ from typing import Any
 
 from procedures.cli.runs.folders import runs_in
 from procedures.engine.journal import Entry
+from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
@@ -41,9 +42,9 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print what a run did, how it ended, and the errors at its targets."""
     reading = read_for_report(folder)
-    row = _summary(reading)
+    row, missing = _summary(reading), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
-        print_json(row | {"problems": [*reading.changes, *reading.problems]})
+        print_json(row | {"problems": [*reading.changes, *reading.problems], "raw_missing": missing})
         return
     for change in reading.changes:
         say(f"NOT AS THE RUN LEFT IT: {change}")
@@ -64,6 +65,8 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
     for problem in reading.problems:
         say(f"not to be relied on: {problem}")
+    if missing:
+        say(f"{missing}; {WRITES_ALL}")
 
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:

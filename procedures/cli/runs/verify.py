@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from pathlib import Path
 
+from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from ronna_hw.command_line.console import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
@@ -13,7 +14,8 @@ from ronna_hw.evidence.seal import files_of
 
 def verify(folder: Path, *, as_json: bool) -> None:
     """Print what is changed, missing or added; ends with exit code 3 when anything is."""
-    problems = inspected(folder).problems
+    found = inspected(folder)
+    problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
     checked = sum(1 for _ in files_of(folder))
     if as_json:
         print_json(
@@ -22,6 +24,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
                 "whole": not problems,
                 "files": checked,
                 "problems": [asdict(one) for one in problems],
+                "raw_missing": missing,
             }
         )
     else:
@@ -29,5 +32,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
             say(str(problem))
         if not problems:
             say(f"{folder.resolve().name}: whole, {checked} files are as the run left them")
+        if missing:
+            say(f"{missing}; {WRITES_ALL}")
     if problems:
         raise SystemExit(EXIT_REFUSED)

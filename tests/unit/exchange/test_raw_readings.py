@@ -10,15 +10,18 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from user_commands import in_this_process
 
 from procedures.cli.case.leaving_report import seal_run
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
+from procedures.cli.procedure import app
 from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import Entry, Journal
 from procedures.engine.replay.sections import section_follower
 from procedures.exchange.errors import NothingToExport, NotWritable
+from procedures.exchange.raw_extent import EXTENT_FILE, missing_in_raw
 from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
@@ -34,6 +37,7 @@ from ronna_hw.devices.readings import (
 )
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 
@@ -189,6 +193,37 @@ def test_an_interruption_does_not_wait_for_them(
     assert f"ronna-procedure raw {run}" in capsys.readouterr().err
     assert (run / RAW_FOLDER / "tracker.csv").exists()
     assert inspected(run).problems == ()
+
+
+def test_what_a_later_session_did_not_write_is_told(tmp_path: Path) -> None:
+    run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
+    seal_run(run)
+    told = [in_this_process(app, command, run) for command in ("show", "verify")]
+    assert not any(f"{RAW_FOLDER}/" in one.stdout for one in told)
+    journal = Journal.taken_up(run, read_chain(run / "journal.jsonl"))
+    journal.write(Entry.RESTARTED, 4.0)
+    journal.write(Entry.INTENT, 4.0, step="relocalization:T2")
+    journal.write(Entry.CLOSED, 5.0, outcome="interrupted", files=hashes_at_closing(run))
+    journal.close()
+    seal_run(run, at_once=True)
+    for command in ("show", "verify"):
+        done = in_this_process(app, command, run)
+        assert done.returncode == 0
+        assert "raw/ is of an earlier session: readings from relocalization:T2 on are missing" in done.stdout
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": 2, "journal_lines": 9, "whole": true}'])
+def test_raw_readings_that_do_not_say_how_far_they_go_are_told(text: str, run: Path) -> None:
+    folder, _ = write_raw(run, run / RAW_FOLDER)
+    lines = read_chain(run / "journal.jsonl").lines
+    assert missing_in_raw(run, lines) is None
+    (folder / EXTENT_FILE).write_text(text)
+    assert missing_in_raw(run, lines) == "raw/ does not say how far its readings go"
+
+
+def test_raw_readings_that_found_no_more_place_are_told(run: Path) -> None:
+    write_raw(run, run / RAW_FOLDER, most_bytes=100)
+    assert "full" in str(missing_in_raw(run, read_chain(run / "journal.jsonl").lines))
 
 
 def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path: Path) -> None:

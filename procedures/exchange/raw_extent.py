@@ -1,0 +1,50 @@
+"""How far the raw readings in a folder go: a later session of the run may have left without its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from procedures.engine.replay.sections import BEGINS
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.evidence.journal_reading import Line
+from ronna_hw.evidence.seal import RAW_FOLDER
+
+EXTENT_FILE = "extent.json"
+WRITES_ALL = "ronna-procedure raw RUN --out DIR writes all"
+
+
+class RawExtent(BaseModel):
+    """The content of `extent.json`."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    journal_lines: int = Field(ge=0, description="Of the journal then: readings of later steps are missing.")
+    whole: bool = Field(description="Whether everything up to there found place.")
+
+
+def write_extent(folder: Path, extent: RawExtent) -> None:
+    """Into a folder of raw readings. Raises OSError."""
+    (folder / EXTENT_FILE).write_text(f"{extent.model_dump_json(by_alias=True)}\n", encoding="utf-8")
+
+
+def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
+    """What the run's own folder of raw readings lacks, in words; `lines` are its journal's.
+
+    None where nothing is missing, and where there is no such folder.
+    """
+    folder = run / RAW_FOLDER
+    if not folder.is_dir():
+        return None
+    try:
+        extent = RawExtent.model_validate_json(read_json_bytes(folder / EXTENT_FILE, linked=False))
+    except (OSError, ValueError):
+        return f"{RAW_FOLDER}/ does not say how far its readings go"
+    since = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
+    if since:
+        first = since[0].get("step", "home")
+        return f"{RAW_FOLDER}/ is of an earlier session: readings from {first} on are missing in it"
+    return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing in it"
