@@ -33,16 +33,23 @@ DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
 
 
-class ReachedTarget(StepResult, kind="at_target", version=3):
-    """How the guide was held, and how deep the instrument went."""
+class ReachedTarget(StepResult, kind="at_target", version=4):
+    """How the guide was held, and how deep the instrument went.
 
-    tool_pose: FramedPose = Field(description="Nominal pose robot <- tool at the measured joints.")
-    nominal_error_mm: float = Field(
+    Of work that had been finished before, when the guide was there earlier, nothing watched how it was held.
+    """
+
+    tool_pose: FramedPose | None = Field(
+        description="Nominal pose robot <- tool at the measured joints; none of work finished before."
+    )
+    nominal_error_mm: float | None = Field(
         description="Of the instrument's end by joints and depth stop: beside the axis and along it."
     )
     too_deep_mm: float = Field(description="By what was read off the depth stop; its part of that error.")
     depth_stop: DepthStop = Field(description="Of the instrument.")
-    pushed_mm: float = Field(description="The most that the guide was beside its place after a stage.")
+    pushed_mm: float | None = Field(
+        description="The most that the guide was beside its place after a stage that was done now; none then."
+    )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages that were done when the guide was there earlier, and not again."
     )
@@ -74,6 +81,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
         context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
+    if begun.finished_before:
+        return _not_watched(begun)
     if begun.pushed_mm > PUSHED_MM:
         context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
     too_deep_mm = begun.stop.too_deep_mm
@@ -88,6 +97,21 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
             done_before=begun.before,
         ),
         summary=f"instrument within {max(error_mm, begun.pushed_mm):.2f} mm of where it was sent",
+    )
+
+
+def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
+    """Where the guide is now says nothing of where it was when somebody worked through it."""
+    return Outcome(
+        ReachedTarget(
+            tool_pose=None,
+            nominal_error_mm=None,
+            too_deep_mm=begun.stop.too_deep_mm,
+            depth_stop=begun.stop,
+            pushed_mm=None,
+            done_before=begun.before,
+        ),
+        summary="the work was finished before; how the guide was held then was not watched",
     )
 
 

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from clinical_case import FIRST, TRAJECTORIES, ClinicalCell
+from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import StepKey
+from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.reporting import target_table
 from procedures.reporting.outcome import TargetTruth, Truth
@@ -23,10 +23,12 @@ from procedures.reporting.plan_table import plan_rows
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.timeline import timeline
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.workcell import MountedTool
 
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))
@@ -181,6 +183,37 @@ def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
     cell.begin(done).run_to()
     text = write_report(cell.folder).read_text()
     assert "<li>T2 was left out: too deep</li><li>Sphere 3 was left out: no rim</li>" in text
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize(
+    ("done_before", "pushed_mm", "said"),
+    [
+        (("skin", "drill", "dura", "insert"), None, "<td>not watched</td>"),
+        (("skin",), 0.0123, "<td>0.012; before, not watched: skin</td>"),
+        ((), 0.0123, "<td>0.012</td>"),
+    ],
+)
+def test_how_the_guide_was_held_is_told_only_of_work_that_was_watched(
+    cell: ClinicalCell, done_before: tuple[str, ...], pushed_mm: float | None, said: str
+) -> None:
+    stop = DepthStop(bore_mm=1.0, standoff_mm=30.0, depth_mm=1.0, computed_mm=32.0, read_mm=32.0)
+    reached = ReachedTarget(
+        tool_pose=None,
+        nominal_error_mm=None,
+        too_deep_mm=0.0,
+        depth_stop=stop,
+        pushed_mm=pushed_mm,
+        done_before=done_before,
+    )
+    engine = cell.begin(
+        *up_to_correspondence(cell),
+        registered_robot(),
+        done_later(reached, scope=Scope.TRAJECTORY, finishes=True),
+    )
+    engine.run_to()
+    engine.close("done")
+    assert said in write_report(cell.folder).read_text()
 
 
 def test_the_plan_stands_first_with_its_clearance_and_the_turn_of_the_free_angle(cell: ClinicalCell) -> None:

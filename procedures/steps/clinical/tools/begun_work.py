@@ -52,6 +52,11 @@ class BegunWork:
     done: list[str] = field(default_factory=list)  # tasks
     pushed_mm: float = 0.0
 
+    @property
+    def finished_before(self) -> bool:
+        """Whether nothing remained to be done."""
+        return len(self.before) == len(STAGES)
+
 
 def begun_work(context: StepContext) -> BegunWork:
     """What was begun and left with the instrument inside; else anew, with the depth stop set.
@@ -66,7 +71,10 @@ def begun_work(context: StepContext) -> BegunWork:
     context.have_instrument_out()
     before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
-        context.find(f"the work at {trajectory} was finished when the guide was there before")
+        context.find(
+            f"the work at {trajectory} was finished when the guide was there before; "
+            "how it was held then was not watched"
+        )
         return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
     instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))

@@ -18,6 +18,7 @@ from recording_cell import RecordingOperator
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import GuardUnmet, NotConfirmed
+from procedures.engine.events import Finding
 from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.operator import Question, Topic
 from procedures.guards import GuideStill
@@ -192,13 +193,17 @@ def test_work_that_was_finished_before_its_result_was_written_is_not_done_again(
     engine.run_step(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     worked = len(cell.room.worked)
+    reader = engine.events.subscribe()
     work(engine)
+    found = [one.what.text for one in reader.read(0.0).events if isinstance(one.what, Finding)]
+    assert [text for text in found if "not watched" in text]  # on the terminal and in the console
     (asked,) = cell.operator.asked
     assert asked.answers[0] == "finished"
     assert len(cell.room.worked) == worked
     reached = cell.case.get(ReachedTarget, FIRST).result
     assert reached.done_before == ("skin", "drill", "dura", "insert")
     assert reached.depth_stop.read_mm > 0.0
+    assert (reached.tool_pose, reached.nominal_error_mm, reached.pushed_mm) == (None, None, None)
 
 
 @pytest.mark.hazard(44)
