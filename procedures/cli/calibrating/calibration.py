@@ -147,12 +147,12 @@ def observe(
     def judge(engine: Engine) -> None:
         conclude(kind.observed(engine.case))
 
-    with console.progress_bar(kind.activity) as advance:
+    with console.progress_bar(kind.activity) as bar:
         engine = run_steps(
             theatre,
             folder,
             recipe.steps,
-            advance,
+            bar,
             title=kind.title,
             in_use=kind.in_use,
             recipe=recipe,

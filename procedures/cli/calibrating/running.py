@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.engine.order import Steps
     from procedures.steps.calibration.recipe import Recipe
+    from ronna_hw.command_line.progress import ProgressBar
     from ronna_hw.config import Calibrations
     from ronna_hw.theatre import Theatre
 
@@ -44,7 +45,7 @@ def run_steps(
     request: TheatreRequest,
     folder: Path,
     steps: Steps,
-    progress: Callable[[float], None],
+    bar: ProgressBar,
     *,
     title: str,
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre,
@@ -54,16 +55,20 @@ def run_steps(
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
 
-    `judge` is called when every step is done; what it raises is how the run has ended. With `resumption` the
-    steps that stand are not repeated, and nothing moves before what was found is accepted.
+    `bar` shows how far they are and rests while somebody is asked. `judge` is called when every step is
+    done; what it raises is how the run has ended. With `resumption` the steps that stand are not repeated,
+    and nothing moves before what was found is accepted.
     """
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:
             if isinstance(event.what, Progress):
-                progress(event.what.share)
+                bar(event.what.share)
 
-    watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start())
+    def asking(_words: str = "") -> AbstractContextManager[None]:
+        return bar.hidden()  # it would write over the question
+
+    watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start(), asking=asking)
     try:
         with opened_steps(
             request,

@@ -141,8 +141,8 @@ def check(
     with leaving_report(folder, with_truth=False):
         title = "Check of the stereo head"
         try:
-            with console.progress_bar("looking at the ball") as advance:
-                run_steps(request, folder, head_check(then, visits), advance, title=title, judge=judge)
+            with console.progress_bar("looking at the ball") as bar:
+                run_steps(request, folder, head_check(then, visits), bar, title=title, judge=judge)
         finally:
             for result in found:
                 if as_json:
@@ -186,7 +186,8 @@ def measure(
     steps = head_look(finite_ball(ball)) if find or sim or ball is not None else look_where_it_stands()
     folder = new_folder(out, "measure")
     with leaving_report(folder, with_truth=False):
-        engine = run_steps(request, folder, steps, lambda _share: None, title="A look of the stereo head")
+        with console.progress_bar("looking with the stereo head") as bar:
+            engine = run_steps(request, folder, steps, bar, title="A look of the stereo head")
         seen = engine.setting.workspace.find(Look)
         assert seen is not None, "the last step keeps what it saw"
         if picture is not None:
