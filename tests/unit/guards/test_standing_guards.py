@@ -8,6 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from passing_clock import PassingClock
 from recording_cell import GUIDE, RecordingCell
 
 from procedures.cli.case.operators import ScriptedOperator
@@ -155,10 +156,10 @@ def test_a_script_leaves_the_second_time_a_guard_asks_for_the_same() -> None:
 
 @pytest.mark.hazard(33)
 def test_what_is_not_restored_ends_the_step_before_its_motion(cell: RecordingCell) -> None:
+    cell.clock = PassingClock()
     engine = cell.engine(order_of([set_up.STEP], ()))
     engine.checkpoint.guards.append(DiskSpace(cell.folder / "gone"))
     cell.operator.refusing = (Topic.GUARD,)
-    engine.checkpoint._sleep = lambda _seconds: None
     with pytest.raises(GuardUnmet, match="PRO-017: disk space"):
         cell.workcell.go(cell.arm.joints_rad)
     assert cell.arm.motions == []
