@@ -24,7 +24,6 @@ Array = NDArray[np.float64]
 
 HARMONICS = (1, 2)  # per turn of a joint
 FLANK_SHARE = 0.5  # of the dead way, to either side
-DOWN = np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True)
@@ -121,8 +120,9 @@ def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
     wrist = len(chain.joints) - 2
     levers = np.zeros_like(joints_rad)
     for number in range(wrist):
-        moments = np.cross(places[wrist] - places[number], DOWN)
-        levers[:, number] = np.einsum("mi,mi->m", moments, axes[number]) / sum(lengths_mm[number:wrist])
+        x_mm, y_mm, _ = (places[wrist] - places[number]).T
+        axis_x, axis_y, _ = axes[number].T
+        levers[:, number] = (x_mm * axis_y - y_mm * axis_x) / sum(lengths_mm[number:wrist])
     return levers
 
 

@@ -102,5 +102,6 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
     x = np.asarray(x_hint, dtype=float)
     x = x - (x @ z) * z
     x = x / np.linalg.norm(x)
-    rotation: Matrix = np.column_stack([x, np.cross(z, x), z])
-    return rotation
+    (x0, x1, x2), (z0, z1, z2) = x.tolist(), z.tolist()
+    y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross takes ten times the time
+    return np.array([x, y, z]).T.copy()
