@@ -45,6 +45,10 @@ def _pixels(focal_px: float) -> float:
 FocalPixels = Annotated[float, Field(gt=0), AfterValidator(_pixels)]
 
 
+def _readable(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".rstrip()
+
+
 class CalibrationExpired(DataError):
     """A calibration record or a tool record has expired, or is dated in the future."""
 
@@ -118,15 +122,15 @@ class Dated(Strict):
         """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
-                f"{self.what} {self.identifier} is dated {self.created.isoformat()}, which is still to come",
-                got=moment.isoformat(),
+                f"{self.what} {self.identifier} is dated {_readable(self.created)}, which is still to come",
+                got=f"now {_readable(moment)}",
                 action="Set this computer's clock, or correct the record's date.",
             )
         if moment > self.expires:
             raise CalibrationExpired(
                 f"{self.what} {self.identifier} expired",
-                limit=self.expires.isoformat(),
-                got=moment.isoformat(),
+                limit=_readable(self.expires),
+                got=f"now {_readable(moment)}",
             )
 
 

@@ -7,16 +7,19 @@ from datetime import datetime
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations
 
-MADE_BY_COMMAND = {
+MADE_BY_COMMAND = {  # in the order in which they are made: each builds on those before it
     "stereo_head": "ronna-stereo calibrate",
-    "tool_tip": "ronna-procedure calibrate tool-tip",
-    "tracker_frame": "ronna-procedure calibrate tracker-frame",
     "arm": "ronna-arm calibrate",
+    "tracker_frame": "ronna-procedure calibrate tracker-frame",
+    "tool_tip": "ronna-procedure calibrate tool-tip",
 }
 
 
-def require_valid(calibrations: Calibrations, moment: datetime) -> None:
-    """Raise CAL-001 with every record that has expired at a moment and the commands that make them."""
+def require_valid(calibrations: Calibrations, moment: datetime, options: str = "") -> None:
+    """Raise CAL-001 with every record that has expired at a moment and the commands that make them.
+
+    `options` are those with which they are given this theatre.
+    """
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
@@ -28,7 +31,9 @@ def require_valid(calibrations: Calibrations, moment: datetime) -> None:
     if not expired:
         return
     first = next(iter(expired.values()))
-    commands = ", then ".join(MADE_BY_COMMAND[name] for name in expired)
+    commands = ", then ".join(
+        f"{command} {options}".rstrip() for name, command in MADE_BY_COMMAND.items() if name in expired
+    )
     raise CalibrationExpired(
         "; ".join(problem.what for problem in expired.values()),
         limit=first.limit,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line.console import JsonOption, print_json, print_table, say
+from ronna_hw.command_line.console import JsonOption, print_json, print_table, say, tell
 from ronna_hw.command_line.errors import UsageMistake
 from sim.theatre.on_stand import OnStand
 from sim.theatre.scene.carrier import Carrier
@@ -170,6 +170,7 @@ def mount(
     from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "mount", number=number)
+    tell(f"tool {number} is mounted" if number else "no tool is mounted")
 
 
 def stand(
@@ -180,6 +181,7 @@ def stand(
     from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "stand", holds=holds.value)
+    tell(f"on the stand: {holds.value}")
 
 
 def work(
@@ -196,6 +198,7 @@ def work(
     if not control:
         raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")
     answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
+    tell(f"done: {task}{f' at {trajectory}' if trajectory else ''}")
     for reading in answer.get("readings", ()):
         typer.echo(f"{reading:g}")
 
@@ -226,6 +229,7 @@ def fault(
         )
     if clear:
         ask_control_port(control, "clear_faults")
+        say("all faults are ended")
     if line is not None:
         say(ask_control_port(control, "fault", line=line)["effect"])
 

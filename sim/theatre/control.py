@@ -15,7 +15,7 @@ from typing import Any
 
 from ronna_hw.errors import RonnaError
 from sim.theatre.faults import DEVICES, begin_now, begin_with_step, check_faults, parse_faults, parse_request
-from sim.theatre.hands import Hands
+from sim.theatre.hands import Hands, NoSuchTask
 from sim.theatre.left_world import write_left_world
 from sim.theatre.on_stand import OnStand
 from sim.theatre.world import World
@@ -66,6 +66,8 @@ class Room:
                 more = action(request) or {}
         except NoSuchTool as error:
             return {"ok": False, "reason": str(error)}
+        except NoSuchTask as error:
+            return {"ok": False, "reason": str(error), "advice": error.advice}
         except RonnaError as error:
             return {
                 "ok": False,

@@ -7,7 +7,8 @@ nothing here.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from difflib import get_close_matches
 from math import radians
 from pathlib import Path
 
@@ -43,6 +44,15 @@ SCALE_MM = 0.05  # the divisions of the depth stop's scale: a vernier's
 DIAL_MM = 0.001  # of the gauge: a digital one
 
 
+class NoSuchTask(Exception):
+    """Hands know no task of that name."""
+
+    def __init__(self, task: str, known: Iterable[str]) -> None:
+        near = get_close_matches(task, tuple(known), n=1)
+        super().__init__(f"there is no task {task!r}; expected {', '.join(known)}")
+        self.advice = f"Did you mean {near[0]}?" if near else "Give the task that the question names."
+
+
 class Hands:
     """One pair, for the life of a theatre. Truth at a target is kept in `folder`, where there is one."""
 
@@ -55,7 +65,7 @@ class Hands:
         self._done: Counter[str] = Counter()  # how often each task was done, so that no two times are alike
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task; raises KeyError for an unknown one, ValueError for one that cannot be done."""
+        """Carry out one task; raises NoSuchTask, ValueError for one that cannot be done."""
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
@@ -66,6 +76,8 @@ class Hands:
             DIALS: lambda: tuple(read_dials(self._world)),
             GAUGE: lambda: self._read_gauge(numbers),
         }
+        if task not in tasks:
+            raise NoSuchTask(task, tasks)
         readings = tasks[task]()
         self._done[f"{task} {trajectory}"] += 1
         return readings

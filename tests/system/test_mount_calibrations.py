@@ -132,7 +132,9 @@ def test_a_first_day_is_refused_calibrated_and_runs_through(commands: Commands, 
     assert (
         "CAL-001: calibration tool-tip-as-drawn expired; calibration tracker-frame-as-drawn expired" in told
     )
-    assert "Run ronna-procedure calibrate tool-tip, then ronna-procedure calibrate tracker-frame" in told
+    first, then = (f"ronna-procedure calibrate {what} --sim" for what in ("tracker-frame", "tool-tip"))
+    assert told.index(first) < told.index(then)
+    assert "ct_import" not in told  # before anything is asked or read
     run_all([frame, tip], commands, tmp_path)
     done = run_all([case], commands, tmp_path)[0]
     assert "T1" in done.stdout

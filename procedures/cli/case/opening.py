@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -179,13 +180,16 @@ def opened_case(
     request: CaseRequest, folder: Path, watcher: Watcher, resumption: Resumption | None = None
 ) -> Iterator[Engine]:
     """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
+    from procedures.calibration.validity import require_valid
     from procedures.planning.plan.lock import held_plan
     from ronna_hw.records import write_whole
 
     case = case_folder(request, folder)
     held = contextlib.ExitStack()
 
-    def procedure(_theatre: Theatre) -> Procedure:
+    def procedure(theatre: Theatre) -> Procedure:
+        if resumption is None:  # before anybody is asked anything; set_up looks again
+            require_valid(theatre.calibrations, datetime.now(UTC), _theatre_options(request))
         if request.plan is not None and (resumption is None or resumption.left.untouched):
             write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
         plan = held.enter_context(held_plan(case / "plan.toml"))
@@ -210,6 +214,14 @@ def opened_case(
         ) as engine,
     ):
         yield engine
+
+
+def _theatre_options(request: TheatreRequest) -> str:
+    """How a calibration is given the same theatre, and its records to it."""
+    if request.config is not None:
+        return f"--config {request.config} --write {request.config}"
+    choice = request.choice
+    return f"--sim --scene {choice.scene} --seed {choice.seed}" + (" --first-day" * choice.first_day)
 
 
 def operator_of(

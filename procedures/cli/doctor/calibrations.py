@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from datetime import datetime, timedelta
+from pathlib import Path
 
 from procedures.calibration.validity import MADE_BY_COMMAND
 from procedures.workcell.tool_records import ToolRecords
@@ -15,7 +16,7 @@ from ronna_hw.errors import RonnaError
 SOON = timedelta(days=3)  # before it expires a record is worth a word
 
 
-def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:
+def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
     """One for each record; that there are none is a problem where the file has what a case needs to move."""
     if theatre.calibration is None:
         needed = bool(theatre.robot) and theatre.stereo is not None
@@ -23,7 +24,7 @@ def calibration_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Dia
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     for name, record in theatre.calibration.records.items():
-        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} --config FILE."
+        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} --config {path}."
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:

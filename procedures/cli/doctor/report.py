@@ -12,6 +12,7 @@ from typing import Any
 from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
+from procedures.cli.doctor.running_case import RUN, running_case
 from procedures.cli.doctor.theatre_checks import case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
 from ronna_hw.command_line.console import Progress, print_json, print_table
@@ -60,11 +61,15 @@ def examine(
     if config is not None:
         file = read_theatre_file(config)
         now = datetime.now(UTC)
-        calibrations = (*calibration_diagnostics(file, now), *tool_diagnostics(file, now))
+        calibrations = (*calibration_diagnostics(file, config, now), *tool_diagnostics(file, now))
         case = tuple(case_diagnostics(file))
-        devices = list(file.devices)
-        for name, device in file.devices.items():
-            looks[name] = partial(_probe, name, device, inspection(name, file.calibration))
+        running = running_case(config)
+        if running is not None:
+            case = (running.diagnostic, *case)
+        else:
+            devices = list(file.devices)
+            for name, device in file.devices.items():
+                looks[name] = partial(_probe, name, device, inspection(name, file.calibration))
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, look) in enumerate(looks.items()):
@@ -78,7 +83,8 @@ def examine(
 def show(report: Report, *, as_json: bool) -> None:
     """Print the diagnostics; ends with exit code 4 where a device, endpoint or calibration has a problem."""
     show_findings(report, as_json=as_json)
-    if not all(diagnostic.well for diagnostic in report.calibrations + report.devices):
+    of_run = tuple(one for one in report.case if one.subject == RUN)
+    if not all(diagnostic.well for diagnostic in of_run + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
 
 

@@ -254,7 +254,7 @@ def _beyond_margin(
         if predicted.rms_mm <= trajectory.margin_mm:
             continue
         refusal = GateFailed(
-            f"the predicted error at {trajectory.id} exceeds the plan's margin",
+            f"the predicted error at {trajectory.id} exceeds the plan's margin, margin_mm in plan.toml",
             limit=f"{trajectory.margin_mm:g} mm",
             got=f"{beyond(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
         )

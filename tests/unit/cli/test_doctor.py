@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from subprocess import PIPE, Popen
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
+from procedures.cli.case.request_file import RequestFile
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.report import Report, examine, show
+from procedures.cli.doctor.running_case import RUN
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
@@ -102,8 +106,10 @@ def test_each_calibration_record_shows_until_when_it_is_valid(
         stated_error_mm=0.1,
     )
     records = SimpleNamespace(records=dict.fromkeys(("stereo_head", "tool_tip", "tracker_frame"), record))
-    for diagnostic in calibration_diagnostics(cast("Any", SimpleNamespace(calibration=records)), now):
-        assert (diagnostic.well, bool(diagnostic.advice)) == (well, advised)
+    theatre = cast("Any", SimpleNamespace(calibration=records))
+    for diagnostic in calibration_diagnostics(theatre, Path("lab/theatre.toml"), now):
+        assert diagnostic.well is well
+        assert ("--config lab/theatre.toml" in diagnostic.advice) is advised
         assert said in diagnostic.seen
 
 
@@ -170,3 +176,25 @@ def test_an_expired_calibration_is_a_problem_also_for_a_script() -> None:
     with pytest.raises(SystemExit) as ended:
         show(Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)), as_json=True)
     assert ended.value.code == EXIT_NOT_FOUND
+
+
+def test_while_a_run_has_the_theatre_its_devices_are_not_asked_and_the_run_is_named(
+    theatre: Path, tmp_path: Path
+) -> None:
+    folder = tmp_path / "runs" / "20261121T180000-ab12"
+    folder.mkdir(parents=True)
+    request = RequestFile(program="1", scene="mini", speed="max", config=theatre.resolve())
+    (folder / "request.json").write_text(request.model_dump_json(by_alias=True))
+    hold = "import sys; from procedures.engine.run_lock import held_run; from pathlib import Path\n"
+    hold += "with held_run(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
+    with Popen([sys.executable, "-c", hold, str(folder)], stdin=PIPE, stdout=PIPE, text=True) as run:
+        assert run.stdout is not None
+        assert run.stdout.readline() == "held\n"
+        report = examine(theatre)
+        run.communicate("")
+    assert report.devices == ()
+    (told,) = [one for one in report.case if one.subject == RUN]
+    assert f"{folder.name} (pid {run.pid}) has this theatre" in told.seen
+    assert f"ronna-procedure watch {folder}" in told.advice
+    assert not report.verdicts[-1].ready
+    assert examine(theatre).devices != ()

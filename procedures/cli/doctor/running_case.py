@@ -1,0 +1,75 @@
+"""Does a run have the devices of this theatre now? Then they are not asked: nobody ends a program for it."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from procedures.cli.case.request_file import REQUEST_FILE, RequestFile
+from procedures.engine.errors import RunInUse
+from procedures.engine.run_lock import held_run
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.errors import RonnaError
+
+RUN = "run"
+
+
+@dataclass(frozen=True)
+class RunningCase:
+    """A run that is under way, and the process that holds its folder."""
+
+    folder: Path
+    pid: int
+
+    @property
+    def diagnostic(self) -> Diagnostic:
+        """As the doctor tells it."""
+        return Diagnostic(
+            RUN,
+            False,
+            f"{self.folder.name} (pid {self.pid}) has this theatre: its devices were not asked",
+            f"Leave it alone: its arm may stand at a patient. Follow it with ronna-procedure watch "
+            f"{self.folder}; when it has ended, ask again.",
+        )
+
+
+def running_case(theatre: Path) -> RunningCase | None:
+    """The run that works with a theatre file now, as far as this user may see its process."""
+    wanted = theatre.resolve()
+    for pid, folder in _open_runs():
+        if wanted in _theatres(folder) and _is_held(folder):
+            return RunningCase(folder, pid)
+    return None
+
+
+def _open_runs() -> Iterator[tuple[int, Path]]:
+    """Run folders that other processes have open."""
+    for process in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            for file in (process / "fd").iterdir():
+                with contextlib.suppress(OSError):
+                    folder = Path(os.readlink(file))
+                    if (folder / REQUEST_FILE).is_file() and int(process.name) != os.getpid():
+                        yield int(process.name), folder
+
+
+def _theatres(folder: Path) -> tuple[Path, ...]:
+    try:
+        request = RequestFile.model_validate_json(read_json_bytes(folder / REQUEST_FILE))
+    except (OSError, RonnaError, ValidationError):
+        return ()
+    return (folder / "theatre" / "theatre.toml" if request.config is None else request.config,)
+
+
+def _is_held(folder: Path) -> bool:
+    try:
+        with held_run(folder):
+            return False
+    except RunInUse:
+        return True
