@@ -102,12 +102,20 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
     begun = step.state == "begun"
     return {
         "steps": rows,
+        "notices": _settled(view.notices, step.step) if step.state == "done" else view.notices,
         "running": step.step if begun else "",
         "share": 0.0,
         "doing": "",
         "waiting": None,
         "results": view.results + (step.state == "done"),
     }
+
+
+def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
+    """What kept a step from being done, and what a fault left to be done there, is past once it is done."""
+    return tuple(
+        replace(one, settled=True) if one.step == step and one.kind != "finding" else one for one in notices
+    )
 
 
 def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
@@ -125,9 +133,13 @@ def _notice(view: CaseView, what: Fault | Refusal | Finding) -> Notice:
     match what:
         case Fault(code=code, what=text, advice=advice):
             text = text.removesuffix(advice).rstrip()
-            return Notice("fault", view.theatre_time_s, text.removeprefix(f"{code}: "), advice, code)
+            text = text.removeprefix(f"{code}: ")
+            return Notice(
+                "fault", view.theatre_time_s, text, advice, code, step=view.running or view.upcoming
+            )
         case Refusal(step=step, unmet=unmet):
-            return Notice("refused", view.theatre_time_s, f"{step} may not begin: {'; '.join(unmet)}")
+            refused = f"{step} may not begin: {'; '.join(unmet)}"
+            return Notice("refused", view.theatre_time_s, refused, step=step)
         case Finding(text=text):
             return Notice("finding", view.theatre_time_s, text)
 

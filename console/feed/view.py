@@ -51,13 +51,15 @@ class StoodPose:
 
 @dataclass(frozen=True)
 class Notice:
-    """A fault, a refusal or a finding: what happened, and what to do."""
+    """A fault, a refusal or a finding: what happened, and what to do; `settled` when the step has passed."""
 
     kind: str
     theatre_time_s: float
     what: str
     advice: str = ""
     code: str = ""
+    step: str = ""  # in which it happened
+    settled: bool = False
 
 
 @dataclass(frozen=True)

@@ -18,10 +18,14 @@ def notices(view: CaseView) -> str:
 
 
 def _notice(notice: Notice) -> str:
-    words, kind = SIGNS[notice.kind]
+    words, kind = ("✓ settled", "dim") if notice.settled else SIGNS[notice.kind]
     head = tag("strong", f"{words} {text(notice.code)}".rstrip(), class_=kind)
     when = tag("span", f"{notice.theatre_time_s:.1f} s", class_="when")
-    advice = tag("div", f"Do: {text(notice.advice)}", class_="advice") if notice.advice else ""
+    advice = (
+        tag("div", f"Do: {text(notice.advice)}", class_="advice")
+        if notice.advice and not notice.settled
+        else ""
+    )
     return tag("li", f"{head} {when}<div>{text(notice.what)}</div>{advice}")
 
 

@@ -265,8 +265,8 @@ class ControllerNotReady(RefusedError):
     code = "EKI-007"
     action = (
         "Bring the controller to EXT (or confirm T1 by allow_t1), guard closed and emergency stop released; "
-        "then acknowledge its messages (ronna-procedure acknowledge, or the arm's recover(acknowledged_by)) "
-        "and start it again."
+        "then acknowledge its messages by name, where the case is held, or else by ronna-procedure "
+        "acknowledge or the arm's recover(acknowledged_by), and start it again."
     )
 
 
@@ -289,6 +289,6 @@ class ControllerStopped(LimitError):
 
     code = "EKI-010"
     action = (
-        "Look at the cell first. When the cause is gone, acknowledge the messages (ronna-procedure "
-        "acknowledge, or the arm's recover(acknowledged_by)), which moves nothing, and start it again."
+        "Look at the cell first. When the cause is gone, acknowledge it by name, which moves nothing: where "
+        "the case is held, or else by ronna-procedure acknowledge or the arm's recover(acknowledged_by)."
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from drivers.kuka_rsi.eki.controller_state import ControllerState
-from ronna_hw.devices.readiness import Fact
+from ronna_hw.devices.readiness import MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
@@ -22,11 +22,11 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
-        "Release it, and acknowledge the message at the pendant.",
+        "Release it.",
     )  # fmt: skip
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close it.")
     yield Fact(
-        "messages", f"{state.error} is not acknowledged" if state.error else "none to acknowledge",
+        MESSAGES, f"{state.error} is not acknowledged" if state.error else "none to acknowledge",
         not state.error, "Remove its cause; acknowledge it at the pendant or by ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")

@@ -1,4 +1,4 @@
-"""Faults of devices: what a person has acknowledged is recovered. Nothing here can move the arm."""
+"""Faults of devices: told as they stand; what a person has acknowledged is recovered. Nothing here moves."""
 
 from __future__ import annotations
 
@@ -6,18 +6,42 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
+from procedures.engine.errors import StepRefused
 from procedures.engine.journal import Entry, Journal
 from ronna_hw.clock import Clock
 from ronna_hw.devices.errors import WrongState
-from ronna_hw.devices.lifecycle import Device, Lifecycle
+from ronna_hw.devices.last_known import LastKnown
+from ronna_hw.devices.lifecycle import Device, Lifecycle, require_person
+from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
 
 ARM = "arm"  # role of the device that carries the tools
+ACKNOWLEDGE = "acknowledge it by name: acknowledge YOUR-NAME"
 EARLIER = "a message from before this session"  # drivers do not say which
 _log = logger(part="engine")
+
+
+def in_fault(devices: Mapping[str, Device]) -> Iterator[tuple[str, LastKnown[object]]]:
+    """Role of each device in fault, and how it was last seen."""
+    seen = ((role, device.observe()) for role, device in devices.items())
+    return ((role, known) for role, known in seen if known.state is Lifecycle.FAULT)
+
+
+def as_it_stands(role: str, seen: LastKnown[object]) -> str:
+    """Why a device in fault keeps a case from going on, as it says of itself now, and what is to be done.
+
+    What it was stopped for and is right again is said too: nobody looks for it in vain.
+    """
+    if seen.fault is None:
+        return f"the {role} is in fault"
+    facts = [fact for fact in seen.says if not fact.ready or fact.name in seen.fault.what]
+    now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
+    first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
+    way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To go on, {ACKNOWLEDGE}"
+    return f"the {role} is in fault ({seen.fault.code}), {now}. {way_on}"
 
 
 def acknowledged(devices: Mapping[str, Device], recover: Callable[[str], None]) -> Iterator[tuple[str, str]]:
@@ -50,14 +74,24 @@ class DeviceFaults:
     @property
     def now(self) -> dict[str, str]:
         """The devices that are in fault, by role, and why."""
-        devices = {role: device.observe() for role, device in self._workcell.devices.items()}
-        return {role: str(seen.fault) for role, seen in devices.items() if seen.state is Lifecycle.FAULT}
+        return {role: str(seen.fault) for role, seen in in_fault(self._workcell.devices)}
+
+    @property
+    def told(self) -> dict[str, str]:
+        """The same for a person: as each device stands now, and what is to be done."""
+        return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
+
+    def require_arm_moves(self) -> None:
+        """Raise PRO-001 for an arm in fault, as it stands."""
+        if (fault := self.told.get(ARM)) is not None:
+            raise StepRefused(f"the arm cannot move: {fault}", action="Then give the command again.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
         """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.
 
-        `by` is the person's name. Raises what a driver raises whose device cannot be recovered yet.
+        `by` is the person's name. Raises DEV-006, and what a driver raises that cannot be recovered yet.
         """
+        require_person(by)
         workcell, done = self._workcell, dict[str, str]()
         self.doubt_localizations()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):

@@ -94,8 +94,8 @@ class Engine:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
             return ("what was found after the restart has not been accepted",)
-        if faults := self.faults.now:
-            return tuple(f"the {role} is in fault: {fault}" for role, fault in faults.items())
+        if faults := self.faults.told:
+            return tuple(faults.values())
         if unmet := self.course.why_not_now(key):
             return unmet
         spec = self.order.spec(key)
@@ -219,9 +219,10 @@ class Engine:
     def retreat_home(self) -> None:
         """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
 
-        Raises PRO-002 unless the operator confirms, and what a motion raises.
+        Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, and what a motion raises.
         """
         workcell = self.setting.workcell
+        self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
             self.have_instrument_out()

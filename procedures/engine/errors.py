@@ -116,7 +116,7 @@ class RunInUse(RefusedError):
     """Another program has this run open: one operator at a time."""
 
     code = "PRO-030"
-    action = "End the other program, or watch it with ronna-procedure watch."
+    action = "Operate it where it runs, or follow it with ronna-procedure watch."
 
 
 class OtherProgram(RonnaError):

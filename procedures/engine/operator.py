@@ -86,17 +86,20 @@ class ReadBack:
     """What a person types after the answer that goes on: nobody who did not look knows it.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
-    `wrong` follows what else was typed; `shown` is where the question has the value, if it does.
+    `wrong` follows what else was typed; `shown` is where the question has the value, if it does. The `unit`
+    may be typed with it.
     """
 
     what: str
     value: str = field(repr=False)
     wrong: str = "is not what is to be read back"
     shown: str = ""
+    unit: str = ""
 
     def fits(self, typed: str) -> bool:
         """Whether that was typed, whatever its capitals and the space around it."""
-        return typed.strip().casefold() == self.value.strip().casefold()
+        bare = typed.strip().casefold().removesuffix(self.unit.casefold()).strip()
+        return bare == self.value.strip().casefold()
 
 
 def _unrecorded() -> None:
@@ -164,7 +167,8 @@ class Question:
 class Task:
     """What hands are to do, by its name in `ronna_hw.wire.room_tasks`, and what they read off after it.
 
-    `numbers` are what they need for it; `reads` says of each reading what it is, such as `depth stop in mm`.
+    `numbers` are what they need for it; `reads` says of each reading what it is, such as `depth stop in mm`,
+    and `plausible_mm` between what it can lie at all: something else was mistyped.
     """
 
     name: str
@@ -172,6 +176,7 @@ class Task:
     trajectory: str | None = None
     numbers: tuple[float, ...] = ()
     reads: tuple[str, ...] = ()
+    plausible_mm: tuple[float, float] | None = None
 
 
 class Operator(Protocol):

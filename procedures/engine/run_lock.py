@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from procedures.engine.errors import RunInUse
+from ronna_hw.host.port_users import holder_of_lock
 
 
 @contextmanager
@@ -19,7 +20,12 @@ def held_run(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise RunInUse(f"another program has {folder.name} open") from None
+            holder = holder_of_lock(file)
+            by = "another program" if holder is None else str(holder)
+            raise RunInUse(
+                f"{by} has {folder.name} open",
+                action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
+            ) from None
         yield
     finally:
         os.close(file)

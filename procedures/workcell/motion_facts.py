@@ -47,6 +47,7 @@ class MotionFacts:
             distance_mm,
             wrong=f"is not it: the question says that it moves {distance_mm} mm first.",
             shown=f"moves {distance_mm} mm",
+            unit="mm",
         )
 
 

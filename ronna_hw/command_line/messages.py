@@ -34,17 +34,26 @@ def say(line: str = "") -> None:
     sys.stdout.flush()
 
 
-def fail_with(error: RonnaError) -> None:
-    """Print an error as `run` does, for commands that continue after it."""
+def fail_with(error: RonnaError, advice: str | None = None) -> None:
+    """Print an error as `run` does, for commands that continue after it.
+
+    `advice` takes the place of the error's own, where what is to be done is known better.
+    """
     line = " ".join(str(error).split())
+    if advice is not None:
+        line = f"{line.removesuffix(error.advice).rstrip()} {advice}".rstrip()
     if not on_terminal(sys.stderr):
         tell(line)
         return
     from rich.text import Text
 
     code, _, rest = line.partition(": ") if error.code else ("", "", line)
+    console = message_console()
+    with console.capture() as rendered:
+        console.print(Text.assemble((f"{code} " if code else "", "bold red"), rest))
     with contextlib.suppress(OSError):
-        message_console().print(Text.assemble((f"{code} " if code else "", "bold red"), rest))
+        sys.stderr.write(rendered.get())  # which a live display keeps above itself, unlike what goes past it
+        sys.stderr.flush()
 
 
 def message_console() -> Console:

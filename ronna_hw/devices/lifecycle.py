@@ -142,9 +142,13 @@ class Device(Protocol):
 
 
 def require_person(name: str) -> str:
-    """Return the name of the person who acknowledges or confirms; raises DEV-006 when it is blank."""
-    if not name.strip():
-        raise PersonNotNamed("an acknowledgement or confirmation needs the name of a person")
+    """Return the name of the person who acknowledges or confirms; raises DEV-006 for one without letters."""
+    if not any(map(str.isalpha, name)):
+        raise PersonNotNamed(
+            "an acknowledgement or confirmation needs the name of a person",
+            expected="letters",
+            got=repr(name) if name.strip() else "nothing",
+        )
     return name
 
 

@@ -8,6 +8,8 @@ from typing import Protocol, runtime_checkable
 
 from ronna_hw.devices.probing import Diagnostic
 
+MESSAGES = "messages"  # the name of the fact that a person makes true by acknowledging them
+
 
 @dataclass(frozen=True)
 class Fact:

@@ -1,4 +1,4 @@
-"""Which processes use a serial port or a UDP port of this computer, as far as this user may see."""
+"""Which processes use a serial port, a UDP port or a lock of this computer, as far as this user may see."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ _FIRST_MAJOR, _LAST_MAJOR = 136, 143  # of pseudo-terminals on Linux, 256 to eac
 
 @dataclass(frozen=True)
 class PortUser:
-    """A process that has the port open."""
+    """A process that has it open."""
 
     pid: int
     name: str  # its command line
+    terminal: str = ""  # where it can be typed at, if it is known
 
     def __str__(self) -> str:
-        return f"{self.name} (pid {self.pid})"
+        return f"{self.name} (pid {self.pid}{', ' * bool(self.terminal)}{self.terminal})"
 
 
 def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
@@ -49,6 +50,24 @@ def user_of_udp_port(address: str, port: int) -> PortUser | None:
         if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(each.pid, _name(each.pid))
     return None
+
+
+def holder_of_lock(file: int) -> PortUser | None:
+    """The process that holds the `flock` of an open file, with its terminal; None when it is hidden."""
+    inode = os.fstat(file).st_ino
+    with contextlib.suppress(OSError, ValueError):
+        for line in Path("/proc/locks").read_text().splitlines():
+            _number, kind, *others = line.split()
+            if kind == "FLOCK" and others[-3].endswith(f":{inode}"):
+                pid = int(others[2])
+                return PortUser(pid, _name(pid), _terminal(pid))
+    return None
+
+
+def _terminal(pid: int) -> str:
+    with contextlib.suppress(psutil.Error):
+        return psutil.Process(pid).terminal() or ""
+    return ""
 
 
 def _open_devices(pid: int) -> Iterator[Path]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.engine.events import (
+    Answered,
     CaseState,
     DeviceAge,
     DeviceState,
@@ -41,13 +42,18 @@ class Entry:
     text: str
 
 
-def entry_of(event: Event) -> Entry | None:
-    """What came of a step, and findings; None for the rest."""
+def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
+    """What came of a step, and findings; None for the rest.
+
+    Without `errors`, which are told beside it, of what a step failed with only the code.
+    """
     match event.what:
         case StepState(state="begun"):
             return None
         case StepState(step=step, state="superseded", record=record):
             return Entry(*MARKS["superseded"], f"{record} is superseded by a new {step}")
+        case StepState(step=step, state="failed", summary=summary) if not errors:
+            return Entry(*FAILED, f"{step:<26} {_code(summary)}")
         case StepState(step=step, state=state, summary=summary):
             return Entry(*MARKS.get(state, FAILED), f"{step:<26} {summary}")
         case Finding(text=text):
@@ -77,12 +83,13 @@ class CaseView:
 
     def __init__(self) -> None:
         self.state = "starting"
+        self._step = ""  # that began last
         self.share = 0.0
         self.doing = ""
         self._devices: dict[str, DeviceState] = {}
         self._ages_s: dict[str, float] = {}
         self._journal: deque[str] = deque(maxlen=LAST_LINES)
-        self._errors: deque[str] = deque(maxlen=LAST_ERRORS)
+        self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step, and what was wrong with it
 
     def take_in(self, event: Event) -> None:
         """Let an event change what is shown."""
@@ -90,7 +97,9 @@ class CaseView:
             case CaseState() as case:
                 self.state = in_words(case)
             case StepState(step=step, state="begun"):
-                self.doing, self.share = step, 0.0
+                self._step = self.doing = step
+                self.share = 0.0
+                self._settle(step)
             case Progress(step=step, share=share, text=text):
                 self.doing, self.share = f"{step}: {text}", share
             case DeviceState(device=device) as state:
@@ -100,11 +109,14 @@ class CaseView:
             case JournalLine(line=line):
                 self._journal.append(_short(line))
             case Fault(code=code, what=what):
-                self._errors.append(what if what.startswith(code) else f"{code}: {what}")
+                text = what if what.startswith(code) else f"{code}: {what}"
+                self._errors.append((self._step, text))
             case Refusal(step=step, unmet=unmet):
-                self._errors.append(f"{step} refused: {'; '.join(unmet)}")
+                self._errors.append((step, f"{step} refused: {'; '.join(unmet)}"))
             case Questioned(subject=subject):
                 self.state = f"{self.state.partition(' (')[0]} (asks: {subject})"
+            case Answered():
+                self.state = self.state.partition(" (asks: ")[0]
             case _:
                 pass
 
@@ -119,8 +131,14 @@ class CaseView:
         if self._devices:
             shown.append(("", self.devices))
         shown += [("dim", text) for text in self._journal]
-        shown += [("red", text) for text in self._errors]
+        shown += [("red", text) for _step, text in self._errors]
         return shown
+
+    def _settle(self, step: str) -> None:
+        """What was wrong with a step is past: it is done again."""
+        left = [one for one in self._errors if one[0] != step]
+        self._errors.clear()
+        self._errors.extend(left)
 
     def __rich__(self) -> RenderableType:
         from rich.console import Group
@@ -135,7 +153,12 @@ class CaseView:
     def _device(self, seen: DeviceState) -> str:
         age_s = self._ages_s.get(seen.device)
         age = "" if age_s is None else f" {age_s:.1f} s"
-        return f"{seen.device} {seen.state}{age}" + (f" [{seen.fault}]" if seen.fault else "")
+        return f"{seen.device} {seen.state}{age}" + (f" [{_code(seen.fault)}]" if seen.fault else "")
+
+
+def _code(error: str) -> str:
+    """Of an error as it is told, with its code first."""
+    return error.partition(": ")[0]
 
 
 def _short(line: Mapping[str, object]) -> str:

@@ -141,7 +141,8 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
             f"{argument} is a device, expected the name of the person who acknowledges",
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
-    done = [f"{role}: {fault}" for role, fault in engine.faults.acknowledge(argument).items()]
+    recovered = engine.faults.acknowledge(argument)
+    done = [f"{role}, {fault.partition(':')[0]}" for role, fault in recovered.items()]
     say(f"acknowledged by {argument}: {'; '.join(done)}" if done else "no device is in fault")
 
 

@@ -45,7 +45,7 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
             return
         from procedures.cli.case.live_display import LiveDisplay
 
-        display = LiveDisplay(message_console())
+        display = LiveDisplay(message_console(), errors=False)
         interrupts = stack.enter_context(pause_on_interrupt())
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []

@@ -18,8 +18,10 @@ from ronna_hw.text.printable import printable
 class LiveDisplay:
     """Shows events; `shown` holds it on the terminal, `hidden` takes it away while something else writes."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, *, errors: bool) -> None:
+        """With `errors` it tells them; without, whoever operates the case does, with the way on."""
         self.view = CaseView()
+        self._errors = errors
         self._console = console
         self._bar = Progress(
             SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn()
@@ -39,7 +41,7 @@ class LiveDisplay:
         """Take these events in."""
         for event in events:
             self.view.take_in(event)
-            if (entry := entry_of(event)) is not None:
+            if (entry := entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(
             self._task, completed=self.view.share, description=printable(self.view.doing) or "starting"

@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.leaving_report import error_of
 from procedures.cli.case.opening import Resumption, Watcher, opened_case
-from procedures.cli.case.prompt import HELD, leave_head_if_agreed
+from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.engine.errors import OperatorAborted
 from procedures.engine.journal import Entry, Line
-from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
@@ -76,8 +75,7 @@ def _run(engine: Engine, watcher: Watcher) -> None:
         except RonnaError as error:
             if held is None or engine.machine.ended:
                 raise
-            fail_with(error)
-            tell(f"{HELD}; resume goes on")
+            held.tell_held(engine, error)
             if not held.follow(engine):
                 raise
 

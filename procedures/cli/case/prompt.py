@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 HELD = "the case is held, the arm rests: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
 PAUSED = "paused> "
 AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}"
+ACKNOWLEDGE = "acknowledge"
 QUIT = ("quit", "q")
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
@@ -114,10 +115,22 @@ class Prompt:
         except RonnaError as error:
             if engine.machine.state == ABORTED:
                 raise
-            fail_with(error)
             if engine.machine.state == MACHINE_HELD and not isinstance(error, NOTHING_DONE):
-                self._say(HELD)
+                self.tell_held(engine, error)
+            else:
+                fail_with(error)
+        else:
+            if name == ACKNOWLEDGE and not engine.faults.now:
+                self._say(f"the arm is at rest; {'resume' if self._resumes else 'next'} goes on")
         self._after()
+
+    def tell_held(self, engine: Engine, error: RonnaError) -> None:
+        """What holds the case, and how it goes on; of a device in fault as it stands now."""
+        faults = engine.faults.told
+        fail_with(error, advice="" if faults else None)
+        for fault in faults.values():
+            self._say(fault)
+        self._say(f"{HELD}; resume goes on" if self._resumes else HELD)
 
     def _command(self, engine: Engine) -> str | None:
         if self._meanwhile is None:

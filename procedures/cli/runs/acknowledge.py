@@ -7,22 +7,25 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import typer
+
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
 from procedures.engine.device_faults import acknowledged
-from ronna_hw.command_line.console import print_json, tell
-from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.command_line.console import on_terminal, print_json, tell
+from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from ronna_hw.devices.lifecycle import Device
 
 
-def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
+def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
     """Those of a run, and write it into its journal. Raises as `resume`, and as `acknowledge_theatre`."""
     request = request_of(folder)
     with held_left_run(folder) as left:
+        by = _person(by)
         if left.finished:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
@@ -38,10 +41,11 @@ def acknowledge_run(folder: Path, by: str, *, as_json: bool) -> None:
             )
 
 
-def acknowledge_theatre(file: Path, by: str, *, as_json: bool) -> None:
-    """Those of a theatre file. Raises what a driver raises whose device cannot be recovered yet."""
+def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
+    """Those of a theatre file. Raises DEV-006, and what a driver raises that cannot be recovered yet."""
     from ronna_hw.theatre import Theatre
 
+    by = _person(by)
     with Theatre.from_file(file) as theatre:
         devices = theatre.devices
         _recover_all(
@@ -51,6 +55,13 @@ def acknowledge_theatre(file: Path, by: str, *, as_json: bool) -> None:
             as_json=as_json,
             theatre=theatre.file.theatre,
         )
+
+
+def _person(by: str | None) -> str:
+    """Who acknowledges, else as typed at the terminal: a login is no person's name. Raises DEV-006."""
+    if by is None and on_terminal(sys.stdin) and on_terminal(sys.stderr):
+        by = str(typer.prompt("Who acknowledges", err=True))
+    return require_person(by or "")
 
 
 def _recover_all(

@@ -93,7 +93,7 @@ def acknowledge_command(
         Path | None, typer.Option(metavar="THEATRE", help="Theatre file, without a run.")
     ] = None,
     by: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Who acknowledges [the name of the login].")
+        str | None, typer.Option(metavar="NAME", help="Who acknowledges; a terminal is asked for it.")
     ] = None,
     as_json: JsonOption = False,
     verbose: VerboseOption = False,
@@ -102,16 +102,13 @@ def acknowledge_command(
     """Recover the devices that are in fault, once the cause is gone; moves nothing.
 
     In the journal of the run stands who did it. Exit codes: 0 nothing is in fault any more, 3 the cause
-    stands, 4 a device is not found, others as in `run`.
+    stands or nobody is named, 4 a device is not found, others as in `run`.
     """
     set_up_logging(verbose)
     if (run_folder is None) == (config is None):
         raise UsageMistake("name either a run or, with --config, a theatre file")
-    import getpass
-
     from procedures.cli.runs.acknowledge import acknowledge_run, acknowledge_theatre
 
-    by = getpass.getuser() if by is None else by
     if run_folder is not None:
         acknowledge_run(_run_folder(run_folder), by, as_json=as_json)
     elif config is not None:

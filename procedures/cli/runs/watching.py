@@ -21,7 +21,7 @@ def watch(run: Path, *, as_json: bool) -> None:
     elif on_terminal(sys.stderr):
         from procedures.cli.case.live_display import LiveDisplay
 
-        display = LiveDisplay(message_console())
+        display = LiveDisplay(message_console(), errors=True)
         with display.shown():
             for events in followed.batches():
                 display.show(events)

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import io
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from plain_steps import plain_order
+from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
 
 from procedures.cli.case.case_view import CaseView, entry_of
 from procedures.cli.case.display import following
 from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
+from procedures.engine.errors import GateFailed
 from procedures.engine.events import Event
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
-from ronna_hw.errors import LinkTimeout
+from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"
 
@@ -25,11 +29,11 @@ def events(tmp_path: Path) -> list[Event]:
     """Of a case whose first step has failed."""
 
     def fails(_context: StepContext) -> Outcome[StepResult]:
-        raise LinkTimeout(REASON)
+        raise GateFailed(REASON)
 
     engine = RecordingCell(tmp_path).engine(plain_order("T1", image=fails))
     reader = engine.events.subscribe()
-    with pytest.raises(LinkTimeout):
+    with pytest.raises(GateFailed):
         engine.run_to()
     return list(reader.read(0.0).events)
 
@@ -41,6 +45,48 @@ def test_why_a_case_is_held_is_told_once_in_the_picture(events: list[Event]) -> 
     text = "\n".join(line for _, line in view.lines())
     assert text.startswith("held\n")
     assert text.count(REASON) == 1
+
+
+def test_what_was_wrong_with_a_step_goes_when_the_step_is_done_again(tmp_path: Path) -> None:
+    tries = iter([GateFailed(REASON), None])
+
+    def fails_once(context: StepContext) -> Outcome[StepResult]:
+        if (problem := next(tries)) is not None:
+            raise problem
+        return leaves(Image)(context)
+
+    engine = RecordingCell(tmp_path).engine(plain_order("T1", image=fails_once))
+    reader, view = engine.events.subscribe(), CaseView()
+    shown = []
+    for _ in range(2):
+        with suppress(GateFailed):
+            engine.run_step(engine.order.find("image"))
+        for event in reader.read(0.0).events:
+            view.take_in(event)
+        shown.append(REASON in "\n".join(line for _, line in view.lines()))
+    assert shown == [True, False]
+
+
+def test_where_errors_are_told_with_the_way_on_the_step_that_failed_has_only_its_code(
+    events: list[Event],
+) -> None:
+    said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
+    assert [text.split() for text in said] == [["image", GateFailed.code]]
+
+
+def test_an_error_beside_a_live_picture_goes_through_what_keeps_it_above(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    above, past = Terminal(), Terminal()
+    above.rich_proxied_file = past  # type: ignore[attr-defined]  # as the live picture's own has it
+    monkeypatch.setattr(sys, "stderr", above)
+    fail_with(GateFailed(REASON), advice="Wait.")
+    assert f"{REASON}. Wait." in above.getvalue()
+    assert past.getvalue() == ""
 
 
 def test_why_a_case_is_held_is_told_once_in_lines(events: list[Event]) -> None:

@@ -15,6 +15,7 @@ from procedures.engine.errors import GateFailed, OperatorAborted
 from procedures.engine.operator import Question, Topic
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from ronna_hw.devices.lifecycle import Lifecycle
 
 
 @pytest.fixture
@@ -168,6 +169,31 @@ def test_a_device_is_no_name_of_who_acknowledges(
     Typed(monkeypatch, f"acknowledge {role}").at(cell.engine(plain_order()))
     assert f"{role} is a device" in capsys.readouterr().err
     assert cell.entries() == []
+
+
+def test_who_acknowledged_what_is_said_and_how_it_goes_on(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    engine = cell.engine(plain_order())
+    cell.arm.state = Lifecycle.FAULT
+    typed = Typed(monkeypatch, "acknowledge A. Nurse", resumes=True)
+    typed.at(engine)
+    assert typed.said[0].startswith("acknowledged by A. Nurse: arm")
+    assert typed.said[1] == "the arm is at rest; resume goes on"
+
+
+def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_errors_advice(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def is_stopped(_context: StepContext) -> Outcome[StepResult]:
+        cell.arm.state = Lifecycle.FAULT
+        raise GateFailed("stopped")
+
+    typed = Typed(monkeypatch, "next", resumes=True)
+    typed.at(cell.engine(plain_order(image=is_stopped)))
+    assert capsys.readouterr().err == "PRO-007: stopped.\n"
+    assert typed.said[0].startswith("the arm is in fault")
+    assert typed.said[1] == f"{HELD}; resume goes on"
 
 
 def test_what_only_looks_may_fail_at_a_pause_and_the_pause_stands(

@@ -300,6 +300,13 @@ def test_faults_are_acknowledged_of_one_run_or_one_theatre(which: tuple[str, ...
     one_error(refused.stderr)
 
 
+@pytest.mark.parametrize("by", [(), ("--by", "007")])
+def test_nobody_acknowledges_without_a_name_and_no_device_is_asked(run: Path, by: tuple[str, ...]) -> None:
+    refused = in_this_process(app, "acknowledge", run, *by)
+    assert refused.returncode == EXIT_REFUSED
+    assert one_error(refused.stderr)[0].startswith("DEV-006")
+
+
 def test_an_arm_that_never_moved_is_not_asked_for_to_be_home(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     done = in_this_process(app, "home", folder, "--json")

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from console.feed.fold import JOURNAL_KEPT, fold
 from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView
+from console.panels.notices import notices
 from procedures.engine.events import (
     Answered,
     CaseState,
@@ -134,3 +135,20 @@ def test_a_long_case_keeps_a_bounded_journal() -> None:
 def test_a_fault_is_told_once_with_what_to_do() -> None:
     view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
     assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")
+
+
+def test_what_was_wrong_with_a_step_is_settled_once_the_step_is_done() -> None:
+    failed = (
+        StepState(step="check", state="begun"),
+        Fault(code="TOOL-005", what="TOOL-005: bent. Seat it.", advice="Seat it."),
+        StepState(step="check", state="failed"),
+        StepState(step="check", state="begun"),
+    )
+    assert [one.settled for one in view_after(*failed).notices] == [False]
+    assert [one.settled for one in view_after(*failed, StepState(step="other", state="done")).notices] == [
+        False
+    ]
+    passed = view_after(*failed, StepState(step="check", state="done"))
+    assert [one.settled for one in passed.notices] == [True]
+    assert "✓ settled TOOL-005" in notices(passed)
+    assert "Seat it" not in notices(passed)

@@ -8,8 +8,10 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
 from procedures.engine.operator import Topic
 from procedures.workcell import Insertion, MountedTool
-from ronna_hw.devices.errors import WrongState
+from ronna_hw.devices.errors import PersonNotNamed, WrongState
+from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
@@ -39,6 +41,46 @@ def test_while_a_device_is_in_fault_no_step_begins_and_the_fault_is_named(cell: 
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(StepRefused, match="the arm is in fault"):
         engine.run_step(engine.order.find("image"))
+
+
+EMERGENCY = LinkTimeout("the arm was stopped: emergency stop is active")
+STOP = Fact("emergency stop", "pressed", ready=False, advice="Release it.")
+MESSAGE = Fact("messages", "1 is not acknowledged", ready=False, advice="Remove its cause.")
+
+
+def test_a_fault_is_told_as_the_device_stands_now_with_what_is_to_be_done_in_order(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def told(*says: Fact) -> str:
+        seen = LastKnown(Lifecycle.FAULT, EMERGENCY, None, says)
+        monkeypatch.setattr(cell.arm, "observe", lambda: seen)
+        return cell.engine(plain_order()).faults.told["arm"]
+
+    assert "emergency stop: pressed; messages: 1 is not acknowledged. Release it. Then ack" in told(
+        STOP, MESSAGE
+    )
+    released = Fact("emergency stop", "released", advice="Release it.")
+    assert "emergency stop: released; messages: 1 is not acknowledged. To go on, ack" in told(
+        released, MESSAGE
+    )
+
+
+def test_an_arm_in_fault_is_not_sent_home_and_why_is_said(cell: RecordingCell) -> None:
+    engine = cell.engine(plain_order())
+    cell.workcell.set_home()
+    cell.arm.state = Lifecycle.FAULT
+    with pytest.raises(StepRefused, match="the arm cannot move: the arm is in fault"):
+        engine.retreat_home()
+    assert cell.entries() == []
+
+
+@pytest.mark.parametrize("name", ["", " ", "123", "7 8"])
+def test_what_has_no_letters_is_nobody_and_recovers_nothing(cell: RecordingCell, name: str) -> None:
+    engine = cell.engine(plain_order())
+    cell.arm.state = Lifecycle.FAULT
+    with pytest.raises(PersonNotNamed, match="DEV-006"):
+        engine.faults.acknowledge(name)
+    assert (cell.arm.calls, cell.entries()) == ([], [])
 
 
 @pytest.mark.hazard(32)

@@ -138,7 +138,7 @@ def test_a_message_of_an_earlier_run_is_acknowledged_only_by_name(controller: An
     arm.connect()
     assert "ACK_ERRORS" not in controller.commands
     with pytest.raises(PersonNotNamed, match="DEV-006"):
-        arm.recover("  ")
+        arm.recover("123")
     assert controller.facts["Err"] == "29002"
     arm.recover("operator")
     assert controller.facts["Err"] == "0"
