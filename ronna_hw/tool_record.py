@@ -62,6 +62,15 @@ class Gauge(Strict):
     base_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
         default=60.0, description="Between both heights."
     )
+    travel_mm: Annotated[float, Field(gt=0, le=100), Length] = Field(
+        default=10.0, description="Of a dial, to either side: a reading farther off was mistyped."
+    )
+
+    @property
+    def plausible_mm(self) -> tuple[float, float]:
+        """Between what a dial can show at all."""
+        recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
+        return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 
 
 class ToolFrame(Strict):

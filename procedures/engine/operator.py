@@ -130,7 +130,8 @@ class Question:
     `timeout_s` is host time; None stands until somebody answers. The operator calls `misread` each time that
     something else was read back, and `signed` once before it returns an answer that somebody stands for.
     `number` counts the questions of a run; `evidence` is shown beside the value. Where `reads` says what is
-    read off, the answer that goes on comes with that many numbers, which `read` is called with.
+    read off, the answer that goes on comes with that many numbers, each within `plausible_mm`, which `read`
+    is called with.
     """
 
     topic: Topic
@@ -145,6 +146,7 @@ class Question:
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
     reads: tuple[str, ...] = ()
+    plausible_mm: tuple[float, float] | None = None
     read: Callable[[tuple[float, ...]], None] = field(default=_unread, compare=False, repr=False)
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from itertools import groupby
 
 from procedures.engine.errors import UnknownStep
@@ -12,6 +13,7 @@ from procedures.engine.result import StepResult
 from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
 
 Steps = Sequence[StepSpec[StepResult]]
+MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,15 @@ class CaseOrder:
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
-        """The step of that name, such as `registration:T1`; raises PRO-005 with the names that exist."""
-        for key in self.sequence:
-            if str(key) == name:
-                return key
-        raise UnknownStep(f"there is no step {name!r}", expected=", ".join(str(key) for key in self.sequence))
+        """The step of that name, such as `registration:T1`; raises PRO-005 with what may have been meant."""
+        names = {str(key): key for key in self.sequence}
+        if name in names:
+            return names[name]
+        near = [one for one in names if one.partition(":")[0] == name]  # it lacks only the trajectory
+        near = near or get_close_matches(name, names, n=MOST_NEAR)
+        if near:
+            raise UnknownStep(f"there is no step {name!r}", action=f"Did you mean {' or '.join(near)}?")
+        raise UnknownStep(f"there is no step {name!r}", expected=", ".join(names))
 
     @property
     def localizations(self) -> tuple[StepKey, ...]:

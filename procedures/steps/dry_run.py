@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 from procedures.engine.case import Case
 from procedures.engine.step import StepKey
 from procedures.planning.reach.motions import HOME
@@ -12,30 +15,60 @@ from procedures.steps.clinical.relocalization import Relocalization
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.workcell import MountedTool, Workcell
 
 MOVE, LINE = "move", "line"
+SPHERE = "/fiducial "  # in the name of a pose, before its number
+OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
-def would_move(case: Case, key: StepKey) -> tuple[str, ...] | None:
-    """One line for each motion of a step; None before the path check."""
-    paths = case.find(CheckedPaths, None)
-    if paths is None:
+def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] | None:
+    """One line for each motion of a step, from where the arm stands; None before the path check."""
+    stored = case.find(CheckedPaths, None)
+    if stored is None:
         return None
     if key.name == CheckedTool.kind:
         return ("move home to the gauge and back; checked for clearance right before",)
-    lines = [_described(one) for one in paths.result.motions if _belongs(one, key)]
+    paths = stored.result
+    motions = [one for one in paths.motions if _belongs(one, key)]
+    if workcell.at_home or not motions or motions[0].start != HOME:
+        return _told(motions, key)
+    over = _sphere_below(paths, key, workcell)
+    if over is None:
+        return "the arm is not home; from home it would", *_told(motions, key)
+    reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
+    return f"the arm stands over sphere {over + 1}; from there", *_told(
+        motions[max(reached, default=0) :], key
+    )
+
+
+def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
+    """The sphere that the stereo head stands over while a localization is interrupted, counted from 0."""
+    if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
+        return None
+    here_mm = workcell.tool_pose().translation_mm
+    away_mm = {
+        item.fiducial: math.dist(item.tool_pose.translation_mm, here_mm)
+        for item in paths.localizations_for(key.trajectory)
+    }
+    nearest = min(away_mm, key=away_mm.__getitem__)
+    return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
+
+
+def _told(motions: Sequence[MotionPreview], key: StepKey) -> tuple[str, ...]:
+    lines = [_described(one) for one in motions]
     if key.name == Retreated.kind:
         lines = [*(f"back: {line}" for line in lines if LINE in line), *(one for one in lines if MOVE in one)]
     return tuple(lines)
 
 
 def _belongs(motion: MotionPreview, key: StepKey) -> bool:
-    sphere, target = "/fiducial", "/target"
+    target = "/target"
     own = f"{key.trajectory}/" if key.trajectory else ""
     if key.name == Relocalization.kind:
-        return motion.end.startswith(own) and sphere in motion.end
+        return motion.end.startswith(own) and SPHERE in motion.end
     if key.name == MountedGuide.kind:
-        return motion.end == HOME and sphere in motion.start
+        return motion.end == HOME and SPHERE in motion.start
     if key.name == PositionedGuide.kind:
         return motion.end == f"{key.trajectory}{target}"
     if key.name == Retreated.kind:
@@ -46,6 +79,13 @@ def _belongs(motion: MotionPreview, key: StepKey) -> bool:
 def _described(motion: MotionPreview) -> str:
     near = motion.closest
     passing = "" if near is None else f"; {near.first} passes {near.second} at {near.distance_mm:.0f} mm"
-    ends = f"{motion.start} to {motion.end}" if motion.start != motion.end else f"onto {motion.end}"
+    start, end = _place(motion.start), _place(motion.end)
+    ends = f"{start} to {end}" if start != end else f"onto {end}"
     speed = f"{motion.duration_s:.1f} s at up to {motion.largest_speed_mm_s:.0f} mm/s"
     return f"{motion.kind} {ends}, {speed}{passing}"
+
+
+def _place(name: str) -> str:
+    """A place as people count: spheres from 1."""
+    before, sphere, number = name.partition(SPHERE)
+    return f"{before}/sphere {int(number) + 1}" if sphere else name

@@ -32,7 +32,8 @@ class ToolBesideGauge(LimitError):
 
     code = "TOOL-005"
     action = (
-        "Mount the guide and its mandrel again (repeat tool_change), then check it again; else calibrate it."
+        "Read the dials again, or seat the guide and its mandrel again on the parked arm, then repeat "
+        "tool_check; else calibrate the guide."
     )
     exit_code = RefusedError.exit_code
 
@@ -41,5 +42,5 @@ class ToolSeenElsewhere(LimitError):
     """The tracker does not see the frame of the mounted tool where the tool's record says, or not at all."""
 
     code = "TOOL-006"
-    action = "See that it is the right tool, well seated and in the tracker's sight; repeat tool_change."
+    action = "See that it is the right tool, well seated and in the tracker's sight; repeat tool_check."
     exit_code = RefusedError.exit_code

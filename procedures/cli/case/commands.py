@@ -111,7 +111,7 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
     if not engine.order.spec(key).moves:
         say("it moves nothing")
         return
-    motions = would_move(engine.case, key)
+    motions = would_move(engine.case, key, engine.setting.workcell)
     if motions is None:
         say("it moves the arm; how is known after path_check")
         return

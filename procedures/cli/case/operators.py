@@ -11,10 +11,14 @@ from types import MappingProxyType
 
 from typer import style
 
-from procedures.engine.operator import Operator, Question, Task, Topic, words
+from procedures.engine.operator import NOBODY as NOBODY_READS
+from procedures.engine.operator import YES, Operator, Question, Task, Topic, words
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
+
+AGAIN = "again"
+ONE_NUMBER = f"one number in mm, such as 0.01, without unit; {NOBODY_READS} ends the step."
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
@@ -164,20 +168,38 @@ class TerminalRoom:
             numbers = "".join(f" {number:g}" for number in task.numbers)
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
             self._hint(f"work {task.name}{numbers}{trajectory}")
-            readings: list[float] = []
-            for what in task.reads if sys.stdin.isatty() else ():
-                if (number := _typed_number(what)) is None:
-                    break
-                readings.append(number)
+            return _read_off(task) if task.reads and sys.stdin.isatty() else ()
+
+
+def _read_off(task: Task) -> tuple[float, ...]:
+    """What is typed for each reading; several are shown back before they count. Nothing when nobody reads."""
+    while True:
+        readings: list[float] = []
+        for what in task.reads:
+            if (number := _typed_number(what, task.plausible_mm)) is None:
+                return ()
+            readings.append(number)
+        if len(readings) == 1:
             return tuple(readings)
+        for what, number in zip(task.reads, readings, strict=True):
+            _say(f"  {what}: {number:g}")
+        while (typed := _typed(words((YES, AGAIN)), None).lower()) != AGAIN:
+            if typed == YES or not typed:
+                return tuple(readings) if typed else ()
+            _say(f"{typed!r} is not an answer: {YES} if this was read off, {AGAIN} to type all again.")
 
 
-def _typed_number(what: str) -> float | None:
-    """A finite number; what is none is asked again. None when the terminal is gone."""
-    while typed := _typed(what, None):
+def _typed_number(what: str, plausible: tuple[float, float] | None) -> float | None:
+    """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends."""
+    while (typed := _typed(what, None)) and typed.lower() != NOBODY_READS:
         with suppress(ValueError):
-            return typed_number(typed)
-        _say(f"{typed!r} is not a number.")
+            number = typed_number(typed)
+            if plausible is None or plausible[0] <= number <= plausible[1]:
+                return number
+            low, high = plausible
+            _say(f"{number:g} cannot be: between {low:g} and {high:g}. {ONE_NUMBER}")
+            continue
+        _say(f"{typed!r} is not it: {ONE_NUMBER}")
     return None
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import sys
 import termios
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
@@ -98,13 +99,14 @@ class Prompt:
                 except NOTHING_DONE as mistake:
                     fail_with(mistake)
             else:
-                self._say(AT_PAUSE_CHOICES)
+                rests = f"{name} is not for a case that is paused" if name in COMMANDS else None
+                self._say(f"{rests or _unknown(name, (*AT_PAUSE, *LOOKING))}; {AT_PAUSE_CHOICES}")
         return question.silence
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
         command = COMMANDS.get(name or "help")
         if command is None:
-            self._say(f"there is no command {name!r}; help lists them")
+            self._say(f"{_unknown(name, COMMANDS)}; help lists them")
             return
         try:
             command.work(engine, argument, self._say)
@@ -155,6 +157,13 @@ def _too_much(name: str, argument: str) -> bool:
     """Whether words follow a command that takes none."""
     alone = name in (*AT_PAUSE, *QUIT) or (name in COMMANDS and not COMMANDS[name].argument)
     return alone and bool(argument.strip())
+
+
+def _unknown(name: str, known: Iterable[str]) -> str:
+    """What is said to a word that is none of them."""
+    near = get_close_matches(name, list(known), n=1)
+    said = f"there is no command {name!r}" if name else "nothing was typed"
+    return f"{said}, did you mean {near[0]}?" if near else said
 
 
 def leave_head_if_agreed(engine: Engine) -> None:

@@ -6,6 +6,7 @@ checkpoint or with a question.
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections import deque
@@ -224,6 +225,9 @@ class Desk:
         if question.reads and order.answer == question.answers[0]:
             if order.readings is None or len(order.readings) != len(question.reads):
                 return f"type {', '.join(question.reads)}"
+            low, high = question.plausible_mm or (-math.inf, math.inf)
+            if wrong := [f"{one:g}" for one in order.readings if not low <= one <= high]:
+                return f"{', '.join(wrong)} cannot be: between {low:g} and {high:g}"
             standing.readings = order.readings
         self._settle(order.answer, order.session)
         return ""

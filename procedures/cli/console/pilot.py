@@ -10,7 +10,7 @@ from procedures.cli.case.commands import leave_head
 from procedures.cli.console.desk import Desk, Wish
 from procedures.engine.checkpoint import ABORT
 from procedures.engine.errors import OperatorAborted
-from procedures.engine.operator import NOBODY, READ, Operator, Question, Topic
+from procedures.engine.operator import NOBODY, READ, Operator, Question, Task, Topic
 from procedures.engine.outlook import publish_waiting
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
@@ -63,14 +63,20 @@ class Pilot:
         """Who answers the questions of the case."""
         return ConsoleOperator(self.desk, otherwise, self)
 
-    def read(self, subject: str, reads: tuple[str, ...]) -> tuple[float, ...] | None:
+    def read(self, task: Task) -> tuple[float, ...] | None:
         """What the operator at the console reads off; nothing when nobody does, None without a console."""
         if self._engine is None or not self.in_charge:
             return None
         read: list[tuple[float, ...]] = []
-        value = f"type {', '.join(reads)}, as it is shown; {NOBODY} ends the step"
         question = Question(
-            Topic.READING, subject, value, (READ, NOBODY), timeout_s=None, reads=reads, read=read.append
+            Topic.READING,
+            task.subject,
+            f"type {', '.join(task.reads)}, as it is shown; {NOBODY} ends the step",
+            (READ, NOBODY),
+            timeout_s=None,
+            reads=task.reads,
+            plausible_mm=task.plausible_mm,
+            read=read.append,
         )
         if self._engine.ask(question) != READ:
             return None if self.desk.gone else ()

@@ -27,5 +27,5 @@ class ConsoleRoom:
 
     def work(self, task: Task) -> tuple[float, ...]:
         """What was read off, typed; nothing when nobody does."""
-        readings = self._pilot.read(task.subject, task.reads) if task.reads else None
+        readings = self._pilot.read(task) if task.reads else None
         return self._otherwise.work(task) if readings is None else readings

@@ -80,6 +80,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         "put the mandrel into the guide and the gauge, and read the dials",
         numbers=(*guide.gauge.joints_deg, guide.gauge.base_mm),
         reads=reads,
+        plausible_mm=guide.gauge.plausible_mm,
     )
     readings = []
     for number in range(APPROACHES):

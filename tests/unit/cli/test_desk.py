@@ -105,6 +105,22 @@ def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(sta
     eventually(lambda: answers == ["yes"])
 
 
+def test_the_unit_may_be_typed_with_what_is_read_back() -> None:
+    read_back = ReadBack("how many mm it moves first", "169", unit="mm")
+    fits = [read_back.fits(typed) for typed in ("169", "169mm", " 169 MM ", "169 cm", "mm")]
+    assert fits == [True, True, True, False, False]
+
+
+def test_a_reading_that_no_dial_can_show_is_no_answer(stand: Stand) -> None:
+    read: list[tuple[float, ...]] = []
+    asked = question(reads=("x in mm",), plausible_mm=(-10.0, 10.0), read=read.append)
+    answers = stand.ask(asked)
+    given = {"question": 1, "answer": "yes", "shown": shown(asked)}
+    assert stand.give("answer", **given, readings=[100.0]) == "100 cannot be: between -10 and 10"
+    assert stand.give("answer", **given, readings=[0.1]) == ""
+    eventually(lambda: (answers, read) == (["yes"], [(0.1,)]))
+
+
 def test_an_order_that_comes_too_late_is_refused_and_a_stop_never_is(stand: Stand) -> None:
     late = {"expires_s": stand.clock.now_s - 0.1}
     stand.wish()

@@ -105,6 +105,19 @@ def test_a_pause_goes_on_by_resume_alone(cell: RecordingCell, monkeypatch: pytes
     assert not engine.case.stands(engine.order.find("localization:T1"))
 
 
+def test_a_mistyped_command_is_named_with_what_may_have_been_meant(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = Typed(monkeypatch, "wy", "weiter")
+    typed.at(cell.engine(plain_order()))
+    assert typed.said[0] == "there is no command 'wy', did you mean why?; help lists them"
+    assert typed.said[1] == "there is no command 'weiter'; help lists them"
+    said = Typed(monkeypatch, "weiter", "nexxt", "next", "abort")
+    said.prompt.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort")))
+    assert said.said[2].startswith("there is no command 'weiter'; ")
+    assert said.said[4].startswith("next is not for a case that is paused; ")
+
+
 @pytest.mark.parametrize("last", [("abort",), ()])
 def test_abort_and_the_end_of_the_input_end_a_case_that_is_paused(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, last: tuple[str, ...]

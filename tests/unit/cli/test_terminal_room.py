@@ -12,6 +12,16 @@ from procedures.cli.case.operators import TerminalRoom
 from procedures.engine.operator import Task
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS
 
+THREE_DIALS = Task(
+    DIALS, "read the three dials", reads=("x in mm", "y in mm", "z in mm"), plausible_mm=(-10.0, 10.0)
+)
+
+
+def typing(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
+    typed = iter(lines)
+    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
+    monkeypatch.setattr(operators, "_typed", lambda _what, _ends_s: next(typed))
+
 
 @pytest.mark.parametrize("simulated", [True, False])
 def test_only_in_a_simulated_room_a_command_mounts_the_tool(
@@ -26,15 +36,34 @@ def test_only_in_a_simulated_room_a_command_mounts_the_tool(
 def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typed = iter(["zero", "0,12", "nan", "0.1 0.2", "-0.05", "0.30"])
-    monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-    monkeypatch.setattr(operators, "_typed", lambda _what, _ends_s: next(typed))
-    task = Task(DIALS, "read the three dials", reads=("x in mm", "y in mm", "z in mm"))
-    assert TerminalRoom(simulated=True).work(task) == (0.12, -0.05, 0.30)
+    typing(monkeypatch, "zero", "0,12", "nan", "0.1 mm", "-0.05", "0.30", "y", "yes")
+    assert TerminalRoom(simulated=True).work(THREE_DIALS) == (0.12, -0.05, 0.30)
     told = capsys.readouterr().err
     assert told.startswith("Read the three dials.\n")
     assert "ronna-sim work dials --control" in told
-    assert "'0.1 0.2' is not a number." in told
+    assert "'0.1 mm' is not it: one number in mm, such as 0.01, without unit; nobody ends the step." in told
+    assert "'y' is not an answer" in told
+
+
+def test_what_no_dial_can_show_is_asked_again_at_once(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "100", "0.1", "0", "0", "yes")
+    assert TerminalRoom().work(THREE_DIALS) == (0.1, 0.0, 0.0)
+    assert "100 cannot be: between -10 and 10." in capsys.readouterr().err
+
+
+def test_several_readings_are_shown_back_and_typed_again_when_one_is_wrong(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    typing(monkeypatch, "1", "2", "3", "again", "1", "2", "4", "yes")
+    assert TerminalRoom().work(THREE_DIALS) == (1.0, 2.0, 4.0)
+    assert "  x in mm: 1\n  y in mm: 2\n  z in mm: 3\n" in capsys.readouterr().err
+
+
+def test_nobody_who_reads_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    typing(monkeypatch, "1", "nobody")
+    assert TerminalRoom().work(THREE_DIALS) == ()
 
 
 def test_what_the_stand_is_to_hold_is_said(capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,6 +39,15 @@ def test_an_unknown_step_names_those_that_exist() -> None:
         plain_order().find("drilling")
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [("approach", "approach:T1 or approach:T2"), ("localisation:T2", "localization:T2"), ("imgae", "image")],
+)
+def test_a_mistyped_step_is_answered_with_what_may_have_been_meant(typed: str, meant: str) -> None:
+    with pytest.raises(UnknownStep, match=f"Did you mean {meant}"):
+        plain_order("T1", "T2").find(typed)
+
+
 REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")
 BACK = (*REGISTERED, "approach:T1", "held:T1", "back:T1")
 INSIDE = (*BACK, "approach:T2", "held:T2")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import YES, Task, Topic
+from procedures.engine.operator import NO, YES, Task, Topic
 from procedures.engine.result import Values
 from procedures.planning.plan.guide_hold import depth_stop_mm
 from procedures.steps.branches import SETTINGS, WRONG_STOP
@@ -38,8 +38,8 @@ def set_depth_stop(context: StepContext) -> DepthStop:
     plan, planned = checked.plan, checked.trajectory(context.trajectory)
     computed_mm = depth_stop_mm(plan, planned, bore)
     sum_of = (
-        f"bore {bore.length_mm:.1f} + stand-off {plan.standoff_mm:.1f} + depth {planned.depth_mm:.1f}"
-        f" = {computed_mm:.1f} mm from tip to stop"
+        f"bore {bore.length_mm:.2f} + stand-off {plan.standoff_mm:.2f} + depth {planned.depth_mm:.2f}"
+        f" = {computed_mm:.2f} mm from tip to stop"
     )
     task = Task(
         DEPTH_STOP,
@@ -62,7 +62,9 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         context.find(problem.summary)
         question = WRONG_STOP.question(
             "the depth stop is set wrong: set it again",
-            f"{sum_of}; read {read_mm:.2f} mm",
+            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
+            f"{YES}: it is set and read again, attempt {setting + 1} of {SETTINGS}; "
+            f"{NO}: the step ends, no instrument goes in",
             context.trajectory,
         )
         if setting == SETTINGS or context.choose(question) != YES:

@@ -121,6 +121,7 @@ def test_a_depth_stop_that_comes_right_is_confirmed(cell: ClinicalCell) -> None:
     engine.questions._operator = corrects
     work(engine)
     assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
+    assert "yes: it is set and read again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
 
 
 def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell) -> None:

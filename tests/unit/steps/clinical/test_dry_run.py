@@ -1,0 +1,65 @@
+"""What a step would move is told from where the arm stands, with spheres as people count them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from clinical_case import HOME_RAD, ClinicalCell, checked_paths, coarse
+
+from procedures.engine.step import StepKey
+from procedures.planning.reach.motions import HOME
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.dry_run import would_move
+from procedures.workcell import MountedTool
+
+PLACES = (HOME, *(f"T1/fiducial {number}" for number in range(4)))
+
+
+def motion(start: str, end: str) -> MotionPreview:
+    return MotionPreview(
+        start=start,
+        end=end,
+        kind="move" if start != end else "line",
+        duration_s=1.0,
+        clear=True,
+        closest=None,
+        largest_joint_speed_share=0.1,
+        largest_speed_mm_s=100.0,
+        nearest_to_head_mm=None,
+    )
+
+
+def told(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
+    engine = cell.begin(paths, *coarse(), STEP)
+    engine.run_to(engine.order.sequence[0])
+    key = next(key for key in engine.order.sequence if key.name == STEP.name)
+    lines = would_move(engine.case, StepKey(key.name, "T1"), cell.workcell)
+    assert lines is not None
+    return lines
+
+
+@pytest.fixture
+def paths(cell: ClinicalCell) -> CheckedPaths:
+    planned = checked_paths(cell.carrying(MountedTool.STEREO_HEAD))
+    ways = (one for start, end in pairwise(PLACES) for one in (motion(start, end), motion(end, end)))
+    return planned.model_copy(update={"motions": tuple(ways)})
+
+
+def test_from_home_every_motion_is_told_and_spheres_count_from_one(
+    cell: ClinicalCell, paths: CheckedPaths
+) -> None:
+    cell.arm.joints_rad = HOME_RAD
+    lines = told(cell, paths)
+    assert lines[0].startswith("move home to T1/sphere 1, ")
+    assert lines[-1].startswith("line onto T1/sphere 4, ")
+    assert len(lines) == 2 * len(PLACES[1:])
+
+
+def test_over_a_sphere_only_what_follows_is_told(cell: ClinicalCell, paths: CheckedPaths) -> None:
+    cell.arm.joints_rad = paths.localizations["T1"][0].joints_rad
+    heading, first, *_others = told(cell, paths)
+    assert heading == "the arm stands over sphere 1; from there"
+    assert first.startswith("move T1/sphere 1 to T1/sphere 2, ")
