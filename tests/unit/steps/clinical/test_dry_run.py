@@ -5,7 +5,8 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from clinical_case import HOME_RAD, ClinicalCell, checked_paths, coarse
+from clinical_case import HOME_RAD, ClinicalCell
+from prepared_results import checked_paths, coarse
 
 from procedures.engine.step import StepKey
 from procedures.planning.reach.motions import HOME

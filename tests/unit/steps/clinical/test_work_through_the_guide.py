@@ -80,7 +80,7 @@ def test_the_depth_stop_is_bore_stand_off_and_depth_and_all_of_it_is_shown(cell:
     stop = cell.case.get(ReachedTarget, FIRST).result.depth_stop
     depth_mm = plan().trajectory(FIRST).depth_mm
     assert stop.computed_mm == pytest.approx(85.0 + 30.0 + depth_mm)
-    shown = f"bore 85.0 + stand-off 30.0 + depth {depth_mm:.1f} = {stop.computed_mm:.1f} mm"
+    shown = f"bore 85.00 + stand-off 30.00 + depth {depth_mm:.2f} = {stop.computed_mm:.2f} mm"
     assert shown in cell.operator.asked[0].value
 
 
