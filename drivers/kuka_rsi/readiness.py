@@ -9,6 +9,7 @@ from ronna_hw.devices.readiness import MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
+MEANINGS = {29002: "the replies of the program that led the arm had stopped, and the controller stopped it"}
 AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
 
 
@@ -26,10 +27,15 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
     )  # fmt: skip
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close it.")
     yield Fact(
-        MESSAGES, f"{state.error} is not acknowledged" if state.error else "none to acknowledge",
+        MESSAGES, _message(state.error) if state.error else "none to acknowledge",
         not state.error, "Remove its cause; acknowledge it at the pendant or by ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")
+
+
+def _message(number: int) -> str:
+    meaning = MEANINGS.get(number)
+    return f"{number} is not acknowledged" + (f" ({meaning})" if meaning else "")
 
 
 def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:

@@ -19,7 +19,7 @@ from ronna_hw.errors import RonnaError
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
 CHOICES = "wait goes on as soon as it is as it must be, leave ends the step here with the arm at rest"
-WITHOUT = "continue goes on without it for a while"
+WITHOUT = "continue goes on without it for {:.0f} s of the next motion or wait, then it is asked again"
 LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
 PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the operator is asked
 
@@ -49,6 +49,11 @@ class DispensableGuard(Guard, Protocol):
     @property
     def patience_s(self) -> float:
         """Theatre time to be met by itself, in place of `PATIENCE_S`."""
+        ...
+
+    @property
+    def excused_for_s(self) -> float:
+        """Theatre time of the next motion or wait for which `excuse` has it met."""
         ...
 
     def excuse(self) -> None:
@@ -165,5 +170,6 @@ class Checkpoint:
 def _question(guard: Guard, reason: str, where: str) -> Question:
     subject = f"{guard.name}: {reason}"
     if isinstance(guard, DispensableGuard):
-        return Question(guard.topic, subject, f"{where}; {CHOICES}, {WITHOUT}", (WAIT, GO_ON, LEAVE))
+        without = WITHOUT.format(guard.excused_for_s)
+        return Question(guard.topic, subject, f"{where}; {CHOICES}, {without}", (WAIT, GO_ON, LEAVE))
     return Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))

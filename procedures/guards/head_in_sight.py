@@ -13,7 +13,7 @@ from procedures.engine.operator import Topic
 from procedures.engine.workspace import Workspace
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import RoomWatch
+from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
@@ -63,6 +63,11 @@ class HeadInSight:
             return None
         why = ARM_IN_THE_WAY if room.arm_hides_head else CLEAR_THE_LINE
         return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
+
+    @property
+    def excused_for_s(self) -> float:
+        """As long as a head may be unseen."""
+        return MOST_UNSEEN_S
 
     def excuse(self) -> None:
         """The operator goes on without sight."""

@@ -95,7 +95,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     if found is expected:
         comparison.same(f"the {found}")
     elif exchange_begun and workcell.insertion is None:
-        comparison.note(f"an exchange of tools had begun: the arm carries the {found}")
+        comparison.warn(f"an exchange of tools had begun: the arm carries the {found}")
     else:
         comparison.differs("mounted tool", f"the {expected}", f"the {found}")
         return

@@ -56,5 +56,5 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     else:
         moved_mm = np.linalg.norm(base_mm)
         comparison.note(f"robot base: the frame on the arm within {moved_mm:.2f} mm of its place")
-    comparison.findings += findings
+    comparison.notes += findings
     return True

@@ -7,11 +7,12 @@ is run, planned anew from where the arm is.
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import replace
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.errors import RecoveryRefused, StepRefused
 from procedures.engine.hands import IN_GAUGE
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
@@ -30,6 +31,7 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
 from procedures.workcell.left_arm import left_arm
+from ronna_hw.devices.readiness import MESSAGES
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
 LOOKS = (Relocalization.kind, ObservedStand.kind)  # those that the head must have done before
@@ -91,7 +93,7 @@ def _take_up_arm(
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
         # The line that says an instrument goes in is later than that of the guide, and can be lost alone.
         arm = replace(arm, instrument_in=on.trajectory)
-        comparison.note(f"nothing says that no instrument is in {on.trajectory}: one counts as inside")
+        comparison.warn(f"nothing says that no instrument is in {on.trajectory}: one counts as inside")
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
@@ -100,25 +102,42 @@ def _take_up_arm(
         name = insertion.trajectory  # the lost lines can also have said that an instrument goes in
         arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
         workcell.take_up(arm, set_up.home_rad)
-        comparison.note(f"the guide is {beyond_mm:.0f} mm along {name}: an instrument counts as inside")
+        comparison.warn(f"the guide is {beyond_mm:.0f} mm along {name}: an instrument counts as inside")
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
         workcell.instrument.take_up(IN_GAUGE)
-        comparison.note("the guide is at the gauge: the mandrel counts as inside")
+        comparison.warn("the guide is at the gauge: the mandrel counts as inside")
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Have the operator accept what was found, beside what will be done; raises PRO-032."""
     for begun in begun_elsewhere(engine):
-        comparison.note(begun)
+        comparison.warn(begun)
     if head_moved_since(engine):
-        comparison.note(MOVED_SINCE)
+        comparison.warn(MOVED_SINCE)
     _conclude(engine, comparison)
-    question = Question(Topic.RESUME, subject, "; ".join((*order, *comparison.findings)))
+    _require_ready(engine)
+    question = Question(Topic.RESUME, subject, comparison.in_lines(order))
     if engine.ask(question) != YES:
         raise RecoveryRefused(
             "the operator did not accept what was found", action="Give the command again when it may go on."
         )
     engine.accept()
+
+
+def _require_ready(engine: Engine) -> None:
+    """Raise PRO-001 for what a device itself says that no motion can begin with: nobody is asked in vain."""
+    seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
+    held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
+    if not held_back:
+        return
+    told = [f"{role}, {fact.name}: {fact.found}" for role, fact in held_back]
+    first = [fact.advice for _, fact in held_back if fact.name != MESSAGES]
+    run = shlex.quote(str(engine.case.folder))
+    acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
+    raise StepRefused(
+        f"nothing may move yet: {'; '.join(told)}",
+        action=" ".join((*first, f"Then {acknowledge}, and give the command again. Nothing was moved.")),
+    )
 
 
 def _conclude(engine: Engine, comparison: Comparison) -> None:

@@ -209,7 +209,7 @@ def _say(line: str) -> None:
 
 def _emphasized(question: Question) -> str:
     """The value, on a terminal with what is to be read back from it in bold."""
-    value = printable_lines(question.value)
+    value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 

@@ -5,7 +5,7 @@ import pytest
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import GuardUnmet, OperatorAborted
-from procedures.engine.operator import Question
+from procedures.engine.operator import Question, Topic
 from ronna_hw.errors import LinkTimeout
 
 
@@ -120,6 +120,19 @@ def test_a_guard_that_stays_unmet_is_asked_about_and_ends_the_step_when_it_is_le
     with pytest.raises(GuardUnmet, match=r"PRO-017: disk space: 1 MB left"):
         rig.checkpoint.here("before a motion")
     assert rig.slept_s >= 20.0
+
+
+def test_for_how_long_a_guard_is_done_without_is_said() -> None:
+    class Dispensable(Disk):
+        topic, patience_s, excused_for_s = Topic.HEAD_UNSEEN, 0.0, 10.0
+
+        def excuse(self) -> None:
+            self.unmet_looks = 0
+
+    rig = Rig(lambda _question: "continue")
+    rig.checkpoint.guards.append(Dispensable(float("inf")))
+    rig.checkpoint.here("at the target")
+    assert "continue goes on without it for 10 s of the next motion or wait" in rig.asked[0].value
 
 
 def test_a_pause_is_met_while_a_guard_waits() -> None:

@@ -25,8 +25,8 @@ from recording_cell import GUIDE, STEREO_HEAD
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import NotConfirmed, RecoveryRefused
-from procedures.engine.journal import JOURNAL_FILE, Entry
+from procedures.engine.errors import NotConfirmed, RecoveryRefused, StepRefused
+from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.engine.left_run import LeftRun
 from procedures.engine.operator import Question, Topic
 from procedures.engine.order import CaseOrder, order_of
@@ -42,6 +42,7 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.devices.readiness import Fact
 from ronna_hw.errors import LinkTimeout
 
 
@@ -97,6 +98,32 @@ def test_nothing_moves_before_what_was_found_is_accepted(cell: ClinicalCell) -> 
     assert again.arm.motions == []
     assert "activate" not in again.arm.calls
     assert again.entries("found", "accepted") == [("found", "")]
+
+
+def test_what_the_controller_holds_back_is_said_before_anything_is_asked_with_the_whole_command(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    again, engine, left = left_after(cell, "positioning:T1")
+    message = Fact("messages", "29002 is not acknowledged", ready=False, advice="Remove its cause.")
+    seen = replace(again.arm.observe(), says=(message,))
+    monkeypatch.setattr(again.arm, "observe", lambda: seen)
+    with pytest.raises(StepRefused, match="arm, messages: 29002 is not acknowledged") as refused:
+        recover(engine, left)
+    assert f"ronna-procedure acknowledge {again.folder} --by 'YOUR NAME'" in refused.value.advice
+    assert again.operator.asked == []
+
+
+@pytest.mark.hazard(2)
+def test_what_can_hurt_is_read_first_one_to_a_line_and_what_is_as_it_was_is_one_line(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_after(cell, "positioning:T1")
+    recover(engine, left)
+    first, *_others, last = again.operator.asked[0].value.split("\n")
+    assert first == "nothing says that no instrument is in T1: one counts as inside"
+    assert last.endswith(" items as recorded")
+    found, *_ = (line for line in read_journal(again.folder / JOURNAL_FILE) if line["entry"] == Entry.FOUND)
+    assert "plan: as recorded" in found["findings"] or "the guide: as recorded" in found["findings"]
 
 
 @pytest.mark.hazard(2)
