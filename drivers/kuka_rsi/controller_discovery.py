@@ -10,6 +10,7 @@ from ipaddress import IPv4Network
 from itertools import islice
 
 from drivers.kuka_rsi.eki.client import EkiClient
+from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotFound, NoAnswer
 from drivers.kuka_rsi.options import KukaOptions
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.devices.discovery import Option, Proposal, Search, documented_options
@@ -37,7 +38,9 @@ def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
     known = search.controllers or tuple(_listening(search.interfaces))
     found = []
     for number, controller in enumerate(known, start=1):
-        found.append(_proposal(controller, stream_of(search)))
+        proposal = _proposal(controller, stream_of(search))
+        if search.controllers or not proposal.absent:  # other machines listen in a network as well
+            found.append(proposal)
         progress(number / len(known))
     return found
 
@@ -83,7 +86,7 @@ def _listens(host: str) -> bool:
 def _proposal(controller: Endpoint, stream: str) -> Proposal:
     """As far as it lets itself be known: one that serves another client, or is silent, is proposed."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
-    what, variant = "a controller", None
+    what, variant, absent = "a controller", None, ""
     try:
         with contextlib.closing(EkiClient(controller.host, controller.port, CONNECT_LIMIT_S)) as eki:
             state = eki.status(CONNECT_LIMIT_S)
@@ -91,9 +94,13 @@ def _proposal(controller: Endpoint, stream: str) -> Proposal:
         variant = state.variant if state.variant in known else None
         what = f"a controller of {state.variant or 'an arm that it does not name'}, in mode {state.mode}"
         remarks = (STREAM,) if variant else remarks
+    except (ControllerNotFound, NoAnswer, BadEkiTelegram) as error:
+        absent = error.what
+        if not isinstance(error, ControllerNotFound):
+            absent += ": it is not the EKI server of the project's files"
     except RonnaError as error:
         remarks = (f"It would not be identified: {error.code} {error.summary}", *remarks)
-    return Proposal(DRIVER, what, _endpoints(str(controller), stream), _options(variant), remarks)
+    return Proposal(DRIVER, what, _endpoints(str(controller), stream), _options(variant), remarks, absent)
 
 
 def _endpoints(controller: str, stream: str) -> dict[str, str]:

@@ -33,6 +33,7 @@ class Option:
     value: Any  # as TOML has it; None where it has no default
     chosen: bool
     meaning: str
+    model: type[BaseModel] | None = None  # of all options of that driver, to check a value by
 
 
 @dataclass(frozen=True)
@@ -44,6 +45,7 @@ class Proposal:
     endpoints: Mapping[str, str]
     options: tuple[Option, ...] = ()
     remarks: tuple[str, ...] = ()  # what a person is to check or to complete
+    absent: str = ""  # why no such device is at the address that was given, where that is so
 
 
 @runtime_checkable
@@ -53,7 +55,10 @@ class Finder(Protocol):
     table: str
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        """Everything that answers as such a device. Nothing moves and no setting is changed."""
+        """Everything that answers as such a device, and where an address was given that does not, why.
+
+        Nothing moves and no setting is changed.
+        """
         ...
 
     def example(self, search: Search) -> Proposal:
@@ -69,6 +74,7 @@ def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tup
             chosen.get(name, None if field.is_required() else field.get_default(call_default_factory=True)),
             name in chosen,
             field.description or "",
+            model,
         )
         for name, field in model.model_fields.items()
     )

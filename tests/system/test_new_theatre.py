@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 from user_commands import in_this_process
 
+from drivers.kuka_rsi import controller_discovery
 from procedures.cli.doctor import inspection
 from procedures.cli.procedure import app
 from ronna_hw.config import read_theatre_file
@@ -82,6 +83,25 @@ def test_a_controller_that_is_taken_is_written_down_with_the_reason(
         ask_control_port(cell["endpoints"]["control"], "clear_faults")
     assert done.returncode == EXIT_DONE
     assert "It would not be identified: EKI-002" in lab.read_text()
+
+
+def test_where_no_controller_answers_none_is_found(
+    cell: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(controller_discovery, "CONNECT_LIMIT_S", 0.3)
+    lab = tmp_path / "lab.toml"
+    refused, not_ours = "tcp://127.0.0.1:9", cell["endpoints"]["kuka"]["eki"]
+    said = ""
+    for controller in (refused, not_ours):
+        given = ("--controller", controller, "--interface", "lo", "--left", addresses(cell)[5])
+        given += ("--right", addresses(cell)[7], "--serial", "/dev/null")
+        done = in_this_process(app, "new-theatre", "--hardware", *given, "--no-check", "--out", lab)
+        assert done.returncode == EXIT_NOT_FOUND
+        assert read_theatre_file(lab).robot == {}
+        lab.unlink()
+        said += done.stderr
+    assert f"robot: nothing answers at {refused} (connection refused)" in said
+    assert f"robot: {not_ours} does not answer STATUS: it is not the EKI server" in said
 
 
 def test_a_line_without_a_tracker_leaves_an_example(cell: dict[str, Any], tmp_path: Path) -> None:

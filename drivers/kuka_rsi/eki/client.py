@@ -85,9 +85,9 @@ class EkiClient:
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
         except OSError as error:
-            reason = error.strerror or str(error)
+            reason = (error.strerror or str(error)).lower()
             raise ControllerNotFound(
-                f"{self.where} does not answer: {reason}", limit=f"{timeout_s:g} s"
+                f"nothing answers at {self.where} ({reason})", limit=f"{timeout_s:g} s"
             ) from error
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

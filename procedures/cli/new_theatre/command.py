@@ -94,7 +94,6 @@ def new_theatre(
     from procedures.cli.new_theatre import searching, taken_over, writing
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.discovery import Search
-    from ronna_hw.endpoints import parse_endpoint
     from ronna_hw.errors import EXIT_NOT_FOUND
     from ronna_hw.records import write_whole
     from ronna_hw.registry import finders
@@ -104,8 +103,9 @@ def new_theatre(
         interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
         controllers=tuple(map(searching.controller, controller or ())),
-        stream=None if stream is None else parse_endpoint(stream).require("udp"),
+        stream=None if stream is None else searching.stream(stream),
     )
+    searching.clock(clock)
     tables = {} if records is None else taken_over.read_tables(records)
     with console.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
@@ -128,7 +128,7 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
 
     for one in found:
         addresses = ", ".join(one.proposal.endpoints.values())
-        what = f"{one.proposal.what} at {addresses}" if one.there else "not found"
+        what = f"{one.proposal.what} at {addresses}" if one.there else one.proposal.absent or "not found"
         console.tell(f"{one.table}: {what}")
     complete = all(one.there for one in found)
     if not check:

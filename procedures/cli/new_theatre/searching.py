@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from ronna_hw.command_line.console import Progress
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.devices.discovery import Finder, Proposal, Search
-from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interfaces
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
+T = TypeVar("T")
 Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
 
 
@@ -37,21 +39,61 @@ def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
     return tuple(chosen)
 
 
+def told(option: str, read: Callable[[str], T], text: str, form: str, example: str) -> T:
+    """What the text of an option means; CLI-001 names the option, its form and an example that fits."""
+    try:
+        return read(text)
+    except BadEndpoint as error:
+        action = f"For example: {option} {example}."
+        raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
+
+
+def stream(text: str) -> Endpoint:
+    """Where telegrams arrive. Raises CLI-001."""
+    return told(
+        "--stream",
+        lambda given: parse_endpoint(given).require("udp"),
+        text,
+        "udp://HOST:PORT",
+        "udp://192.168.10.20:59152",
+    )
+
+
+def clock(text: str) -> str:
+    """The source of time as it was given. Raises CLI-001 for what is none."""
+    told(
+        "--clock",
+        lambda given: parse_endpoint(given).require("host", "shm"),
+        text,
+        "host: or shm:///PATH, as the READY line of a simulated theatre has it",
+        "host:",
+    )
+    return text
+
+
 def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
     """The lines to ask: those given as path or endpoint, else every serial port of this computer.
 
-    Raises CFG-002 for what is no line.
+    Raises CLI-001 for what is no line.
     """
     if given is None:
         from serial.tools import list_ports
 
         given = sorted(str(port.device) for port in list_ports.comports())
-    texts = (f"serial://{text}" if text.startswith("/") else text for text in given)
-    return tuple(parse_endpoint(text).require("serial", "tcp") for text in texts)
+    form = "the path of a line, or tcp://HOST:PORT"
+    return tuple(told("--serial", _line, text, form, "/dev/ttyUSB0") for text in given)
 
 
 def controller(text: str) -> Endpoint:
-    """The controller's address, with the port of our EKI server unless another is given. Raises CFG-002."""
+    """The controller's address, with the port of our EKI server unless another is given. Raises CLI-001."""
+    return told("--controller", _controller, text, "HOST or HOST:PORT", "172.31.1.147")
+
+
+def _line(text: str) -> Endpoint:
+    return parse_endpoint(f"serial://{text}" if text.startswith("/") else text).require("serial", "tcp")
+
+
+def _controller(text: str) -> Endpoint:
     full = text if "://" in text else f"tcp://{text}"
     host = full.removeprefix("tcp://")
     return parse_endpoint(full if ":" in host else f"{full}:{PROJECT_PORT}").require("tcp")
@@ -75,19 +117,36 @@ def search_all(
         proposals = finder.find(search, advance)
         if finder.table == "stereo":
             proposals = _of_cameras(proposals, cameras)
-        chosen = _one_of(finder.table, proposals, choose)
-        found.append(Found(finder.table, chosen or finder.example(search), chosen is not None))
+        present = [one for one in proposals if not one.absent]
+        chosen = _one_of(finder.table, present, choose)
+        instead = proposals[0] if proposals else finder.example(search)
+        found.append(Found(finder.table, chosen or instead, chosen is not None))
         advance(1.0)
     return tuple(found)
 
 
 def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
     """The pairs with these cameras at these sides, by serial number or address. Raises CLI-001 for others."""
-    for side, wanted in zip(("left", "right"), cameras, strict=True):
+    every = pairs
+    for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):
         if wanted is None:
             continue
         before, pairs = pairs, [pair for pair in pairs if wanted in _camera(pair, side)]
         if not pairs:
+            if cameras[0] is not None and any(wanted in _camera(pair, "left") for pair in before):
+                raise UsageMistake(
+                    f"--{side}: camera {wanted} is given for both sides",
+                    expected="two cameras",
+                    action="Give each side the camera that it is.",
+                )
+            if alike := next((pair for pair in every if wanted in _camera(pair, other)), None):
+                serial, _address = _camera(alike, other)
+                raise UsageMistake(
+                    f"--{side}: {wanted} is the camera that calls itself {other} ({serial})",
+                    expected=f"{_camera(alike, side)[0]}, which calls itself {side}",
+                    action="Exchange --left and --right; where the names are wrong, leave both options out "
+                    "and exchange the cameras in the file.",
+                )
             known = sorted({" at ".join(_camera(pair, side)) for pair in before})
             raise UsageMistake(
                 f"--{side}: no camera {wanted} replied",

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import ValidationError
+
 from procedures.cli.new_theatre.searching import Found
 from procedures.cli.new_theatre.writing import TABLE_NAMES, TAKEN_OVER
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.config import BadTheatreFile
-from ronna_hw.devices.discovery import Option
+from ronna_hw.config import BadTheatreFile, describe_mistakes
 
 TOOLS = "tools"  # option of a tracker: definitions of what it is to see
 
@@ -60,7 +62,22 @@ def with_options(found: Sequence[Found], told: Sequence[str]) -> tuple[Found, ..
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )
         changed[number] = _changed(changed[number], {key: _value(value)})
+        _require_fitting(text, changed[number])
     return tuple(changed)
+
+
+def _require_fitting(text: str, found: Found) -> None:
+    """Raise CLI-001 where the driver would not take its options with this one."""
+    options = found.proposal.options
+    chosen = {option.key: option.value for option in options if option.chosen}
+    for model in {option.model for option in options if option.model is not None}:
+        try:
+            model.model_validate_json(json.dumps(chosen, default=str))
+        except ValidationError as error:
+            raise UsageMistake(
+                f"--option {text!r}: {'; '.join(describe_mistakes(error, model))}",
+                action="The reference lists the options of each driver with what they take.",
+            ) from error
 
 
 def _named(found: Found, table: str) -> bool:
@@ -75,7 +92,7 @@ def _where(rom: str, folder: Path) -> str:
 
 def _changed(found: Found, values: Mapping[str, Any]) -> Found:
     options = tuple(
-        Option(one.key, values[one.key], True, one.meaning) if one.key in values else one
+        replace(one, value=values[one.key], chosen=True) if one.key in values else one
         for one in found.proposal.options
     )
     return replace(found, proposal=replace(found.proposal, options=options))

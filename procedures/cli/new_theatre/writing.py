@@ -60,6 +60,8 @@ def theatre_text(draft: Draft) -> str:
 def _device(found: Found) -> Iterator[str]:
     proposal, table = found.proposal, TABLE_NAMES.get(found.table, found.table)
     title = f"{table}: {proposal.what}" if found.there else f"{table}: {NOT_FOUND}"
+    if proposal.absent:
+        title += f" It was looked for: {proposal.absent}."
     yield from _comment(title)
     for remark in proposal.remarks:
         yield from _comment(f"- {remark}")

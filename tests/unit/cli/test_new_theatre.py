@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from pydantic import BaseModel
 from user_commands import in_this_process, one_error
 
 from procedures.cli.new_theatre import command
@@ -17,7 +18,14 @@ from ronna_hw.devices.discovery import ONLY, Option, Proposal, Search
 from ronna_hw.devices.probing import Progress
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_USAGE
 
-EXPOSURE = Option("exposure_us", 2000.0, False, "Exposure of both cameras.")
+
+class Settings(BaseModel):
+    """Of a pair of cameras."""
+
+    exposure_us: float
+
+
+EXPOSURE = Option("exposure_us", 2000.0, False, "Exposure of both cameras.", Settings)
 
 
 def pair(left: str, right: str) -> Proposal:
@@ -181,16 +189,24 @@ def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: 
     [
         (("--interface", "eth77"), "no network interface eth77"),
         (("--controller", "192.168.10.300"), "192.168.10.300 is no IPv4 address"),
-        (("--stream", "tcp://127.0.0.1:1"), "cannot be used here"),
+        (
+            ("--stream", "tcp://127.0.0.1:1"),
+            "--stream: tcp://127.0.0.1:1 cannot be used here; expected udp://",
+        ),
+        (("--stream", "59152"), "For example: --stream udp://192.168.10.20:59152."),
+        (("--serial", "pts/2"), "For example: --serial /dev/ttyUSB0."),
         (("--left", "99"), "no camera 99 replied; expected one of 11 at 192.168.3.1"),
+        (("--left", "12"), "--left: 12 is the camera that calls itself right (12)"),
+        (("--left", "11", "--right", "192.168.3.1"), "camera 192.168.3.1 is given for both sides"),
         (("--option", "stereo.exposure=1"), "no option 'exposure'"),
+        (("--option", "stereo.exposure_us=fast"), "exposure_us: expected a valid number"),
         (("--option", "exposure_us=1"), "TABLE.KEY=VALUE"),
-        (("--clock", "tcp://127.0.0.1:1"), "clock.endpoint"),
+        (("--clock", "shm://nothing"), "--clock: 'shm://nothing' needs an absolute path; expected host: or"),
         (("--records", "/nonexist.toml"), "cannot read /nonexist.toml"),
     ],
 )
 def test_a_mistake_is_told_and_leaves_no_file(
-    cameras: Cameras, out: Path, options: tuple[str, str], told: str
+    cameras: Cameras, out: Path, options: tuple[str, ...], told: str
 ) -> None:
     code, _, errors = new_theatre(out, *options)
     assert code == EXIT_USAGE
