@@ -15,7 +15,6 @@ Nothing here needs the ball's diameter: the arm gives the scale.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -24,9 +23,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from procedures.calibration.arm_geometry import UNCALIBRATED_MM, error_columns
-from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersected
 from procedures.calibration.observations import Observation
+from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from ronna_hw.arm.links import Chain
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.text.beyond import beyond
@@ -34,7 +34,6 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 LEAST_POSES = 60
-LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms over the poses, of the direction that varies least
 BALL = 3
 HEAD = BALL + 2 * CAMERA_PARAMETERS
 # Prior of head and lenses about their record, one standard deviation. A good arm overrides it; it constrains
@@ -101,18 +100,9 @@ def fit_bundle(
     With `arm`, its geometric errors are estimated when its error exceeds its repeatability. Raises CAL-002
     with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
     """
-    if len(observations) < least_poses:
-        raise TooFewPoses(
-            "too few poses show the ball", expected=f"at least {least_poses}", got=str(len(observations))
-        )
+    require_count(len(observations), least_poses, "too few poses show the ball")
     looks = _arrays(observations)
-    spread = orientation_spread(looks.rotations)
-    if spread < LEAST_SPREAD:
-        raise DegeneratePoses(
-            "the orientations of the poses hardly vary",
-            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
-        )
+    require_spread(looks.rotations, "the orientations of the poses hardly vary")
     cameras = cameras_of(start)
     points, _ = intersected(cameras, looks.centres_px[:, 0], looks.centres_px[:, 1])
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
@@ -184,13 +174,6 @@ def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) 
         )
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     return _Found(values, arm_error, image_scale, residuals, shifts, gaps, used)
-
-
-def orientation_spread(rotations: Array) -> float:
-    """Rms variation of the direction that varies least over rotations (n, 3, 3); 0 about a single axis."""
-    apart = rotations - rotations.mean(axis=0)
-    scatter = np.einsum("nki,nkj->ij", apart, apart) / len(rotations)
-    return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))
 
 
 def _arrays(observations: Sequence[Observation]) -> _Looks:
@@ -311,12 +294,7 @@ def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
             limit=f"{GAP_LIMIT_PX:g} px",
             got=f"{beyond(gap_px, GAP_LIMIT_PX, 1)} px",
         )
-    if np.mean(~used) > MOST_OUTLIERS:
-        raise DoesNotFit(
-            "too many looks do not fit the others",
-            limit=f"{MOST_OUTLIERS:.0%}",
-            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
-        )
+    require_consistent(used, MOST_OUTLIERS, "looks")
 
 
 def _normal_matrix(

@@ -10,7 +10,8 @@ from scipy.special import chdtri
 from procedures.calibration.arm.identification import whitening_of
 from procedures.calibration.arm.looks import ArmLooks, arrays_of
 from procedures.calibration.arm.validation import LEAST_VALIDATION, MODEL_SHARE
-from procedures.calibration.errors import ArmChanged, NoArmRecord, TooFewPoses
+from procedures.calibration.errors import ArmChanged, NoArmRecord
+from procedures.calibration.sufficiency import require_count
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibration import ArmCalibration
@@ -61,10 +62,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
     count, spheres = len(looks.joints_rad), looks.spheres
-    if count < LEAST_VALIDATION:
-        raise TooFewPoses(
-            "too few looks to check the arm", expected=f"at least {LEAST_VALIDATION}", got=str(count)
-        )
+    require_count(count, LEAST_VALIDATION, "too few looks to check the arm")
     flange = flange_poses(kinematics.chain, ArmDeviations.of(record), looks.joints_rad, looks.flanks)
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     seen = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]

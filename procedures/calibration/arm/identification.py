@@ -7,7 +7,6 @@ looks themselves, with the share of each look in the fit taken into account.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +14,8 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.bundle import orientation_spread
-from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import DoesNotFit
+from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.frames import Transform
 from ronna_hw.text.beyond import beyond
@@ -24,7 +23,6 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 LEAST_LOOKS = 60  # below, validation shows errors beyond those of a calibrated arm
-LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
 ROUNDS = 6  # of fit, size of the random error and outliers: they settle within four
 FIRST_SCATTER_MM = 0.05
 LEAST_SCATTER_MM = 0.003  # no arm is better
@@ -67,18 +65,9 @@ class ArmFit:
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
     """The arm that explains the looks. Raises CAL-002, CAL-003, CAL-004."""
     count = len(looks.joints_rad)
-    if count < LEAST_LOOKS:
-        raise TooFewPoses(
-            "too few looks to calibrate an arm", expected=f"at least {LEAST_LOOKS}", got=str(count)
-        )
+    require_count(count, LEAST_LOOKS, "too few looks to calibrate an arm")
     rotations = model.rotations(looks)
-    spread = orientation_spread(rotations)
-    if spread < LEAST_SPREAD:
-        raise DegeneratePoses(
-            "the orientations of the looks hardly vary",
-            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
-        )
+    require_spread(rotations, "the orientations of the looks hardly vary")
     stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
     values = _start(model, looks)
     scatter, used = FIRST_SCATTER_MM, np.ones(count, dtype=bool)
@@ -96,12 +85,7 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
             got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
         )
-    if np.mean(~used) > MOST_OUTLIERS:
-        raise DoesNotFit(
-            "too many looks do not fit the others",
-            limit=f"{MOST_OUTLIERS:.0%}",
-            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
-        )
+    require_consistent(used, MOST_OUTLIERS, "looks")
     return ArmFit(model, values, covariance, scatter, residuals, used)
 
 

@@ -11,7 +11,8 @@ from scipy.special import chdtri
 from procedures.calibration.arm.error_model import BACKLASH
 from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
-from procedures.calibration.errors import DoesNotFit, TooFewPoses, Unobservable
+from procedures.calibration.errors import DoesNotFit, Unobservable
+from procedures.calibration.sufficiency import require_count
 from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
@@ -41,10 +42,7 @@ class ArmValidation:
 def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     """Judge a fit by looks that it has not seen. Raises CAL-002, CAL-004, CAL-011."""
     count = len(looks.joints_rad)
-    if count < LEAST_VALIDATION:
-        raise TooFewPoses(
-            "too few looks to validate the arm", expected=f"at least {LEAST_VALIDATION}", got=str(count)
-        )
+    require_count(count, LEAST_VALIDATION, "too few looks to validate the arm")
     _require_both_sides(fit)
     model, rotations = fit.model, fit.model.rotations(looks)
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)

@@ -15,10 +15,10 @@ from procedures.calibration.errors import (
     DoesNotFit,
     FarFromRecord,
     ReadingImplausible,
-    TooFewPoses,
 )
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.record import LIFE, new_identifier
+from procedures.calibration.sufficiency import require_count
 from procedures.calibration.tool_tip.looks import TipLooks, TipPairs, pairs_of
 from procedures.calibration.tool_tip.tip import TipFit, fit_tip, tips_of
 from ronna_hw.calibration import ToolTipCalibration
@@ -112,12 +112,7 @@ def _require_plausible(observed: TipLooks) -> None:
 
 def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     """Misses (m, 3) of readings that the fit has not seen, and their expected rms."""
-    if kept.count < LEAST_VALIDATION:
-        raise TooFewPoses(
-            "too few readings to validate the tip",
-            expected=f"at least {LEAST_VALIDATION}",
-            got=str(kept.count),
-        )
+    require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
     rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))

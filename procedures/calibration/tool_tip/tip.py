@@ -19,15 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.bundle import orientation_spread
-from procedures.calibration.errors import BallAndDivotApart, DegeneratePoses, DoesNotFit, TooFewPoses
+from procedures.calibration.errors import BallAndDivotApart, DoesNotFit
+from procedures.calibration.sufficiency import require_count, require_spread
 from procedures.calibration.tool_tip.looks import TipPairs
 from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
 LEAST_READINGS = 8  # with fewer, pivoting leaves more than twice LARGEST_GAP_MM open
-LEAST_CONE = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
 SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
 LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
@@ -100,21 +99,10 @@ def tips_of(pairs: TipPairs) -> Array:
 
 
 def _require_usable(pairs: TipPairs) -> None:
-    if pairs.count < LEAST_READINGS:
-        raise TooFewPoses(
-            "too few readings of the divot",
-            expected=f"at least {LEAST_READINGS}",
-            got=str(pairs.count),
-            action="Read the dials in more orientations.",
-        )
-    spread = orientation_spread(pairs.at_divot[:, :3, :3])
-    if spread < LEAST_CONE:
-        raise DegeneratePoses(
-            "the tip was pivoted over too narrow a cone",
-            limit=f"{np.degrees(np.arcsin(LEAST_CONE)):.0f} deg rms about every axis",
-            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_CONE)), 1)} deg",
-            action="Tilt the guide by 20 degrees or more to all sides of the divot.",
-        )
+    action = "Read the dials in more orientations."
+    require_count(pairs.count, LEAST_READINGS, "too few readings of the divot", action)
+    action = "Tilt the guide by 20 degrees or more to all sides of the divot."
+    require_spread(pairs.at_divot[:, :3, :3], "the tip was pivoted over too narrow a cone", action)
     between = pairs.at_ball[:, :3, :3].transpose(0, 2, 1) @ pairs.at_divot[:, :3, :3]
     turned = float(Rotation.from_matrix(between).magnitude().max())
     if turned > SAME_ORIENTATION_RAD:

@@ -16,15 +16,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 from scipy.special import chdtri
 
-from procedures.calibration.bundle import orientation_spread
-from procedures.calibration.errors import DegeneratePoses, DoesNotFit, FrameNotCarried, TooFewPoses
+from procedures.calibration.errors import DoesNotFit, FrameNotCarried
+from procedures.calibration.sufficiency import require_consistent, require_count, require_spread
 from procedures.calibration.tracker_frame.looks import PosePairs
 from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
 LEAST_LOOKS = 15
-LEAST_SPREAD = float(np.sin(np.radians(8.0)))  # rms, of the direction that varies least
 TURNS_AGREE_RAD = float(np.radians(0.5))  # from look to look, of flange and frame: a screw has one angle
 ROUNDS = 6  # of fit, scatter and outliers: they settle within four
 FIRST_SCATTER_MM, FIRST_SCATTER_RAD = 0.2, 5e-4
@@ -107,13 +106,8 @@ def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 
 
 def _require_solvable(pairs: PosePairs) -> None:
-    if pairs.count < LEAST_LOOKS:
-        raise TooFewPoses(
-            "too few poses show the reference frame",
-            expected=f"at least {LEAST_LOOKS}",
-            got=str(pairs.count),
-            action="Clear the line of sight between tracker and frame, then calibrate again.",
-        )
+    action = "Clear the line of sight between tracker and frame, then calibrate again."
+    require_count(pairs.count, LEAST_LOOKS, "too few poses show the reference frame", action)
     flange, marker = pairs.robot_from_flange[:, :3, :3], pairs.tracker_from_marker[:, :3, :3]
     apart = np.abs(_turns_rad(flange) - _turns_rad(marker))
     if np.median(apart) > TURNS_AGREE_RAD:
@@ -122,14 +116,8 @@ def _require_solvable(pairs: PosePairs) -> None:
             limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
             got=f"{beyond(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)} deg",
         )
-    spread = orientation_spread(flange)
-    if spread < LEAST_SPREAD:
-        raise DegeneratePoses(
-            "the poses turn the frame about nearly parallel axes, or hardly at all",
-            limit=f"{np.degrees(np.arcsin(LEAST_SPREAD)):.0f} deg rms about every axis",
-            got=f"{beyond(math.degrees(np.arcsin(spread)), math.degrees(np.arcsin(LEAST_SPREAD)), 1)} deg",
-            action="Let the arm turn the frame about axes in all directions, by 20 degrees or more.",
-        )
+    action = "Let the arm turn the frame about axes in all directions, by 20 degrees or more."
+    require_spread(flange, "the poses turn the frame about nearly parallel axes, or hardly at all", action)
 
 
 def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_]) -> None:
@@ -141,12 +129,7 @@ def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_])
             f"{beyond(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
             action="Check that frame, mount and tracker's stand are rigid and the arm variant is right.",
         )
-    if np.mean(~used) > MOST_OUTLIERS:
-        raise DoesNotFit(
-            "too many poses do not fit the others",
-            limit=f"{MOST_OUTLIERS:.0%}",
-            got=f"{beyond(100 * float(np.mean(~used)), 100 * MOST_OUTLIERS, 0)}%",
-        )
+    require_consistent(used, MOST_OUTLIERS, "poses")
 
 
 def _turns_rad(rotations: Array) -> Array:

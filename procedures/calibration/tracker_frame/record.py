@@ -16,6 +16,7 @@ from procedures.calibration.arm_geometry import LINK_TRANSLATION_MM
 from procedures.calibration.errors import DoesNotFit, FarFromRecord, TooFewPoses, TrackerMoved
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.record import LIFE, new_identifier
+from procedures.calibration.sufficiency import require_count
 from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, slopes_of, solve
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
 from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
@@ -117,12 +118,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
 
 def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
     """Misses (m, 6) at looks that the fit has not seen, and what they should be. Raises CAL-002, CAL-004."""
-    if kept.count < LEAST_VALIDATION:
-        raise TooFewPoses(
-            "too few poses to validate the reference frame",
-            expected=f"at least {LEAST_VALIDATION}",
-            got=str(kept.count),
-        )
+    require_count(kept.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
     misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
     slopes = slopes_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
     random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
