@@ -13,6 +13,7 @@ from typing import Any
 
 import tomli_w
 import typer
+from plan_toml import PLAN
 
 from ronna_hw.errors import EXIT_USAGE
 from sim.theatre.scene.named_scenes import named_scene
@@ -70,20 +71,6 @@ STEREO = (
     '[stereo]\ndriver = "basler_stereo"\n'
     'endpoints = { left = "gev://127.77.0.1", right = "gev://127.77.0.2" }\n'
 )
-PLAN = """schema = 1
-series_instance_uid = "1.2.826.0.1.3680043.8.498.7"
-patient_orientation = "HFS"
-implanted = 4
-fiducials = "free"
-tool = "guide"
-standoff_mm = 30.0
-instrument_length_mm = 250.0
-[[trajectories]]
-id = "T1"
-entry_mm = [10.0, -50.0, 60.0]
-target_mm = [5.0, -20.0, 20.0]
-margin_mm = 2.0
-"""
 STEREO_HEAD = """[calibration.stereo_head]
 identifier = "head-1"
 created = 2026-01-01T00:00:00Z

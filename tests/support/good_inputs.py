@@ -109,21 +109,6 @@ TELEGRAM = (
     b'<AIPos A1="0" A2="-90.0" A3="90.0" A4="0" '
     b'A5="0" A6="0"/><EIPos E1="0"/><Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
 )
-PLAN = b"""schema = 1
-series_instance_uid = "1.2.826.0.1.3680043.8.498.7"
-patient_orientation = "HFS"
-implanted = 4
-fiducials = "free"
-tool = "guide"
-standoff_mm = 30.0
-instrument_length_mm = 250.0
-[[trajectories]]
-id = "T1"
-entry_mm = [10.0, -50.0, 60.0]
-target_mm = [5.0, -20.0, 20.0]
-free_angle_deg = 30.0
-margin_mm = 1.5
-"""
 STRUCTURES = b"""[[structures]]
 name = "a vessel"
 margin_mm = 2.0

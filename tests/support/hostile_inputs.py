@@ -27,7 +27,6 @@ from good_inputs import (
     FORMULAS,
     PACKET_BYTES,
     PARSER_NAMES,
-    PLAN,
     STATE,
     STRUCTURES,
     TELEGRAM,
@@ -40,6 +39,7 @@ from good_inputs import (
 from hostile_mutants import mutants
 from more_hostile_inputs import further_parsers
 from painted_ct import write_series
+from plan_toml import PLAN, SECOND
 from pydicom.dataset import Dataset
 from pydicom.uid import DeflatedExplicitVRLittleEndian, RLELossless
 
@@ -249,6 +249,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         b"0102+10000+00000+00000+00000+001050-002025-150000+0012500000031" + b"0000012C\n000000",
         b"0101MISSING000000310000012D\n033+001000+002000-150000-001000-002000-250000+000000+000000-1000000002",
     )
+    whole_plan = (PLAN + SECOND).encode()
     found = {
         "theatre TOML": Parser((theatre.encode(),), of_file("theatre.toml", read_theatre_file)),
         "scene TOML": Parser(
@@ -260,7 +261,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
             (b'{"seed": 5}', b"seed = 5"),
             of_file("seed.json", lambda path: SceneChoice(str(path)).own_seed),
         ),
-        "plan TOML": Parser((PLAN, PLAN + STRUCTURES), of_file("plan.toml", read_plan)),
+        "plan TOML": Parser((whole_plan, whole_plan + STRUCTURES), of_file("plan.toml", read_plan)),
         "context TOML": Parser((context,), of_file("context.toml", load_context)),
         "tool TOML": Parser((TOOL,), of_file("tool.toml", lambda path: read_description(path).definition())),
         "answers TOML": Parser((ANSWERS,), of_file("answers.toml", read_answers)),

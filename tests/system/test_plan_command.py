@@ -15,29 +15,13 @@ import pytest
 import tomli_w
 from painted_ct import SERIES_UID as SERIES
 from painted_ct import write_series
+from plan_toml import PLAN
 from user_commands import in_this_process
 
 from procedures.cli.plan import app
 from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.marker_template import read_marker_template
 
-PLAN = f"""
-schema = 1
-series_instance_uid = "{SERIES}"
-patient_orientation = "HFS"
-implanted = 4
-fiducials = "free"
-tool = "guide"
-standoff_mm = 30.0
-instrument_length_mm = 250.0
-
-[[trajectories]]
-id = "T1"
-entry_mm = [10.0, -50.0, 60.0]
-target_mm = [5.0, -20.0, 20.0]
-free_angle_deg = 0.0
-margin_mm = 1.5
-"""
 HEAD_MM = 79.0
 NEAR, FAR = ("700", "0", "100", "-90", "0", "-90"), ("1500", "0", "250", "-90", "0", "-90")
 POSE = {"translation_mm": [220.0, 0.0, 60.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}

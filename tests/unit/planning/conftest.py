@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from painted_ct import SERIES_UID
+from plan_toml import PLAN, SECOND
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
@@ -17,35 +19,10 @@ from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.frames import Frame, Transform
 
-SERIES = "1.2.826.0.1.3680043.8.498.7"
-PLAN = f"""
-schema = 1
-series_instance_uid = "{SERIES}"
-patient_orientation = "HFS"
-implanted = 4
-fiducials = "free"
-tool = "guide"
-standoff_mm = 30.0
-instrument_length_mm = 250.0
-
-[[trajectories]]
-id = "T1"
-entry_mm = [10.0, -50.0, 60.0]
-target_mm = [5.0, -20.0, 20.0]
-margin_mm = 1.5
-
-[[trajectories]]
-id = "T2"
-entry_mm = [-20, -40, 70]
-target_mm = [-15.5, -10.0, 25.0]
-free_angle_deg = 30.0
-margin_mm = 2.0
-"""
-
 
 @pytest.fixture
 def plan_text() -> str:
-    return PLAN
+    return PLAN + SECOND
 
 
 @pytest.fixture
@@ -78,7 +55,7 @@ def make_volume() -> Callable[..., Volume]:
         fields = {
             "voxels": np.where(0.8 * z - 0.6 * y < 79.0, 40, -1000).astype(np.int16),
             "geometry": geometry,
-            "series_instance_uid": SERIES,
+            "series_instance_uid": SERIES_UID,
             "frame_of_reference_uid": "1.2.3",
             "patient_position": "HFS",
         }
