@@ -23,7 +23,7 @@ from ronna_hw.frames import Frame
 
 BALL_MM = (650.0, -200.0, 250.0)
 BESIDE_MM = (0.4, -0.3, 0.6)  # the true tip beside its record, in the tool frame of the head
-COUNT, VALIDATION = 9, 3
+COUNT, VALIDATION = 11, 3
 Numbers3 = tuple[float, float, float]
 
 
