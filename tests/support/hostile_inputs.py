@@ -358,21 +358,23 @@ def _without_none(value: Any) -> Any:
 
 def feed(parser: Parser, count: int, seed: int) -> int:
     """Feed mutants, each at bounded cost; returns how many were taken. Raises what is no error of ours."""
-    taken = 0
-    for data in mutants(parser.good, count, seed):
-        begun_s = time.thread_time()
-        try:
-            parser.take(data)
-            taken += 1
-        except RonnaError as error:
-            if not error.code:
-                raise
-        except Exception as error:
-            kept = Path(tempfile.gettempdir()) / "hostile_input.bin"
-            kept.write_bytes(data)
-            raise AssertionError(
-                f"{error!r} for {data[:200]!r}, {len(data)} bytes, kept in {kept}"
-            ) from error
-        spent_s = time.thread_time() - begun_s
-        assert spent_s < LIMIT_S, f"{spent_s:.1f} s for {data[:200]!r}"
-    return taken
+    return sum(taken(parser, data) for data in mutants(parser.good, count, seed))
+
+
+def taken(parser: Parser, data: bytes) -> bool:
+    """Whether it was read, at bounded cost, and not refused. Raises what is no error of ours."""
+    begun_s = time.thread_time()
+    try:
+        parser.take(data)
+        read = True
+    except RonnaError as error:
+        if not error.code:
+            raise
+        read = False
+    except Exception as error:
+        kept = Path(tempfile.gettempdir()) / "hostile_input.bin"
+        kept.write_bytes(data)
+        raise AssertionError(f"{error!r} for {data[:200]!r}, {len(data)} bytes, kept in {kept}") from error
+    spent_s = time.thread_time() - begun_s
+    assert spent_s < LIMIT_S, f"{spent_s:.1f} s for {data[:200]!r}"
+    return read

@@ -1,0 +1,33 @@
+"""A million inputs, guided by the coverage of our code, for every parser of what comes from outside."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from good_inputs import PARSER_NAMES
+from memory_folder import memory_folder
+
+PROGRAM = Path(__file__).parents[1] / "support" / "guided_program.py"
+LIMIT_S = 7000.0
+pytestmark = [
+    pytest.mark.soak,
+    pytest.mark.timeout(7200),
+    pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="atheris is not installed"),
+]
+
+MILLION = 1_000_000
+SEED = 7
+TOLD = 3000  # characters of what went wrong
+
+
+@pytest.mark.parametrize("name", PARSER_NAMES)
+def test_a_million_inputs_that_look_for_new_ways_cost_a_bounded_amount(tmp_path: Path, name: str) -> None:
+    with memory_folder(tmp_path) as folder:
+        words = [sys.executable, str(PROGRAM), name, str(folder), str(tmp_path), str(MILLION), str(SEED)]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)
+    assert done.returncode == 0, done.stderr[-TOLD:]
+    assert f"number_of_executed_units: {MILLION}" in done.stderr
