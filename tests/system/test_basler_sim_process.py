@@ -7,14 +7,14 @@ import socket
 import subprocess
 import sys
 import time
-from typing import Any
 
 import numpy as np
-import pytest
 from faulty_cameras import LIMIT_S, Cameras
+from user_commands import in_this_process
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.wire.gige_vision import GVCP_PORT
+from sim.cli import app
 
 
 def test_ready_names_the_endpoints_of_both_cameras() -> None:
@@ -75,18 +75,7 @@ def test_given_addresses_are_used_and_taken_ones_refused() -> None:
         assert "127.76.5.1 is in use" in second.stderr
 
 
-@pytest.mark.parametrize("given", [("127.76.6.1",), ("127.76.6.1", "127.76.6.1")])
-def test_one_address_is_a_usage_mistake(given: tuple[str, ...]) -> None:
-    options: list[Any] = [part for address in given for part in ("--address", address)]
-    ended = subprocess.run(command("sim.cli", "basler", *options), capture_output=True, text=True)
-    assert ended.returncode == 2
-    assert len(ended.stderr.strip().splitlines()) <= 2
-    assert "address" in ended.stderr
-
-
 def test_an_unknown_scene_is_told() -> None:
-    ended = subprocess.run(
-        command("sim.cli", "basler", "--scene", "nowhere.toml"), capture_output=True, text=True
-    )
+    ended = in_this_process(app, "basler", "--scene", "nowhere.toml")
     assert ended.returncode == 2
     assert "SIM-001" in ended.stderr

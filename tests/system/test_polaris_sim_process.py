@@ -15,10 +15,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from user_commands import in_this_process
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
+from sim.cli import app
 from sim.polaris.tools.definition import write_definition
 from sim.theatre.scene.named_scenes import robot_frame
 
@@ -135,18 +137,6 @@ def test_it_does_not_outlive_its_parent() -> None:
     parent.stdout.close()
 
 
-def test_an_address_in_use_is_one_message_with_its_code() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as holder:
-        taken = f"tcp://127.0.0.1:{holder.getsockname()[1]}"
-        done = subprocess.run(
-            command("sim.cli", "polaris", "--endpoint", taken), capture_output=True, text=True, timeout=150
-        )
-    assert done.returncode == 4
-    assert done.stdout == ""
-    assert done.stderr.startswith("SIM-004")
-    assert len(done.stderr.strip().splitlines()) == 1
-
-
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [
@@ -157,9 +147,7 @@ def test_an_address_in_use_is_one_message_with_its_code() -> None:
     ],
 )
 def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
-    done = subprocess.run(
-        command("sim.cli", "polaris", *arguments), capture_output=True, text=True, timeout=150
-    )
+    done = in_this_process(app, "polaris", *arguments)
     assert done.returncode in (2, 4)
     assert done.stderr.startswith(code)
     assert len(done.stderr.strip().splitlines()) == 1
@@ -201,9 +189,7 @@ def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[.
 
 
 def test_the_unconfirmed_behaviours_can_be_listed() -> None:
-    done = subprocess.run(
-        command("sim.cli", "polaris", "--list-parameters"), capture_output=True, text=True, timeout=150
-    )
+    done = in_this_process(app, "polaris", "--list-parameters")
     assert done.returncode == 0
     assert "watch_dog=stop  What the watchdog does" in done.stdout
     assert done.stderr == ""
