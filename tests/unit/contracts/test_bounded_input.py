@@ -116,18 +116,18 @@ HOSTILE_JSON = {
 
 
 MANY_VALUES = {  # each was a mistake of its own to the model that reads it: five gigabytes, 41 s
-    "lists": b'{"position_mm": [' + b"[]," * 1_000_000 + b"0]}",
-    "objects": b'{"position_mm": [' + b'{"a":1},' * 400_000 + b"0]}",
-    "keys": b"{" + b",".join(b'"%x":1' % number for number in range(400_000)) + b"}",
+    "lists": lambda: b'{"position_mm": [' + b"[]," * 1_000_000 + b"0]}",
+    "objects": lambda: b'{"position_mm": [' + b'{"a":1},' * 400_000 + b"0]}",
+    "keys": lambda: b"{" + b",".join(b'"%x":1' % number for number in range(400_000)) + b"}",
 }
 
 
 @pytest.mark.parametrize("content", MANY_VALUES.values(), ids=MANY_VALUES)
 def test_as_many_values_as_no_model_has_are_counted_before_it_reads_them(
-    tmp_path: Path, content: bytes
+    tmp_path: Path, content: Callable[[], bytes]
 ) -> None:
     for name in (RESULT_FILE, "place.json", "scene.json"):
-        (tmp_path / name).write_bytes(content)
+        (tmp_path / name).write_bytes(content())
     with bounded_cost(100 << 20, 1.0):
         assert read_figures(tmp_path) is None
         with pytest.raises(PlaceUnfit, match="too many values"):
