@@ -1,8 +1,16 @@
 """What all tests share."""
 
-import gc
+from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
 from hypothesis import settings
+
+if TYPE_CHECKING:
+    from user_commands import Commands
 
 pytest_plugins = ["hazard_ledger"]
 
@@ -17,3 +25,16 @@ def pytest_collection_finish() -> None:
     gc.freeze()
     gc.set_threshold(50_000)  # a search after every 700 objects finds next to nothing
     gc.enable()
+
+
+@pytest.fixture
+def commands() -> Iterator[Commands]:
+    """Commands of one test, as a user runs them; the test fails when any process outlives it."""
+    from user_commands import Commands
+
+    started = Commands()
+    try:
+        yield started
+        assert started.await_no_survivors() == []
+    finally:
+        started.end_all()

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from procedures.cli.planning_inputs import SixNumbers, read_ct, theatre_of
+from procedures.cli.planning_inputs import HomeOption, SixNumbers, read_ct, theatre_of
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -64,10 +64,7 @@ def place(
             help="How far the cart is turned counter-clockwise, from above.",
         ),
     ] = 0.0,
-    home: Annotated[
-        SixNumbers | None,
-        typer.Option(metavar="A1 .. A6", help="Joint angles at which the arm starts, deg."),
-    ] = None,
+    home: HomeOption = None,
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write place.json and the picture place.svg into DIR."),

@@ -13,7 +13,7 @@ import typer
 from procedures.cli.place import place
 from procedures.cli.plan_new import new
 from procedures.cli.plan_open import open_plan
-from procedures.cli.planning_inputs import SixNumbers, read_ct, theatre_of
+from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, read_ct, theatre_of
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -60,26 +60,9 @@ def check(
             help="Theatre file: check every motion of its arm.",
         ),
     ] = None,
-    strategy: Annotated[
-        str,
-        typer.Option(
-            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
-            help="How the stereo head is held at the markers; with --config and --markers.",
-        ),
-    ] = "ocs",
-    robot_from_ct: Annotated[
-        SixNumbers | None,
-        typer.Option(
-            metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."
-        ),
-    ] = None,
-    home: Annotated[
-        SixNumbers | None,
-        typer.Option(
-            metavar="A1 .. A6",
-            help="Joint angles at which the arm starts, deg; with --config [default: 0 -75 99 0 66 180].",
-        ),
-    ] = None,
+    strategy: StrategyOption = "ocs",
+    robot_from_ct: HeadOption = None,
+    home: HomeOption = None,
     as_json: console.JsonOption = False,
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,

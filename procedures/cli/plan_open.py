@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.planning_inputs import SixNumbers, require_theatre_options
+from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, require_theatre_options
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import PathProblem
 
@@ -29,23 +29,9 @@ def open_plan(
         Path | None,
         typer.Option("--config", metavar="FILE", help="Theatre file: its arm is checked while you plan."),
     ] = None,
-    strategy: Annotated[
-        str,
-        typer.Option(
-            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
-            help="How the stereo head is held at the markers; with --config.",
-        ),
-    ] = "ocs",
-    robot_from_ct: Annotated[
-        SixNumbers | None,
-        typer.Option(
-            metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."
-        ),
-    ] = None,
-    home: Annotated[
-        SixNumbers | None,
-        typer.Option(metavar="A1 .. A6", help="Joint angles at which the arm starts, deg; with --config."),
-    ] = None,
+    strategy: StrategyOption = "ocs",
+    robot_from_ct: HeadOption = None,
+    home: HomeOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
     verbose: console.VerboseOption = False,
     log_level: console.LogLevelOption = None,

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+import typer
 
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
@@ -16,6 +18,25 @@ if TYPE_CHECKING:
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 SixNumbers = tuple[float, float, float, float, float, float]
+
+StrategyOption = Annotated[
+    str,
+    typer.Option(
+        metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+        help="How the stereo head is held at the markers; with --config.",
+    ),
+]
+HeadOption = Annotated[
+    SixNumbers | None,
+    typer.Option(metavar="X Y Z A B C", help="Pose of the CT frame in $ROBROOT, mm and deg; with --config."),
+]
+HomeOption = Annotated[
+    SixNumbers | None,
+    typer.Option(
+        metavar="A1 .. A6",
+        help="Joint angles at which the arm starts, deg; with --config [default: 0 -75 99 0 66 180].",
+    ),
+]
 
 
 def theatre_of(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NoReturn
 
@@ -111,13 +110,6 @@ def test_a_link_that_is_cut_in_a_step_holds_the_case(tmp_path: Path, step: str, 
         assert engine.machine.state == HELD
     if role == "arm":
         assert len(cell.arm.motions) == link.moved_before
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
 
 
 @pytest.mark.hazard(4)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -11,13 +10,6 @@ from run_folders import records_of
 from user_commands import Commands
 
 LARGEST_ERROR_MM = 1.5
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
 
 
 @pytest.mark.hazard(25)

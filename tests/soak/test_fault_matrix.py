@@ -6,7 +6,6 @@ A case that failed moved nothing after the failure, its journal is whole, and no
 
 import json
 import re
-from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -32,13 +31,6 @@ CELLS = [
     for fault, codes in faults.items()
     for step in STEPS[device]
 ]
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
 
 
 def test_the_matrix_has_three_hundred_cells() -> None:

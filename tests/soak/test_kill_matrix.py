@@ -1,7 +1,7 @@
 """Kills at every line of the journal of a mini case, at ten of a full one, and power cuts at some of them."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,6 @@ FULL = ("run", "--sim", "--seed", "7", "--json")
 # gauge, the guide is held, the instrument goes in, is at depth, comes out, and the guide goes back, among
 # others.
 POWER_CUTS = (5, 12, 18, 22, 27, 41, 55, 68, 81, 89, 92, 108, 115, 122, 129, 138)
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
 
 
 Case = tuple[Path, list[float]]  # snapshots of a case, and its target errors without a kill

@@ -3,7 +3,6 @@
 import json
 import random
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,13 +17,6 @@ FAULTS = {
     "replies lost": "when step == relocalization: robot drop 5 % for 2 s\n",
     "packets lost": "when step == relocalization: camera drop 1 % for 5 s\n",
 }
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    yield started
-    assert started.await_no_survivors() == []
 
 
 @pytest.mark.parametrize("fault", FAULTS)

@@ -33,16 +33,6 @@ while os.getppid() == parent:
 
 
 @pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    try:
-        yield started
-        assert started.await_no_survivors() == []
-    finally:
-        started.end_all()
-
-
-@pytest.fixture
 def other_work(request: pytest.FixtureRequest) -> Iterator[None]:
     """One process for each core that we may use, each busy half of the time on a schedule of its own."""
     words = [sys.executable, "-P", "-c", OTHER_WORK]

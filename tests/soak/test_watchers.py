@@ -2,7 +2,6 @@
 
 import json
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,16 +17,6 @@ CASE = ("run", "--sim", "--scene", "mini", "--seed", "3", "--speed", "1", "--jso
 CASE_LIMIT_S = 300.0
 WATCHERS = 20
 LATE_ANYWAY = 3  # of some three thousand cycles, on a computer that has other work as well
-
-
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    started = Commands()
-    try:
-        yield started
-        assert started.await_no_survivors() == []
-    finally:
-        started.end_all()
 
 
 def begun(out: Path) -> Path:

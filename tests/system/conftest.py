@@ -11,17 +11,6 @@ from user_commands import Commands
 from ronna_hw.host.child_process import ChildProcess, command
 
 
-@pytest.fixture
-def commands() -> Iterator[Commands]:
-    """Commands of one test; the test fails when any process outlives it."""
-    started = Commands()
-    try:
-        yield started
-        assert started.await_no_survivors() == []
-    finally:
-        started.end_all()
-
-
 @pytest.fixture(scope="session")
 def shared_commands() -> Commands:
     """Commands for results that several tests look at."""
