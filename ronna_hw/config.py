@@ -5,7 +5,7 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
@@ -262,12 +262,21 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
             message = f"there is no such key{_meant(str(item['loc'][-1]), known)}"
+        if item["type"] in ("too_long", "too_short") and "actual_length" in item.get("ctx", {}):
+            message = _count_wrong(item["ctx"])
         value = item.get("input")
         shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
         lines.append(f"{where}: {message}{shown}")
     if len(found) > MISTAKES_SHOWN:
         lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
     return lines
+
+
+def _count_wrong(limits: Mapping[str, Any]) -> str:
+    """How many values there are, and how many there should be."""
+    if "max_length" in limits:
+        return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
+    return f"{limits['actual_length']} values, expected {limits['min_length']} or more"
 
 
 def _place(parts: tuple[int | str, ...]) -> str:

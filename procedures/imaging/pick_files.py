@@ -42,7 +42,9 @@ def parse_points(content: bytes, name: str) -> Array:
         raise
     except InputRefused as error:
         raise PicksUnreadable(f"{name} is refused: {error.summary}") from error
-    except (ValueError, LookupError, TypeError, AttributeError, csv.Error) as error:
+    except LookupError as error:
+        raise PicksUnreadable(f"{name} holds no points: it has no {error}") from error
+    except (ValueError, TypeError, AttributeError, csv.Error) as error:
         raise PicksUnreadable(f"{name} holds no points: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
         raise PicksUnreadable(f"{name} holds no points", expected="three finite numbers for each")

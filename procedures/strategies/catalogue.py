@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from difflib import get_close_matches
+
 from procedures.strategies.best import BestOfEach
 from procedures.strategies.errors import UnknownStrategy
 from procedures.strategies.improved import ImprovedDisplacementMinimization
@@ -25,4 +27,6 @@ def strategy_named(name: str) -> Strategy:
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy
-    raise UnknownStrategy(f"there is no strategy {name!r}")
+    alike = get_close_matches(name.lower(), [one.name for one in STRATEGIES], n=1)
+    meant = f"Did you mean {alike[0]}? {UnknownStrategy.action}" if alike else None
+    raise UnknownStrategy(f"there is no strategy {name!r}", action=meant)

@@ -21,6 +21,10 @@ DEEPEST = 32  # tables in tables and parts of a key; more parts than an identifi
 _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
 
+LONGEST_SHOWN = 80  # characters of a line with a mistake
+_LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")
+_LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
+
 
 def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
     """The content of a file; raises `refusal` with the reason when it is no TOML within bounds, OSError."""
@@ -37,8 +41,21 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:
         raise refusal(f"{name} is refused: {error.summary}") from error
-    except ValueError as error:  # no TOML, no text
-        raise refusal(f"{name} is not TOML: {error}") from error
+    except UnicodeDecodeError as error:
+        raise refusal(f"{name} is not TOML: it is not text in UTF-8") from error
+    except ValueError as error:
+        raise refusal(f"{name} is not TOML: {error}{_line_of(error, content)}") from error
+
+
+def _line_of(error: ValueError, content: bytes) -> str:
+    """The line that the parser stumbled over, and how a date is written where it looks like one."""
+    found = _LINE_NUMBER.search(str(error))
+    lines = content.decode("utf-8-sig").splitlines()
+    if found is None or not 0 < int(found[1]) <= len(lines):
+        return ""
+    line = lines[int(found[1]) - 1].strip()
+    date = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
+    return f": {line[:LONGEST_SHOWN]}{date}"
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -32,7 +32,7 @@ from ronna_hw.command_line.logging_options import (
 from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
 from ronna_hw.command_line.tables import print_table
-from ronna_hw.command_line.usage import usage_mistake
+from ronna_hw.command_line.usage import asked_for, usage_mistake
 from ronna_hw.errors import EXIT_ABORTED, EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
 from ronna_hw.host.file_access import own_files
 from ronna_hw.host.own_packages import require_own_packages
@@ -128,7 +128,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
         if isinstance(mistake, _NOTHING_ASKED):
             sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        raise usage_mistake(mistake, str(command.name)) from mistake
+        raise usage_mistake(mistake, *asked_for(command, arguments)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 

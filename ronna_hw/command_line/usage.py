@@ -5,16 +5,30 @@ Typer reports one half of that; the other half is in the option and in the error
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from typing import Any
 
 from ronna_hw.command_line.errors import UsageMistake
 
 MOST_ALIKE = 3  # of what may have been meant
+_EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
-def usage_mistake(mistake: Exception, command: str) -> UsageMistake:
+def asked_for(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
+    """The name of the command that the arguments lead to, and its parameters."""
+    names = [str(command.name)]
+    for word in arguments:
+        inner = getattr(command, "commands", {}).get(word)
+        if inner is None:
+            break
+        command = inner
+        names.append(word)
+    return " ".join(names), command.params
+
+
+def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
     """Typer's refusal of the arguments of `command` as an error of ours."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
@@ -31,7 +45,14 @@ def usage_mistake(mistake: Exception, command: str) -> UsageMistake:
             expected=expected,
             action=f"{meaning} {see}".lstrip(),
         )
+    if type(mistake).__name__ == "BadOptionUsage":  # too few values
+        text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
+        named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
+        meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
+        return UsageMistake(text, action=f"{meant}{see}")
     message = getattr(mistake, "message", "") or _formatted(mistake)
+    if found := _EXTRA.match(message):
+        return UsageMistake(f"{found[1]!r} is too much on this command line", action=see)
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
             f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()

@@ -116,7 +116,8 @@ class ControlPortClient:
         return answer
 
     def _silent(self, reason: object) -> ControlPortSilent:
-        return ControlPortSilent(f"no answer at the control port {self._endpoint}: {reason}")
+        words = reason.strerror if isinstance(reason, OSError) and reason.strerror else reason
+        return ControlPortSilent(f"no answer at the control port {self._endpoint}: {words}")
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:

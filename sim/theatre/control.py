@@ -65,7 +65,7 @@ class Room:
             with self._one_at_a_time:
                 more = action(request) or {}
         except NoSuchTool as error:
-            return {"ok": False, "reason": str(error)}
+            return {"ok": False, "reason": str(error), "advice": "Give one of these numbers."}
         except NoSuchTask as error:
             return {"ok": False, "reason": str(error), "advice": error.advice}
         except RonnaError as error:

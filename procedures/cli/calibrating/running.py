@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Resumption, Watcher, opened_engine
-from procedures.cli.case.request import CalibrationRun, TheatreRequest, forget_if_empty, forget_if_refused
+from procedures.cli.case.request import (
+    CalibrationRun,
+    TheatreRequest,
+    forget_if_empty,
+    forget_if_refused,
+    require_folder,
+)
 from procedures.cli.case.request_file import write_request
 from procedures.engine.events import Event, Progress
 
@@ -31,6 +37,7 @@ def new_folder(out: Path, what: str, request: CalibrationRun | None = None) -> P
 
     With a request it can be taken up again.
     """
+    require_folder(out)
     folder = out / f"{what}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(2)}"
     if request is None:
         folder.mkdir(parents=True)

@@ -101,8 +101,15 @@ def check_request(request: CaseRequest) -> None:
         )
 
 
+def require_folder(out: Path) -> None:
+    """Raise CLI-005 where runs are to be kept in what is a file."""
+    if out.exists() and not out.is_dir():
+        raise PathProblem(f"--out: {out} is a file", expected="a folder, which need not exist")
+
+
 def new_run_folder(request: CaseRequest) -> Path:
     """Make `OUT/<run id>`; the id is the moment, the seed of a simulated case and four random hex digits."""
+    require_folder(request.out)
     seed = "" if request.seed is None else f"s{request.seed}-"
     folder = request.out / f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
     made = folder.with_name(f".{folder.name}")  # a run's folder is never seen without its request
