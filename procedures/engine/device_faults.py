@@ -37,7 +37,7 @@ def as_it_stands(role: str, seen: LastKnown[object]) -> str:
     """
     if seen.fault is None:
         return f"the {role} is in fault"
-    facts = [fact for fact in seen.says if not fact.ready or fact.name in seen.fault.what]
+    facts = [fact for fact in seen.says if not fact.ready or (fact.advice and fact.name in seen.fault.what)]
     now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
     way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To go on, {ACKNOWLEDGE}"

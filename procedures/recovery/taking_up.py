@@ -136,7 +136,7 @@ def _require_ready(engine: Engine) -> None:
     acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
     raise StepRefused(
         f"nothing may move yet: {'; '.join(told)}",
-        action=" ".join((*first, f"Then {acknowledge}, and give the command again. Nothing was moved.")),
+        action=" ".join((*first, f"Nothing was moved. Give {acknowledge}, then this command again.")),
     )
 
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from procedures.engine.checkpoint import PAUSED
 from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Line
 from procedures.reporting.outcome import RunError
+from ronna_hw.text.counting import counted
 
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
@@ -42,7 +44,7 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     if outcome == "done" and error is not None:  # what was computed from the steps
         return Ending("failed", f"Every step was done, but {error.what}", error.code, instrument_in)
     if outcome == "done":
-        return Ending("done", "Every step was done.", instrument_in=instrument_in)
+        return Ending("done", f"Every step was done{_after(journal)}.", instrument_in=instrument_in)
     step = "" if last is None else str(last.get("step", ""))
     if outcome == "left":
         after = f" after {step}" if step else " before its first step"
@@ -61,6 +63,23 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
     return _with_error("failed", f"It failed after {step}." if step else "It failed.", error, instrument_in)
+
+
+def _after(journal: Sequence[Line]) -> str:
+    """What a case went through before it was done, in words; empty for one that went straight to its end."""
+    failed = [line for line in journal if line["entry"] == Entry.FAILED]
+    stopped = [line for line in failed if "emergency stop" in str(line.get("what", ""))]
+    steps = [str(line.get("step", "")).partition(":")[0] for line in failed if line not in stopped]
+    paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
+    again = [line for line in journal if line["entry"] == Entry.RESTARTED]
+    went_through = [
+        (len(stopped), "emergency stop", ""),
+        (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
+        (len(paused), "pause", ""),
+        (len(again), "restart", ""),
+    ]
+    told = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
+    return f", after {', '.join(told)}" if told else ""
 
 
 def _during(step: str) -> str:

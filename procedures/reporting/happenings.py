@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 
 from procedures.engine.journal import Entry, JournalValue, Line, theatre_time_s
-
-# Lines that the timeline, the questions or the list of records show.
-PLAIN = (Entry.OPENED, Entry.INTENT, Entry.MOTION, Entry.MOVED, Entry.CONFIRMATION, Entry.WORK, Entry.CLOSED)
-FRAME = ("sequence", "previous", "entry", "host_time", "theatre_time_s", "step")  # of every line
+from procedures.reporting.numbers import NOT_KNOWN
 
 
 @dataclass(frozen=True)
 class Happening:
-    """One line: when, in which step, what kind, in which words."""
+    """One line: when, by the clock on the wall and in theatre time, in which step, in which words."""
 
+    clock_time: str
     theatre_time_s: float
     kind: str
     step: str
@@ -26,6 +25,7 @@ class Happening:
 class AskedQuestion:
     """A question as it was shown, and its answer."""
 
+    clock_time: str
     theatre_time_s: float
     topic: str
     subject: str
@@ -37,7 +37,9 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
     """Every question with its answer, in order."""
     return tuple(
         AskedQuestion(
-            theatre_time_s(line), *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer"))
+            clock_time(line),
+            theatre_time_s(line),
+            *(str(line.get(key, "")) for key in ("topic", "subject", "value", "answer")),
         )
         for line in journal
         if line["entry"] == Entry.CONFIRMATION
@@ -45,42 +47,94 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
 
 
 def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
-    """Refusals, rests, faults, superseded results, and every kind of line that is not of the plain course."""
-    return tuple(_happenings(journal))
+    """Refusals, rests, faults, what was acknowledged, and what was done again or no longer holds."""
+    return tuple(_of_kinds(journal, _SENTENCES))
 
 
-def _happenings(journal: Sequence[Line]) -> Iterator[Happening]:
+def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
+    """What the operator was told, or said of himself, that stopped nothing; the same words once."""
+    told: dict[str, Happening] = {}
+    for one in _of_kinds(journal, _TOLD):
+        told.setdefault(one.text, one)
+    return tuple(told.values())
+
+
+def clock_time(line: Line) -> str:
+    """When a line was written, on this computer's clock on the wall; a dash where it does not say so."""
+    try:
+        return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
+    except ValueError:
+        return NOT_KNOWN
+
+
+def _of_kinds(
+    journal: Sequence[Line], sentences: Mapping[str, tuple[str, Callable[[Line], str]]]
+) -> Iterator[Happening]:
     step = ""
     for line in journal:
         entry = str(line["entry"])
         if entry == Entry.INTENT:
             step = str(line.get("step", ""))
-        if entry in PLAIN:
-            continue
-        where, time_s = str(line.get("step", step)), theatre_time_s(line)
-        if entry == Entry.RESULT:
-            if gone := line.get("supersedes"):
-                yield Happening(
-                    time_s, "superseded", where, f"{line.get('record')} supersedes {_words(gone)}"
-                )
-        elif entry == Entry.REFUSED:
-            yield Happening(time_s, entry, where, _words(line.get("unmet")))
-        elif entry == Entry.FAILED:
-            yield Happening(time_s, "fault", where, str(line.get("what", line.get("code", ""))))
-        elif entry == Entry.RESTED:
-            yield Happening(time_s, str(line.get("state", entry)), where, str(line.get("reason", "")))
-        elif entry == Entry.FINDING:
-            yield Happening(time_s, entry, where, str(line.get("text", "")))
-        elif entry == Entry.INTERRUPTED:
-            yield Happening(time_s, entry, where, "the step was ended; the arm was stopped")
-        else:  # also of kinds that this module does not know
-            rest = {key: value for key, value in line.items() if key not in FRAME and value is not None}
-            yield Happening(
-                time_s, entry, where, ", ".join(f"{key} {_words(one)}" for key, one in rest.items())
-            )
+        if entry in sentences and (text := sentences[entry][1](line)):
+            where = str(line.get("step", step))
+            yield Happening(clock_time(line), theatre_time_s(line), sentences[entry][0], where, text)
+
+
+def _superseded(line: Line) -> str:
+    gone = _words(line.get("supersedes"))
+    return f"It was done again; these results hold no longer: {gone}" if gone else ""
+
+
+def _voided(line: Line) -> str:
+    return f"{line.get('what', '')} These results hold no longer: {_words(line.get('supersedes'))}"
+
+
+def _rested(line: Line) -> str:
+    return f"{line.get('reason', '')}"
+
+
+def _acknowledged(line: Line) -> str:
+    code = str(line.get("fault", "")).partition(":")[0]
+    return f"{line.get('by', '')} acknowledged the fault of the {line.get('device', '')}: {code}"
+
+
+def _doubted(line: Line) -> str:
+    return f"The arm was in fault: somebody had to say whether these were kept: {_words(line.get('steps'))}"
+
+
+def _restarted(line: Line) -> str:
+    begun, torn = line.get("begun"), line.get("torn_bytes")
+    return (
+        "The run was taken up again"
+        + (f"; {begun} had begun and not ended" if begun else "")
+        + ("; the last line of its journal was torn and is kept aside" if torn else "")
+    )
+
+
+_SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+    Entry.RESULT: ("repetition", _superseded),
+    Entry.REFUSED: ("refusal", lambda line: _words(line.get("unmet"))),
+    Entry.FAILED: ("fault", lambda line: str(line.get("what", line.get("code", "")))),
+    Entry.RESTED: ("rest", _rested),
+    Entry.INTERRUPTED: ("fault", lambda _line: "The step was ended; the arm was stopped"),
+    Entry.VOIDED: ("fault", _voided),
+    Entry.ACKNOWLEDGED: ("fault", _acknowledged),
+    Entry.DOUBTED: ("fault", _doubted),
+    Entry.RESTARTED: ("repetition", _restarted),
+    Entry.MISREAD: ("repetition", lambda line: f"Something else was read back: {line.get('subject', '')}"),
+}
+_TOLD: Mapping[str, tuple[str, Callable[[Line], str]]] = {
+    Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),
+    Entry.SEAT: (
+        "seat",
+        lambda line: (
+            f"{line['by']} took the operator's seat" if line.get("by") else "The operator's seat became free"
+        ),
+    ),
+}
 
 
 def _words(value: JournalValue) -> str:
     if isinstance(value, list | tuple):
         return "; ".join(map(str, value))
-    return str(value)
+    return "" if value is None else str(value)

@@ -18,7 +18,7 @@ from procedures.reporting.calibration import HeadFigures, read_figures
 from procedures.reporting.clearance_figure import clearance_figure
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, ReportFiles, keep_truth, kept_truth
-from procedures.reporting.happenings import happenings, questions
+from procedures.reporting.happenings import happenings, questions, told_findings
 from procedures.reporting.link_figure import link_figure, summed_histograms
 from procedures.reporting.looks_figure import looks_figure
 from procedures.reporting.minutes import times_taken
@@ -104,6 +104,7 @@ def write_report(
         "questions": questions(reading.run.journal),
         "times": times_taken(reading.run.journal),
         "happenings": happenings(reading.run.journal),
+        "told": told_findings(reading.run.journal),
         "motions": len(reading.run.lines(Entry.MOTION)),
         "lines": len(reading.run.journal),
         "records": reading.run.records,

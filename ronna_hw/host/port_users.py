@@ -100,6 +100,10 @@ def _is_master_of(file: Path, device: int) -> bool:
 def _name(pid: int) -> str:
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
-        line = " ".join(word for word in process.cmdline() if word) or process.name()
+        words = [word for word in process.cmdline() if word]
+        is_python = os.path.basename(words[0] if words else "").startswith("python")
+        if is_python and words[1:] and not words[1].startswith("-"):  # what it runs says more
+            words = [os.path.basename(words[1]), *words[2:]]
+        line = " ".join(words) or process.name()
         return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"
     return "a program"

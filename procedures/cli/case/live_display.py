@@ -27,7 +27,11 @@ class LiveDisplay:
             SpinnerColumn(), TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn()
         )
         self._task = self._bar.add_task("starting", total=1.0)
-        self._live = Live(Group(self._bar, self.view), console=console, transient=True)
+        self._live = self._picture()
+
+    def _picture(self) -> Live:
+        """Not on the terminal yet. One that was taken away would come back over what was written since."""
+        return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
         """What is being done before there is a case."""
@@ -50,8 +54,11 @@ class LiveDisplay:
     @contextlib.contextmanager
     def shown(self) -> Iterator[None]:
         """For the length of the block."""
-        with self._live:
+        self._live.start()
+        try:
             yield
+        finally:
+            self._live.stop()
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
@@ -63,4 +70,5 @@ class LiveDisplay:
         try:
             yield
         finally:
+            self._live = self._picture()
             self._live.start()

@@ -197,7 +197,7 @@ def _typed_number(what: str, plausible: tuple[float, float] | None) -> float | N
             if plausible is None or plausible[0] <= number <= plausible[1]:
                 return number
             low, high = plausible
-            _say(f"{number:g} cannot be: between {low:g} and {high:g}. {ONE_NUMBER}")
+            _say(f"{number:g} cannot be: between {low:g} and {high:g}; type {ONE_NUMBER}")
             continue
         _say(f"{typed!r} is not it: {ONE_NUMBER}")
     return None

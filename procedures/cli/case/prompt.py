@@ -131,7 +131,8 @@ class Prompt:
         faults = engine.faults.told
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
-            self._say(fault)
+            if fault not in str(error):
+                self._say(fault)
         self._say(f"{HELD}; resume goes on" if self._resumes else HELD)
 
     def _command(self, engine: Engine) -> str | None:

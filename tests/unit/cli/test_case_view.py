@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
+from rich.console import Console
 
 from procedures.cli.case.case_view import CaseView, entry_of
 from procedures.cli.case.display import following
+from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
 from procedures.engine.errors import GateFailed
@@ -22,6 +24,7 @@ from procedures.engine.step import Outcome
 from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"
+CURSOR_UP = "\x1b[1A"
 
 
 @pytest.fixture
@@ -72,6 +75,16 @@ def test_where_errors_are_told_with_the_way_on_the_step_that_failed_has_only_its
 ) -> None:
     said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
     assert [text.split() for text in said] == [["image", GateFailed.code]]
+
+
+def test_a_picture_that_comes_back_leaves_what_was_written_meanwhile() -> None:
+    terminal = io.StringIO()
+    display = LiveDisplay(Console(file=terminal, force_terminal=True, width=80), errors=False)
+    with display.shown():
+        with display.hidden():
+            terminal.write("acknowledged by A. Nurse\n")
+        _, _, after = terminal.getvalue().partition("acknowledged by A. Nurse\n")
+    assert CURSOR_UP not in after.partition("starting")[0]
 
 
 def test_an_error_beside_a_live_picture_goes_through_what_keeps_it_above(

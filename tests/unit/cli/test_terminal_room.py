@@ -50,7 +50,7 @@ def test_what_no_dial_can_show_is_asked_again_at_once(
 ) -> None:
     typing(monkeypatch, "100", "0.1", "0", "0", "yes")
     assert TerminalRoom().work(THREE_DIALS) == (0.1, 0.0, 0.0)
-    assert "100 cannot be: between -10 and 10." in capsys.readouterr().err
+    assert "100 cannot be: between -10 and 10;" in capsys.readouterr().err
 
 
 def test_several_readings_are_shown_back_and_typed_again_when_one_is_wrong(

@@ -15,6 +15,7 @@ from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
 from procedures.engine.engine import Engine
+from procedures.engine.journal import Entry
 from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.reporting import target_table
@@ -175,6 +176,34 @@ def test_questions_stand_there_with_the_value_that_was_shown_and_the_answer(regi
     text = write_report(registered).read_text()
     shown = r'</td><td class="free">predicted target error .* at 95%</td><td>yes</td>'
     assert re.search(f"accept the registration for {FIRST}{shown}", text)
+
+
+def test_a_rehearsal_without_truth_does_not_say_that_its_errors_were_measured(registered: Path) -> None:
+    measured, predicted = "Errors are measured against", "Errors are predicted"
+    assert predicted in (text := write_report(registered).read_text())
+    assert measured not in text
+    assert measured in write_report(registered, truth=TRUTH).read_text()
+
+
+def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_plain_course(
+    cell: ClinicalCell,
+) -> None:
+    cell.journal.write(Entry.INTENT, 1.0, step="at_target:T1")
+    cell.journal.write(Entry.STAGE, 1.1, trajectory="T1", stop={"bore_mm": 85.0})
+    cell.journal.write(Entry.INSTRUMENT, 1.2, trajectory="T1", inside=True)
+    cell.journal.write(Entry.FAILED, 2.0, step="at_target:T1", code="EKI-010", what="EKI-010: stopped. Look.")
+    cell.journal.write(Entry.ACKNOWLEDGED, 3.0, device="arm", fault="EKI-010: stopped. Look.", by="A. Nurse")
+    cell.journal.write(Entry.RESTARTED, 4.0, begun="at_target:T1", torn_bytes=0, orphans=[])
+    for _ in range(2):
+        cell.journal.write(Entry.FINDING, 5.0, text="the head was hidden")
+    text = write_report(cell.folder).read_text()
+    table = text.partition("Refusals, rests, faults")[2].partition("</table>")[0]
+    assert "A. Nurse acknowledged the fault of the arm: EKI-010" in table
+    assert "The run was taken up again; at_target:T1 had begun and not ended" in table
+    assert not re.search(r"bore_mm|inside|torn|the head was hidden", table)
+    assert table.count("stopped. Look.") == 1
+    assert len(re.findall(r"<td>\d\d:\d\d:\d\d</td>", table)) == 3
+    assert text.count("the head was hidden") == 1
 
 
 def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
