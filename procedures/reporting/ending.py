@@ -71,12 +71,12 @@ def _after(journal: Sequence[Line]) -> str:
     stopped = [line for line in failed if "emergency stop" in str(line.get("what", ""))]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed if line not in stopped]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
-    again = [line for line in journal if line["entry"] == Entry.RESTARTED]
+    again = [line for line in journal if line["entry"] == Entry.ACCEPTED]
     went_through = [
         (len(stopped), "emergency stop", ""),
         (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
         (len(paused), "pause", ""),
-        (len(again), "restart", ""),
+        (len(again), "resume", ""),
     ]
     told = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
     return f", after {', '.join(told)}" if told else ""

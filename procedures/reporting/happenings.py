@@ -47,8 +47,14 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
 
 
 def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
-    """Refusals, rests, faults, what was acknowledged, and what was done again or no longer holds."""
-    return tuple(_of_kinds(journal, _SENTENCES))
+    """Refusals, rests, faults, what was acknowledged, and what was done again or no longer holds.
+
+    What every program that opens a run finds of the one before is told once.
+    """
+    found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
+    told = enumerate(_of_kinds(journal, _SENTENCES))
+    once = {one.text if one.text in found else str(number): one for number, one in told}
+    return tuple(sorted(once.values(), key=lambda one: one.theatre_time_s))
 
 
 def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
@@ -103,12 +109,10 @@ def _doubted(line: Line) -> str:
 
 
 def _restarted(line: Line) -> str:
+    """What a program that takes the run up found of the one before."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
-    return (
-        "The run was taken up again"
-        + (f"; {begun} had begun and not ended" if begun else "")
-        + ("; the last line of its journal was torn and is kept aside" if torn else "")
-    )
+    told = f"{begun} had begun when the program ended, and was not ended" if begun else ""
+    return f"{told}; the last line of its journal was torn and is kept aside" if torn else told
 
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
@@ -120,7 +124,8 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.VOIDED: ("fault", _voided),
     Entry.ACKNOWLEDGED: ("fault", _acknowledged),
     Entry.DOUBTED: ("fault", _doubted),
-    Entry.RESTARTED: ("repetition", _restarted),
+    Entry.RESTARTED: ("fault", _restarted),
+    Entry.ACCEPTED: ("repetition", lambda _line: "The run was taken up again: what was found was accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"Something else was read back: {line.get('subject', '')}"),
 }
 _TOLD: Mapping[str, tuple[str, Callable[[Line], str]]] = {

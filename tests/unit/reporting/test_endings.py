@@ -52,10 +52,10 @@ def test_what_a_case_went_through_before_it_was_done_is_said(cell: ClinicalCell)
     for code, what in (("EKI-010", "the arm was stopped: emergency stop is active"), ("TOOL-005", "bent")):
         cell.journal.write(Entry.FAILED, 1.0, step="tool_check", code=code, what=what)
     for _ in range(2):
-        cell.journal.write(Entry.RESTARTED, 2.0)
+        cell.journal.write(Entry.ACCEPTED, 2.0)
     engine.run_to()
     engine.close("done")
-    sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 restarts."
+    sentence = "Every step was done, after 1 emergency stop, 1 failed step (tool_check), 2 resumes."
     assert ending_of(read_for_report(cell.folder).run.journal).sentence == sentence
 
 

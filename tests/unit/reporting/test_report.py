@@ -193,16 +193,16 @@ def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_pl
     cell.journal.write(Entry.INSTRUMENT, 1.2, trajectory="T1", inside=True)
     cell.journal.write(Entry.FAILED, 2.0, step="at_target:T1", code="EKI-010", what="EKI-010: stopped. Look.")
     cell.journal.write(Entry.ACKNOWLEDGED, 3.0, device="arm", fault="EKI-010: stopped. Look.", by="A. Nurse")
-    cell.journal.write(Entry.RESTARTED, 4.0, begun="at_target:T1", torn_bytes=0, orphans=[])
     for _ in range(2):
+        cell.journal.write(Entry.RESTARTED, 4.0, begun="at_target:T1", torn_bytes=0, orphans=[])
         cell.journal.write(Entry.FINDING, 5.0, text="the head was hidden")
     text = write_report(cell.folder).read_text()
     table = text.partition("Refusals, rests, faults")[2].partition("</table>")[0]
     assert "A. Nurse acknowledged the fault of the arm: EKI-010" in table
-    assert "The run was taken up again; at_target:T1 had begun and not ended" in table
+    assert table.count("at_target:T1 had begun when the program ended, and was not ended") == 1
     assert not re.search(r"bore_mm|inside|torn|the head was hidden", table)
     assert table.count("stopped. Look.") == 1
-    assert len(re.findall(r"<td>\d\d:\d\d:\d\d</td>", table)) == 3
+    assert len(re.findall(r"<td>\d\d:\d\d:\d\d<br>\d\.\d s</td>", table)) == 3
     assert text.count("the head was hidden") == 1
 
 
