@@ -52,9 +52,10 @@ def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
     What every program that opens a run finds of the one before is told once.
     """
     found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
-    told = enumerate(_of_kinds(journal, _SENTENCES))
-    once = {one.text if one.text in found else str(number): one for number, one in told}
-    return tuple(sorted(once.values(), key=lambda one: one.theatre_time_s))
+    told: dict[str, Happening] = {}
+    for number, one in enumerate(_of_kinds(journal, _SENTENCES)):
+        told.setdefault(one.text if one.text in found else str(number), one)
+    return tuple(told.values())
 
 
 def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
@@ -111,7 +112,7 @@ def _doubted(line: Line) -> str:
 def _restarted(line: Line) -> str:
     """What a program that takes the run up found of the one before."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
-    told = f"{begun} had begun when the program ended, and was not ended" if begun else ""
+    told = f"The program ended before {begun} had ended" if begun else ""
     return f"{told}; the last line of its journal was torn and is kept aside" if torn else told
 
 

@@ -199,7 +199,7 @@ def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_pl
     text = write_report(cell.folder).read_text()
     table = text.partition("Refusals, rests, faults")[2].partition("</table>")[0]
     assert "A. Nurse acknowledged the fault of the arm: EKI-010" in table
-    assert table.count("at_target:T1 had begun when the program ended, and was not ended") == 1
+    assert table.count("The program ended before at_target:T1 had ended") == 1
     assert not re.search(r"bore_mm|inside|torn|the head was hidden", table)
     assert table.count("stopped. Look.") == 1
     assert len(re.findall(r"<td>\d\d:\d\d:\d\d<br>\d\.\d s</td>", table)) == 3
