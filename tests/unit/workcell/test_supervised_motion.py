@@ -41,6 +41,7 @@ def test_the_first_motion_is_asked_about_with_what_will_move_the_second_is_not(
     (asked,) = cell.operator.asked
     assert asked.read_back is not None
     assert asked.value.startswith(f"the stereo head moves {asked.read_back.value} mm, ")
+    assert asked.read_back.fits(f"{asked.read_back.value}mm")
 
 
 @pytest.mark.hazard(36)
