@@ -30,7 +30,7 @@ from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
@@ -117,11 +117,12 @@ class CheckResult:
         if not bad:
             return
         moved = float(np.linalg.norm(self.shift.value))
+        got, limit = told_apart(bad[0].statistic, bad[0].limit, 1)
         raise HeadMoved(
             f"the stereo head has changed since its calibration ({', '.join(sign.name for sign in bad)}); "
             f"the ball is seen {1000 * moved:.0f} um away",
-            limit=f"chi square {bad[0].limit:.1f}",
-            got=beyond(bad[0].statistic, bad[0].limit, 1),
+            limit=f"chi square {limit}",
+            got=got,
         )
 
 

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from statistics import median
 
 from procedures.relocalization.errors import HeadTurned
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import told_apart
 
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
 # to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg make it 0.16e-2 to 0.20e-2.
@@ -44,8 +44,9 @@ def check_head(
     gap_mm = median(ray_gaps_mm)
     limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
     if gap_mm > limit_mm:
+        gap, limit = told_apart(gap_mm, limit_mm, 2)
         raise HeadTurned(
             "a camera of the stereo head has moved: the lines of sight pass each other",
-            limit=f"{limit_mm:.2f} mm",
-            got=f"{beyond(gap_mm, limit_mm, 2)} mm",
+            limit=f"{limit} mm",
+            got=f"{gap} mm",
         )

@@ -1,4 +1,4 @@
-"""A figure that a limit refuses, so that the reader sees that it is beyond it."""
+"""A figure and the limit that refuses it, so that the reader sees on which side of it the figure is."""
 
 from __future__ import annotations
 
@@ -6,12 +6,21 @@ MOST_MORE = 6  # decimals; what is then still the limit equals it
 
 
 def beyond(value: float, limit: float, decimals: int) -> str:
-    """The value with so many decimals, or with as many more as tell it apart from the limit.
+    """The value with so many decimals, or with as many more as put it on its side of a limit shown in full.
 
     `beyond(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """
-    shown = round(limit, decimals)
     for more in range(MOST_MORE):
-        if round(value, decimals + more) != shown:
+        shown = round(value, decimals + more)
+        if (shown > limit) == (value > limit) and shown != limit:
             return f"{value:.{decimals + more}f}"
     return f"{value:.{decimals}f}"
+
+
+def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
+    """The value and a computed limit, each with so many decimals, or with as many more as tell them apart."""
+    for more in range(MOST_MORE):
+        shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))
+        if shown != refused_from:
+            return shown, refused_from
+    return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"

@@ -16,7 +16,7 @@ from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import told_apart
 
 FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
@@ -40,10 +40,11 @@ class ArmCheck:
     def require(self) -> None:
         """Raise CAL-012 unless they are."""
         if not self.passed:
+            error, limit = told_apart(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
                 f"the looks are not as calibration {self.calibration} says",
-                limit=f"{self.expected_mm:.3f} mm rms expected",
-                got=f"{beyond(self.error_mm, self.expected_mm, 3)} mm",
+                limit=f"{limit} mm rms expected",
+                got=f"{error} mm",
             )
 
 

@@ -13,7 +13,7 @@ from procedures.calibration.arm.identification import ArmFit, whitening_of
 from procedures.calibration.arm.looks import LookArrays
 from procedures.calibration.errors import DoesNotFit, Unobservable
 from procedures.calibration.sufficiency import require_count
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
@@ -60,10 +60,11 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
     statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
+        got, refused_from = told_apart(statistic, limit, 0)
         raise DoesNotFit(
             "the identified arm does not hold for looks that it has not seen",
-            limit=f"chi-square {limit:.0f}",
-            got=f"{beyond(statistic, limit, 0)}: {_rms(misses):.3f} mm",
+            limit=f"chi-square {refused_from}",
+            got=f"{got}: {_rms(misses):.3f} mm",
         )
     return ArmValidation(
         misses_mm=misses,

@@ -21,7 +21,7 @@ from procedures.calibration.tracker_frame.hand_eye import HandEye, misses_of, sl
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, PosePairs, Use, pairs_of
 from ronna_hw.calibration import ArmCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
@@ -127,10 +127,11 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
     limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
         rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
+        got, refused_from = told_apart(statistic, limit, 0)
         raise DoesNotFit(
             "the frame does not hold for poses that it was not fitted to",
-            limit=f"chi-square {limit:.0f}",
-            got=f"{beyond(statistic, limit, 0)}: {rms_mm:.2f} mm",
+            limit=f"chi-square {refused_from}",
+            got=f"{got}: {rms_mm:.2f} mm",
         )
     variances = np.einsum("mii->mi", covariances)
     mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))

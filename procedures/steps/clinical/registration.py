@@ -50,7 +50,7 @@ from procedures.steps.clinical.validity.followed_move import FollowedMove, Measu
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
@@ -224,10 +224,11 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
         return pairs, ()
     moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
     names = " and ".join(context.served_trajectories)
+    fre, limit = told_apart(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
         f"the fit disagrees with its own error budget at {names}",
-        limit=f"{gate.limit_mm:.3f} mm",
-        got=f"{beyond(gate.fre_mm, gate.limit_mm, 3)} mm",
+        limit=f"{limit} mm",
+        got=f"{fre} mm",
         action=_advice([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
     )
     if len(moved) != 1:

@@ -4,10 +4,12 @@ from pathlib import Path
 
 import pytest
 from generate import errors_with_a_code
+from hypothesis import given
+from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.errors import RonnaError
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 TESTS = Path(__file__).resolve().parents[2]
 
@@ -50,7 +52,7 @@ def test_an_error_from_another_process_says_what_it_said_there() -> None:
         (0.1504, 0.15, 2, "0.1504"),
         (0.31, 0.3, 2, "0.31"),
         (7.96, 8.0, 1, "7.96"),
-        (0.21049, 0.21001, 3, "0.2105"),
+        (0.12341, 0.1234, 3, "0.12341"),
         (2.0, 2.0, 2, "2.00"),
     ],
 )
@@ -58,6 +60,16 @@ def test_a_figure_is_shown_apart_from_the_limit_that_refuses_it(
     value: float, limit: float, decimals: int, shown: str
 ) -> None:
     assert beyond(value, limit, decimals) == shown
+
+
+@given(st.floats(0.01, 1000.0), st.floats(1e-3, 0.2), st.booleans(), st.integers(0, 3))
+def test_a_figure_and_a_computed_limit_are_shown_in_their_order(
+    limit: float, share: float, above: bool, decimals: int
+) -> None:
+    value = limit * (1.0 + share if above else 1.0 - share)
+    shown, refused_from = told_apart(value, limit, decimals)
+    assert (float(shown) > float(refused_from)) == above
+    assert float(shown) != float(refused_from)
 
 
 def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:

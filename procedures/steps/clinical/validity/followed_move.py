@@ -31,7 +31,7 @@ from procedures.workcell.tracker_look import FRAMES, frames_at_rest
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text.beyond import beyond
+from ronna_hw.text.beyond import beyond, told_apart
 
 Array = NDArray[np.float64]
 
@@ -188,10 +188,11 @@ def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
 
 def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
     if not fit.gate.passed:
+        residual, limit = told_apart(move.residual_mm, move.limit_mm, 2)
         raise PatientMoved(
             "the spheres on the head have not moved as one body",
-            limit=f"{move.limit_mm:.2f} mm",
-            got=f"{beyond(move.residual_mm, move.limit_mm, 2)} mm",
+            limit=f"{limit} mm",
+            got=f"{residual} mm",
         )
     if fit.rms_mm > MOST_FOLLOWED_MM or fit.turn_rad > MOST_FOLLOWED_RAD:
         raise PatientMoved(
