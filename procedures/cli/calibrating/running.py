@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.asking import WritePrompt, write_prompt
 from procedures.cli.case.event_follower import EventFollower
 from procedures.cli.case.opening import Procedure, Resumption, Watcher, opened_engine
 from procedures.cli.case.request import (
@@ -72,8 +73,10 @@ def run_steps(
             if isinstance(event.what, Progress):
                 bar(event.what.share)
 
-    def asking(_words: str = "") -> AbstractContextManager[None]:
-        return bar.hidden()  # it would write over the question
+    @contextmanager
+    def asking() -> Iterator[WritePrompt]:
+        with bar.hidden():  # it would write over the question
+            yield write_prompt
 
     watcher = Watcher(opened=lambda engine: EventFollower(engine.events, advance).start(), asking=asking)
     try:

@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.asking import WritePrompt
 from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.event_follower import EventFollower, Show
 from procedures.cli.case.leaving_report import leave_report, seal_run, tell_way_on
@@ -57,13 +58,12 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
             followers.append(_follow(engine, display.show, stack))
 
         @contextlib.contextmanager
-        def asking(words: str = "") -> Iterator[None]:
+        def asking() -> Iterator[WritePrompt]:
             with contextlib.ExitStack() as silence:
                 for follower in followers:
                     silence.enter_context(follower.quiet())
                 silence.enter_context(display.hidden())  # it would write over the question
-                silence.enter_context(interrupts.asking(words))
-                yield
+                yield silence.enter_context(interrupts.asking())
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
         yield Watcher(display.status, display.tell, opened, asking, held, held)

@@ -9,13 +9,13 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case
 from procedures.cli.case.operators import (
     AtPause,
@@ -60,7 +60,7 @@ class Watcher:
     status: Callable[[str], None] = lambda _text: None
     room_open: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
     opened: Callable[[Engine], None] = lambda _engine: None  # before its first step
-    asking: Callable[[str], AbstractContextManager[object]] = contextlib.nullcontext  # around a question
+    asking: Asking = undisturbed  # around a question
     held: Prompt | None = None  # where a person says how a case goes on that is held; without one it ends
     at_pause: Operator | None = None  # who answers a pause, if another than who answers the rest
     pilot: Pilot | None = None  # of a console that operates the case

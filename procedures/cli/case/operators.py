@@ -5,12 +5,13 @@ from __future__ import annotations
 import sys
 import termios
 import time
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from types import MappingProxyType
 
 from typer import style
 
+from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.engine.operator import NOBODY as NOBODY_READS
 from procedures.engine.operator import YES, Operator, Question, Task, Topic, words
 from ronna_hw.host.control_port import ask_control_port
@@ -98,11 +99,11 @@ class TerminalOperator:
     `asking` is held while a question stands, so that nothing else writes over it.
     """
 
-    def __init__(self, asking: Callable[[str], AbstractContextManager[object]] = nullcontext) -> None:
+    def __init__(self, asking: Asking = undisturbed) -> None:
         self._asking = asking
 
     def ask(self, question: Question) -> str:
-        """Show the value and wait for one of the answers, typed whole; anything else is asked again.
+        """WritePrompt the value and wait for one of the answers, typed whole; anything else is asked again.
 
         The answer that goes on counts only with what is to be read back, in the same time.
         """
@@ -110,15 +111,15 @@ class TerminalOperator:
             return question.silence
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
-        with self._asking(_asked_for(words(question.answers))):
+        with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
-            while answer := _typed(words(question.answers), ends_s).lower():
+            while answer := _typed(write, words(question.answers), ends_s).lower():
                 if answer not in question.answers:
                     _say(f"{answer!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if answer != question.answers[0] or read_back is None:
                     return answer
-                if not (typed := _typed(read_back.what, ends_s)):
+                if not (typed := _typed(write, read_back.what, ends_s)):
                     break
                 if read_back.fits(typed):
                     return answer
@@ -132,7 +133,7 @@ class TerminalRoom:
 
     def __init__(
         self,
-        asking: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        asking: Asking = undisturbed,
         *,
         simulated: bool = False,
     ) -> None:
@@ -145,13 +146,13 @@ class TerminalRoom:
 
     def change_tool(self, number: int, description: str) -> None:
         """Say what to mount; that it is done is confirmed, and recorded, by the step."""
-        with self._asking(""):
+        with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             self._hint(f"mount {number}")
 
     def prepare_stand(self, holds: str) -> None:
         """Say what to put on the calibration stand; that it is done is confirmed by the step."""
-        with self._asking(""):
+        with self._asking():
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
 
@@ -163,35 +164,35 @@ class TerminalRoom:
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Say what to do, and have typed what is read off; nothing without a terminal."""
-        with self._asking(""):
+        with self._asking() as write:
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
             self._hint(f"work {task.name}{numbers}{trajectory}")
-            return _read_off(task) if task.reads and sys.stdin.isatty() else ()
+            return _read_off(write, task) if task.reads and sys.stdin.isatty() else ()
 
 
-def _read_off(task: Task) -> tuple[float, ...]:
+def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
     """What is typed for each reading; several are shown back before they count. Nothing when nobody reads."""
     while True:
         readings: list[float] = []
         for what in task.reads:
-            if (number := _typed_number(what, task.plausible_mm)) is None:
+            if (number := _typed_number(write, what, task.plausible_mm)) is None:
                 return ()
             readings.append(number)
         if len(readings) == 1:
             return tuple(readings)
         for what, number in zip(task.reads, readings, strict=True):
             _say(f"  {what}: {number:g}")
-        while (typed := _typed(words((YES, AGAIN)), None).lower()) != AGAIN:
+        while (typed := _typed(write, words((YES, AGAIN)), None).lower()) != AGAIN:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
             _say(f"{typed!r} is not an answer: {YES} if this was read off, {AGAIN} to type all again.")
 
 
-def _typed_number(what: str, plausible: tuple[float, float] | None) -> float | None:
+def _typed_number(write: WritePrompt, what: str, plausible: tuple[float, float] | None) -> float | None:
     """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends."""
-    while (typed := _typed(what, None)) and typed.lower() != NOBODY_READS:
+    while (typed := _typed(write, what, None)) and typed.lower() != NOBODY_READS:
         with suppress(ValueError):
             number = typed_number(typed)
             if plausible is None or plausible[0] <= number <= plausible[1]:
@@ -214,11 +215,7 @@ def _emphasized(question: Question) -> str:
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
-def _asked_for(what: str) -> str:
-    return f"Type {what}: "
-
-
-def _typed(what: str, ends_s: float | None) -> str:
+def _typed(write: WritePrompt, what: str, ends_s: float | None) -> str:
     """What is typed, without the space around it; a blank line is asked again.
 
     Empty when it is out of time or the terminal is gone. What was typed before it was asked for is lost.
@@ -227,8 +224,7 @@ def _typed(what: str, ends_s: float | None) -> str:
 
     termios.tcflush(sys.stdin, termios.TCIFLUSH)
     while True:
-        sys.stderr.write(_asked_for(what))
-        sys.stderr.flush()
+        write(f"Type {what}: ")
         remaining_s = None if ends_s is None else max(0.0, ends_s - time.monotonic())
         ready, _, _ = select.select([sys.stdin], [], [], remaining_s)
         line = sys.stdin.readline() if ready else ""

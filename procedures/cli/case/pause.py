@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.asking import WritePrompt, write_prompt
 from ronna_hw.command_line.console import on_terminal
 
 if TYPE_CHECKING:
@@ -33,23 +34,27 @@ class Interrupts:
         self._engine: Engine | None = None
         self._count = 0
         self._at_question: int | None = None  # how often since a question stands
-        self._words = ""
+        self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
         """From now on Ctrl-C is about this engine; before, it ends the command."""
         self._engine = engine
 
     @contextlib.contextmanager
-    def asking(self, words: str = "") -> Iterator[None]:
-        """While a question stands nothing moves: Ctrl-C twice ends the command, once shows its `words` again.
+    def asking(self) -> Iterator[WritePrompt]:
+        """While a question stands nothing moves: Ctrl-C twice ends the command, once shows the prompt again.
 
         A terminal throws away what it has not yet shown when Ctrl-C is typed.
         """
-        self._at_question, self._words = 0, words
+        self._at_question, self._prompt = 0, ""
         try:
-            yield
+            yield self._write
         finally:
             self._at_question = None
+
+    def _write(self, prompt: str) -> None:
+        self._prompt = prompt
+        write_prompt(prompt)
 
     def interrupt(self) -> None:
         """One Ctrl-C more; raises KeyboardInterrupt when it is to end the command."""
@@ -58,7 +63,7 @@ class Interrupts:
             raise KeyboardInterrupt
         if self._at_question is not None:
             self._at_question += 1
-            os.write(STANDARD_ERROR, AT_QUESTION + self._words.encode())
+            os.write(STANDARD_ERROR, AT_QUESTION + self._prompt.encode())
             return
         self._count = self._count + 1 if engine.checkpoint.wanted else 1
         if self._count > 2:

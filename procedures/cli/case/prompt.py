@@ -5,10 +5,10 @@ from __future__ import annotations
 import sys
 import termios
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
+from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
 from procedures.engine.checkpoint import ABORT
 from procedures.engine.errors import OperatorAborted, StepRefused, UnknownStep
@@ -38,7 +38,7 @@ class Prompt:
         words: str,
         say: Say,
         *,
-        asking: Callable[[str], AbstractContextManager[object]] = nullcontext,
+        asking: Asking = undisturbed,
         after: Callable[[], object] = lambda: None,
         resumes: bool = False,
         meanwhile: Callable[[Engine], None] | None = None,
@@ -145,10 +145,9 @@ class Prompt:
         return self._line("")
 
     def _line(self, words: str) -> str | None:
-        with self._asking(words):
+        with self._asking() as write:
             if on_terminal(sys.stdin):
-                sys.stderr.write(words)
-                sys.stderr.flush()
+                write(words)
             line = sys.stdin.readline()
             self.input_ended = not line
             return line or None

@@ -62,7 +62,9 @@ def test_at_a_question_the_first_interrupt_shows_what_was_asked_again(
     attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     interrupts, engine = attached
-    with interrupts.asking("paused> "):
+    with interrupts.asking() as write:
+        write("Type yes or no: ")
+        write("Type what it says: ")
         interrupts.interrupt()
-    assert capfd.readouterr().err.endswith("the arm rests; Ctrl-C again ends the command\npaused> ")
+    assert capfd.readouterr().err.endswith("Ctrl-C again ends the command\nType what it says: ")
     assert engine.paused == []
