@@ -154,7 +154,7 @@ def _files() -> dict[str, str | bytes]:
         "nolength.toml": PLAN.replace("instrument_length_mm = 250.0\n", ""),
         "comma.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10,5, -50.0, 60.0]"),
         "date.toml": THEATRE + "expires = 21.12.2026\n",
-        "margin_metres.toml": PLAN.replace("margin_mm = 2.0", "margin_mm = 0.002"),
+        "margin_metres.toml": PLAN.replace("margin_mm = 1.5", "margin_mm = 0.002"),
         "length_cm.toml": PLAN.replace("instrument_length_mm = 250.0", "instrument_length_mm = 25.0"),
         "short.toml": PLAN.replace("[10.0, -50.0, 60.0]", "[10.0, -50.0]"),
         "tool.toml": TOOL,
