@@ -42,7 +42,7 @@ def test_the_bar_of_a_calibration_and_its_clock_rest_while_a_question_is_open(
     def with_a_question(
         _request: object, _folder: object, _steps: object, watcher: Watcher, **_: object
     ) -> Iterator[SimpleNamespace]:
-        with watcher.asking("Type yes or no: "):
+        with watcher.asking():
             at_question.append(terminal.getvalue())
             bar(0.2)
             now.s += 60.0
