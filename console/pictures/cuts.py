@@ -19,7 +19,7 @@ SIZE_PX = 400  # of a picture, which is square
 UNSCANNED_HU = -32768  # no CT has it
 UNSCANNED_GREY = 40  # not the black of air
 ALIGNED = 1e-6  # of a voxel for each pixel: below it a picture stays in one slice
-PNG_LEVEL = 1  # the network is this computer
+PNG_LEVEL = 0  # the network is this computer, and to pack a picture takes longer than all else
 
 WINDOWS_HU = {
     "spheres": (-1000.0, 600.0),
