@@ -81,7 +81,7 @@ class PlanDesk(Bell):
             if self._waits_for is not None:
                 return False
             self._begun = True
-            if _digest(self.file) != self._on_disk:
+            if not self._is_as_read():
                 self._read()
             if self.problem is None:
                 self._take_up()
@@ -115,6 +115,12 @@ class PlanDesk(Bell):
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
         self._found(self._markers)
+
+    def _is_as_read(self) -> bool:
+        try:
+            return _digest(self.file) == self._on_disk
+        except OSError:  # reading it says what is wrong
+            return False
 
     def _opened(self) -> Draft | None:
         """The draft of the plan file, if there is one that can be used."""

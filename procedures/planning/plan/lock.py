@@ -6,7 +6,7 @@ import fcntl
 import hashlib
 import os
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -79,9 +79,12 @@ class PlannerLock:
     def __init__(self, plan: Path) -> None:
         self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when it is saved
         self._file: int | None = None
+        self._has_left = False
 
     def take(self) -> bool:
         """Whether no other planner has the plan; so it is where no file can be locked."""
+        if self._has_left:
+            return False
         if self._file is None:
             try:
                 os.close(os.open(self._path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o644))
@@ -96,9 +99,11 @@ class PlannerLock:
         return True
 
     def leave(self) -> None:
-        """Let the next one have it."""
+        """Let the next one have it, for good."""
+        self._has_left = True
         if self._file is not None:
-            self._path.unlink(missing_ok=True)
+            with suppress(OSError):  # of a folder that can no longer be written: the lock is what counts
+                self._path.unlink()
             os.close(self._file)
         self._file = None
 

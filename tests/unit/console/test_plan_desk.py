@@ -10,46 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from plan_desks import ENTRY, draw, reopened, save, scan
 
 from console.planning import desk as desk_module
 from console.planning.desk import PlanDesk
 from console.planning.draft import Draft
 from console.planning.judging import judge
 from procedures.imaging.errors import PickRefused
-from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
 from procedures.planning.plan.file import read_plan, write_plan
 from procedures.planning.plan.lock import held_plan
 from procedures.planning.plan.seal import sealed
 from ronna_hw.errors import RonnaError
-
-SERIES = "1.2.826.0.1.3680043.8.498.7"
-ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
-
-
-def scan(series: str = SERIES) -> Volume:
-    """Tissue below a slanting plane, air above it; no sphere."""
-    geometry = VoxelGeometry(
-        (67, 67, 67),
-        np.full(3, -99.0),
-        np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
-        np.full(3, 3.0),
-    )
-    z, y, _ = np.meshgrid(*[np.arange(-99.0, 100.0, 3.0)] * 3, indexing="ij")
-    return Volume(
-        np.where(0.8 * z - 0.6 * y < 79.0, 40, -1000).astype(np.int16), geometry, series, "1.2.3", "HFS"
-    )
-
-
-def draw(desk: PlanDesk, standoff_mm: float = 30.0) -> None:
-    draft = replace(desk.draft, instrument_length_mm=250.0, standoff_mm=standoff_mm)
-    desk.change(draft.with_way("T1", replace(draft.way("T1"), entry_mm=ENTRY, target_mm=TARGET)))
-
-
-def save(desk: PlanDesk, author: str = "Dr Test") -> None:
-    asyncio.run(desk.save(author))
 
 
 @pytest.fixture
@@ -60,12 +33,6 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture
 def desk(file: Path) -> PlanDesk:
     return PlanDesk(scan(), file, None)
-
-
-def reopened(desk: PlanDesk) -> PlanDesk:
-    """By the next planner."""
-    desk.close()
-    return PlanDesk(scan(), desk.file, None)
 
 
 def test_a_plan_that_was_saved_is_opened_as_it_stood(desk: PlanDesk, file: Path) -> None:
@@ -209,142 +176,6 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
     assert desk.not_kept is None
     save(desk)
     assert read_plan(file).trajectory("T1").entry_mm == ENTRY
-
-
-def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan(
-    desk: PlanDesk, file: Path
-) -> None:
-    draw(desk)
-    save(desk)
-    assert desk.keep() is None
-    draw(desk, standoff_mm=31.0)
-    half, name = desk.draft.with_new_way()
-    desk.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
-    kept = desk.close()
-    assert kept is not None
-
-    again = PlanDesk(scan(), file, None)
-    assert again.notice is not None
-    assert again.notice.code == "PLAN-029"
-    assert again.draft == desk.draft
-    assert not again.is_saved
-    again.undo()
-    assert again.draft.standoff_mm == 30.0
-    assert again.keep() is None
-    assert not kept.exists()
-
-
-def test_a_second_planner_looks_on_until_the_first_has_left_and_then_goes_on_with_its_draft(
-    desk: PlanDesk, file: Path
-) -> None:
-    draw(desk)
-    save(desk)
-    draw(desk, standoff_mm=31.0)
-    other = PlanDesk(scan(), file, None)
-    assert other.draft.standoff_mm == 30.0
-    assert "another planner" in str(other.read_only)
-    draw(other, standoff_mm=35.0)
-    assert other.draft.standoff_mm == 30.0
-    save(desk)
-    draw(desk, standoff_mm=32.0)
-    assert other.close() is None
-    assert not other.begin()
-    kept = desk.close()
-    assert kept is not None
-    assert other.begin()
-    assert other.draft == desk.draft
-    other.undo()
-    assert other.draft.standoff_mm == 31.0
-    other.close()
-    assert [one.name for one in file.parent.iterdir()] == [file.name]
-
-
-def test_whoever_looks_on_is_told_when_the_plan_is_free(
-    desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(desk_module, "AGAIN_S", 0.01)
-    other = PlanDesk(scan(), file, None)
-
-    async def becomes_free() -> None:
-        work = asyncio.create_task(other.work())
-        heard = other.subscribe()
-        while other.searching:
-            await heard.wait()
-            heard.clear()
-        assert other.read_only is not None
-        desk.close()
-        while other.read_only is not None:
-            await heard.wait()
-            heard.clear()
-        work.cancel()
-
-    asyncio.run(asyncio.wait_for(becomes_free(), 60.0))
-
-
-def test_the_plan_of_a_run_is_looked_at_and_nothing_is_written_beside_it(
-    desk: PlanDesk, tmp_path: Path
-) -> None:
-    draw(desk)
-    save(desk)
-    case = tmp_path / "run" / "case"
-    case.mkdir(parents=True)
-    (tmp_path / "run" / "journal.jsonl").touch()
-    kept = desk.file.rename(case / "plan.toml")
-    looked = PlanDesk(scan(), kept, None)
-    assert looked.draft.ways == desk.draft.ways
-    assert "the run run, which stays" in str(looked.read_only)
-    draw(looked, standoff_mm=31.0)
-    assert looked.close() is None
-    assert looked.is_saved
-    with pytest.raises(PlanInUse, match=r"PLAN-026.*open the copy"):
-        save(looked)
-    assert [one.name for one in case.iterdir()] == ["plan.toml"]
-
-
-def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told(
-    desk: PlanDesk, file: Path
-) -> None:
-    draw(desk)
-    kept = desk.close()
-    assert kept is not None
-    content = kept.read_bytes()
-    other = PlanDesk(scan(), file.with_name("other.toml"), None)
-    draw(other, standoff_mm=35.0)
-    save(other)
-    file.write_bytes(other.file.read_bytes())
-    again = PlanDesk(scan(), file, None)
-    assert again.draft.standoff_mm == 35.0
-    assert again.notice is not None
-    assert "plan.toml.unsaved-1" in str(again.notice)
-    assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
-
-
-def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_offered_when_it_has_ended(
-    desk: PlanDesk, file: Path
-) -> None:
-    draw(desk)
-    save(desk)
-    draw(desk, standoff_mm=31.0)
-    desk.close()
-    with held_plan(file):
-        again = PlanDesk(scan(), file, None)
-        assert again.draft.standoff_mm == 30.0
-        assert again.keep() is None
-        assert not again.begin()
-    draw(again, standoff_mm=32.0)  # at once, before that is taken up
-    assert again.begin()
-    assert again.draft.standoff_mm == 31.0
-    assert again.notice is not None
-    assert again.notice.code == "PLAN-029"
-
-
-@pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
-def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: bytes) -> None:
-    file.with_name("plan.toml.unsaved").write_bytes(content)
-    desk = PlanDesk(scan(), file, None)
-    assert desk.notice is not None
-    assert desk.notice.code == "PLAN-029"
-    assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
 def test_while_it_saves_the_planner_does_not_take_itself_for_a_case(
