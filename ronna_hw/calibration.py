@@ -5,10 +5,19 @@ Plain numbers. Poses are given as translation (mm) and scalar-first quaternion.
 
 from __future__ import annotations
 
-from datetime import datetime, timedelta
+import math
+from datetime import date, datetime, timedelta
 from typing import TYPE_CHECKING, Annotated, ClassVar, Self
 
-from pydantic import AfterValidator, AwareDatetime, BaseModel, ConfigDict, Field, model_validator
+from pydantic import (
+    AfterValidator,
+    AwareDatetime,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    model_validator,
+)
 
 from ronna_hw.errors import EXIT_REFUSED, DataError
 
@@ -21,7 +30,7 @@ Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
 
 CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
-SHORTEST_TRANSLATION_MM = 1.0  # of a tool or a camera; 300 mm in metres are shorter
+SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm in metres are shorter
 SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera of some hundred pixels; 50 mm are not that many
 AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: of a guide that points as its drawing says, never measured
 SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
@@ -34,6 +43,26 @@ def _millimetres(length_mm: float) -> float:
 
 
 Length = AfterValidator(_millimetres)  # of something large enough that metres can be told from millimetres
+
+
+def farther_than(shortest_mm: float) -> AfterValidator:
+    """Of a place that is not so close to its origin, unless it is there: in metres it would be."""
+
+    def in_millimetres(place_mm: Numbers3) -> Numbers3:
+        if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
+            raise ValueError(f"has length {length_mm:.3g}: give millimetres, not metres")
+        return place_mm
+
+    return AfterValidator(in_millimetres)
+
+
+def _whole_moment(value: object) -> object:
+    if isinstance(value, date) and getattr(value, "tzinfo", None) is None:
+        raise ValueError("expected day, time and time zone, as 2026-12-21T12:00:00Z")
+    return value
+
+
+Moment = Annotated[AwareDatetime, BeforeValidator(_whole_moment)]
 
 
 def _pixels(focal_px: float) -> float:
@@ -66,7 +95,9 @@ class Strict(BaseModel):
 class PoseRecord(Strict):
     """A rigid pose `target <- source`; the field that holds it names the frames."""
 
-    translation_mm: Numbers3 = Field(description="Origin of the source in the target.")
+    translation_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
+        description="Origin of the source in the target."
+    )
     quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
 
     @model_validator(mode="after")
@@ -74,9 +105,6 @@ class PoseRecord(Strict):
         norm = sum(value * value for value in self.quaternion_wxyz) ** 0.5
         if abs(norm - 1.0) > UNIT_NORM_TOLERANCE:
             raise ValueError(f"quaternion_wxyz has norm {norm:.6f}, not 1: give a rotation, not angles")
-        length_mm = sum(value * value for value in self.translation_mm) ** 0.5
-        if 0.0 < length_mm < SHORTEST_TRANSLATION_MM:
-            raise ValueError(f"translation_mm has length {length_mm:.3g}: give millimetres, not metres")
         return self
 
     def transform(self, target: Frame, source: Frame) -> Transform:
@@ -111,8 +139,8 @@ class Dated(Strict):
     what: ClassVar[str] = "calibration"  # what it is, in messages
 
     identifier: str = Field(description="Name of the record.")
-    created: AwareDatetime = Field(description="When it was measured, with the time zone.")
-    expires: AwareDatetime = Field(description="When it expires, with the time zone.")
+    created: Moment = Field(description="When it was measured, with the time zone.")
+    expires: Moment = Field(description="When it expires, with the time zone.")
     made_by: str = Field(description="Who or what measured it.")
 
     def check_valid_at(self, moment: datetime) -> None:

@@ -6,6 +6,7 @@ TOML, strict: unknown keys are errors, and all mistakes are reported at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import date
 from difflib import get_close_matches
 from enum import StrEnum
 from pathlib import Path
@@ -24,6 +25,7 @@ from ronna_hw.calibration import (
     Strict,
     ToolTipCalibration,
     TrackerFrameCalibration,
+    farther_than,
 )
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -32,6 +34,7 @@ from ronna_hw.text.counting import counted
 from ronna_hw.tool_record import ToolRecord
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
+NEAREST_PLACE_MM = 10.0  # to the origin of an arm: in its base nothing stands, and it reaches no 10 m
 MISTAKES_SHOWN = 20  # of one file: more help nobody, and a hostile file has thousands
 
 
@@ -81,6 +84,13 @@ class DeviceConfig(Strict):
         here = self.model_copy()
         here._folder = folder
         return here
+
+    @field_validator("endpoint", mode="before")
+    @classmethod
+    def _is_one_address(cls, value: object) -> object:
+        if isinstance(value, dict):
+            raise ValueError("expected one address, got a table: did you mean 'endpoints'?")
+        return value
 
     @model_validator(mode="after")
     def _has_endpoint(self) -> Self:
@@ -151,7 +161,7 @@ class ProcedureSettings(Strict):
         default=3.0,
         description="Largest difference between stereo head and tracker for one and the same sphere.",
     )
-    stand_mm: Numbers3 | None = Field(
+    stand_mm: Annotated[Numbers3, farther_than(NEAREST_PLACE_MM)] | None = Field(
         default=None,
         description="Where the ball of the calibration stand is, within 10 mm, in the robot's frame.",
     )
@@ -191,6 +201,18 @@ class TheatreFile(Strict):
     procedure: ProcedureSettings = Field(
         default=ProcedureSettings(), description="Assumptions and settings of the procedure."
     )
+
+    @field_validator("tools")
+    @classmethod
+    def _have_numbers_of_their_own(cls, tools: dict[str, ToolRecord]) -> dict[str, ToolRecord]:
+        owners: dict[int, str] = {}
+        for name, tool in tools.items():
+            if (owner := owners.setdefault(tool.number, name)) != name:
+                raise ValueError(
+                    f"{name} has number {tool.number}, which is that of {owner}: expected one of its own, "
+                    "as the controller's inputs report it"
+                )
+        return tools
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
@@ -265,7 +287,8 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
         if item["type"] in ("too_long", "too_short") and "actual_length" in item.get("ctx", {}):
             message = _count_wrong(item["ctx"])
         value = item.get("input")
-        shown = f" (found {value!r})" if isinstance(value, str | int | float | bool) else ""
+        found_is = str(value) if isinstance(value, date) else repr(value)
+        shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
         lines.append(f"{where}: {message}{shown}")
     if len(found) > MISTAKES_SHOWN:
         lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")

@@ -11,7 +11,15 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, model_validator
 
-from ronna_hw.calibration import Dated, Length, Numbers3, PoseRecord, Strict
+from ronna_hw.calibration import (
+    SHORTEST_TRANSLATION_MM,
+    Dated,
+    Length,
+    Numbers3,
+    PoseRecord,
+    Strict,
+    farther_than,
+)
 from ronna_hw.collision_config import ToolBody
 
 Angles6 = tuple[float, float, float, float, float, float]
@@ -91,7 +99,9 @@ class ToolRecord(Dated):
         description="Name of the flange, or of the changer on it, that it was measured on."
     )
     mass_kg: Annotated[float, Field(gt=0, le=10)] = Field(description="Of all that hangs below the changer.")
-    centre_of_gravity_mm: Numbers3 = Field(description="In the frame of the flange.")
+    centre_of_gravity_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
+        description="In the frame of the flange."
+    )
     bodies: tuple[ToolBody, ...] = Field(
         default=(), description="Its geometry for clearance, in its tip frame; else that of `[cell]`."
     )

@@ -116,7 +116,7 @@ class Camera:
             self._memory = RegisterMemory(self.control)
             self._features = FeatureMap(nodes, self._memory)
             self._memory.deadline_s = deadline_s
-            known_state.apply_known_state(self._features, self._options)
+            known_state.apply_known_state(self._features, self._options, f"{self.side} camera")
             self.area = known_state.full_area(self._features)
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
@@ -135,7 +135,7 @@ class Camera:
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
         self._until(deadline_s)
-        known_state.set_exposure(self.features, exposure_us, gain_raw)
+        known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def temperature_C(self, deadline_s: float) -> float | None:
         """Inside the camera; None when it does not say."""

@@ -11,7 +11,7 @@ import json
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.ndi_polaris.errors import BadOptions, ForeignTool
 from drivers.ndi_polaris.rom.definition import ToolDefinition, definition_hash, read_definition
@@ -86,14 +86,19 @@ class PolarisOptions(Strict):
         Field(default_factory=dict, description="Time limits by command that override the unit's own."),
     ]
 
+    @field_validator("maximum_baud")
+    @classmethod
+    def _is_a_rate_of_the_unit(cls, baud: int) -> int:
+        if baud not in COMM_BAUD_CODES.values():
+            rates = ", ".join(str(rate) for rate in sorted(COMM_BAUD_CODES.values()))
+            raise ValueError(f"expected one of {rates}")
+        return baud
+
     @model_validator(mode="after")
     def _checks(self) -> Self:
         names = [tool.name for tool in self.tools]
         if doubled := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"duplicate tool name {', '.join(doubled)}")
-        if self.maximum_baud not in COMM_BAUD_CODES.values():
-            rates = ", ".join(str(rate) for rate in sorted(COMM_BAUD_CODES.values()))
-            raise ValueError(f"maximum_baud must be one of {rates}")
         if unknown := sorted(set(self.time_limits_s) - set(COMMAND_TIMEOUT_S)):
             raise ValueError(f"time_limits_s: unknown command {', '.join(unknown)}")
         return self

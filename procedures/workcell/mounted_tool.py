@@ -27,6 +27,7 @@ class ToolMount:
 
     def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
         self.tool = MountedTool.UNKNOWN
+        self._reported: int | None = None  # when the inputs were last read
         self._read_number = read_number
         self._calibrations = calibrations
 
@@ -39,9 +40,13 @@ class ToolMount:
         """The tool's number; raises PRO-009 when another is mounted."""
         expected = self._number(tool)
         self.tool = MountedTool.UNKNOWN
-        mounted = self._read_number()
+        mounted = self._reported = self._read_number()
         if mounted != expected:
-            raise WrongTool(f"the {tool} is not mounted", expected=str(expected), got=str(mounted))
+            raise WrongTool(
+                f"the {tool} is not mounted",
+                expected=f"{tool}, number {expected}",
+                got=f"number {mounted} from the controller's inputs",
+            )
         self.tool = tool
         return mounted
 
@@ -49,7 +54,7 @@ class ToolMount:
         """Whichever tool is mounted; unchecked when it is none of ours or cannot be read."""
         self.tool = MountedTool.UNKNOWN
         with contextlib.suppress(RonnaError):
-            mounted = self._read_number()
+            mounted = self._reported = self._read_number()
             known = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
             self.tool = next((tool for tool in known if self._number(tool) == mounted), MountedTool.UNKNOWN)
         return self.tool
@@ -57,7 +62,14 @@ class ToolMount:
     def flange_from(self, tool: MountedTool) -> Transform:
         """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
         if tool is MountedTool.UNKNOWN:
-            raise WrongTool("the mounted tool has not been checked", expected="a checked tool", got=tool)
+            known = (f"{each}, number {self._number(each)}" for each in list(MountedTool)[1:])
+            raise WrongTool(
+                "the mounted tool is none that is calibrated, or has not been checked",
+                expected=" or ".join(known),
+                got="nothing read yet"
+                if self._reported is None
+                else f"number {self._reported} when the controller's inputs were last read",
+            )
         records = self._calibrations
         record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
         return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)

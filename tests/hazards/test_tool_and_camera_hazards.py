@@ -40,7 +40,7 @@ def test_the_case_does_not_begin_while_another_tool_than_the_stereo_head_hangs_t
     cell: RecordingCell, mounted: int
 ) -> None:
     cell.arm.mounted = mounted
-    with pytest.raises(WrongTool, match=f"expected {STEREO_HEAD}, got {mounted}"):
+    with pytest.raises(WrongTool, match=f"number {STEREO_HEAD}, got number {mounted}"):
         run_set_up(cell)
     assert cell.arm.motions == []
 

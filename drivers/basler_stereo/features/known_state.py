@@ -59,8 +59,11 @@ def temperature_C(features: Features) -> float | None:
     return None if name is None else float(features.number(name))
 
 
-def apply_known_state(features: Features, options: BaslerOptions) -> None:
-    """All settings but the area; raises GEV-010 for what the camera lacks, GEV-011 for impossible values."""
+def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
+    """All settings but the area, of the `camera` that is named in messages.
+
+    Raises GEV-010 for what it lacks, GEV-011 for impossible values.
+    """
     if features.has("AcquisitionStop"):  # a library may hide it while nothing runs
         features.execute("AcquisitionStop")
     lock_transport(features, False)  # an earlier client may have left it locked
@@ -73,7 +76,7 @@ def apply_known_state(features: Features, options: BaslerOptions) -> None:
             features.choose(name, entry)
     arm_trigger(features, options)
     features.choose("PixelFormat", options.pixel_format)
-    set_exposure(features, options.exposure_us, options.gain_raw)
+    set_exposure(features, options.exposure_us, options.gain_raw, camera)
 
 
 def lock_transport(features: Features, locked: bool) -> None:
@@ -104,12 +107,15 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
     features.choose("TriggerMode", "On")
 
 
-def set_exposure(features: Features, exposure_us: float, gain_raw: int | None) -> None:
-    """Exposure in microseconds and raw gain, None for the smallest; raises GEV-011 with the limits."""
+def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, camera: str) -> None:
+    """Exposure in microseconds and raw gain, None for the smallest; raises GEV-011 with the limits.
+
+    `camera` names it, such as `left camera`.
+    """
     exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
-    _require_within(features, exposure, exposure_us)
+    _require_within(features, exposure, exposure_us, f"exposure_us of the {camera}")
     wanted_gain = features.limits(gain).minimum or 0 if gain_raw is None else gain_raw
-    _require_within(features, gain, wanted_gain)
+    _require_within(features, gain, wanted_gain, f"gain_raw of the {camera}")
     features.set_number(exposure, round(exposure_us) if exposure.endswith("Raw") else exposure_us)
     features.set_number(gain, wanted_gain)
 
@@ -182,11 +188,11 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
             raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", got=_shown(area))
 
 
-def _require_within(features: Features, name: str, value: Number) -> None:
+def _require_within(features: Features, name: str, value: Number, what: str) -> None:
     limits = features.limits(name)
     low, high = limits.minimum, limits.maximum
     if (low is not None and value < low) or (high is not None and value > high):
-        raise OutOfRange(f"{name} {value}", limit=f"{low} to {high}")
+        raise OutOfRange(f"{what} is {value:g}", limit=f"{low} to {high} ({name})")
 
 
 def _first(features: Features, names: tuple[str, ...]) -> str:

@@ -96,7 +96,7 @@ class PylonCamera:
                 f"the {self.side} camera cannot be opened", got=str(error).splitlines()[0]
             ) from error
         features = self.features
-        known_state.apply_known_state(features, self._options)
+        known_state.apply_known_state(features, self._options, f"{self.side} camera")
         self.area = known_state.full_area(features)
         known_state.set_area(features, self.area)
         if features.has("GevTimestampTickFrequency"):
@@ -114,7 +114,7 @@ class PylonCamera:
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
         """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
-        known_state.set_exposure(self.features, exposure_us, gain_raw)
+        known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def start(self) -> None:
         """Start the acquisition."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from procedures.calibration.validity import MADE_BY_COMMAND
-from procedures.workcell.tool_records import ToolRecords
+from procedures.workcell.tool_records import GUIDE, ToolRecords
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
@@ -46,4 +47,19 @@ def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic
     except RonnaError as error:
         yield refusal("tool records", error)
     else:
-        yield Diagnostic("tool records", True, ", ".join(theatre.tools))
+        yield Diagnostic("tool records", True, ", ".join(theatre.tools), _implausible(theatre))
+
+
+def _implausible(theatre: TheatreFile) -> str:
+    """What to look at where the guide weighs beyond its own end: one of both is likely mistyped."""
+    guide = theatre.tools.get(GUIDE)
+    if guide is None or theatre.calibration is None:
+        return ""
+    tip_mm = math.hypot(*theatre.calibration.tool_tip.flange_from_tool.translation_mm)
+    weight_mm = math.hypot(*guide.centre_of_gravity_mm)
+    if weight_mm < tip_mm:
+        return ""
+    return (
+        f"The tip of the {GUIDE} is {tip_mm:.0f} mm from the flange, its centre of gravity {weight_mm:.0f} "
+        f"mm: look at [calibration.tool_tip] and [tools.{GUIDE}]."
+    )

@@ -126,13 +126,15 @@ def _require_another_file(config: Path, write: Path) -> None:
 
 
 def _signed(name: str, by: str, days: int) -> dict[str, Any]:
-    """What all dated records have."""
+    """What all dated records have. Raises DEV-006 for no name."""
+    from ronna_hw.devices.lifecycle import require_person
+
     made = datetime.now(UTC).replace(microsecond=0)
     return {
         "identifier": f"{name}-{made:%Y%m%dT%H%M%S}",
         "created": made,
         "expires": made + timedelta(days=days),
-        "made_by": by,
+        "made_by": require_person(by),
     }
 
 

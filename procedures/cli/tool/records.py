@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from datetime import datetime
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from procedures.workcell.errors import NoToolRecord
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.config import BadTheatreFile, parse_theatre, read_theatre_file
-from ronna_hw.tool_record import WITH_TIP, ToolRecord
+from ronna_hw.clock import HostClock
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.config import MASTER, BadTheatreFile, TheatreFile, parse_theatre, read_theatre_file
+from ronna_hw.devices.robot import RobotArm
+from ronna_hw.registry import make_device
+from ronna_hw.tool_record import WITH_TIP, Gauge, ToolRecord
 
 
 def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
-    """The record as the file holds it, with flange and tip of the file; CFG-001 with every mistake in it."""
+    """The record as the file holds it, with flange and tip of the file.
+
+    Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach.
+    """
     theatre = read_theatre_file(config)
     tip = None if theatre.calibration is None else theatre.calibration.tool_tip.identifier
     record = {key: value for key, value in given.items() if value not in (None, {})}
@@ -23,21 +32,55 @@ def record_of(config: Path, given: dict[str, Any], name: str) -> dict[str, Any]:
         record["tip"] = tip
     content = read_toml(config, BadTheatreFile)
     content["tools"] = {**content.get("tools", {}), name: record}
-    parse_theatre(content, f"{config.name} with tool {name}")
+    gauge = parse_theatre(content, f"{config.name} with tool {name}").tools[name].gauge
+    if gauge is not None:
+        _require_within_axes(gauge, theatre)
     return record
+
+
+def _require_within_axes(gauge: Gauge, theatre: TheatreFile) -> None:
+    """Raise CLI-001 for a gauge where this theatre's arm cannot be; without an arm nobody can say."""
+    config = theatre.robot.get(MASTER)
+    arm = None if config is None else make_device(f"robot.{MASTER}", config, HostClock())
+    if not isinstance(arm, RobotArm):
+        return
+    ranges = arm.kinematics
+    for axis, angle_deg, lower, upper in zip(
+        ranges.axis_names, gauge.joints_deg, ranges.lower_rad, ranges.upper_rad, strict=True
+    ):
+        if not math.degrees(lower) <= angle_deg <= math.degrees(upper):
+            raise UsageMistake(
+                f"--gauge-deg: {axis} is {angle_deg:g} degrees",
+                expected=f"{math.degrees(lower):g} to {math.degrees(upper):g}, the range of that axis",
+                action="Read the axes at the pendant, with the mandrel in the gauge.",
+            )
 
 
 def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[float]) -> dict[str, Any]:
     """The record of a tool for the tip calibration of now; `signed` are its new identity, dates and maker.
 
-    `gauge_mm` are the five dials as read with it. Raises TOOL-002, CFG-001.
+    `gauge_mm` are the five dials as read with it. Raises TOOL-002, CFG-001, CLI-001 for what no dial shows.
     """
     theatre = read_theatre_file(config)
-    record = theatre.tools.get(name)
-    if record is None or record.gauge is None or theatre.calibration is None:
+    with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
+    gauge = with_gauge.get(name)
+    if gauge is None:
+        alike = get_close_matches(name, with_gauge, n=1)
         raise NoToolRecord(
-            f"{config.name} has no tool {name} with a gauge, and a calibration to renew it for"
+            f"{config.name} has no tool {name!r} with a gauge",
+            expected=", ".join(with_gauge) or "one with [tools.NAME.gauge]",
+            action=f"Did you mean {alike[0]}?" if alike else None,
         )
+    if theatre.calibration is None:
+        raise NoToolRecord(f"{config.name} has no calibration to renew {name} for")
+    lowest_mm, highest_mm = gauge.plausible_mm
+    for dial, reading_mm in zip(("X", "Y", "Z", "UPPER_X", "UPPER_Y"), gauge_mm, strict=True):
+        if not lowest_mm <= reading_mm <= highest_mm:
+            raise UsageMistake(
+                f"--gauge-mm: {dial} is {reading_mm:g}",
+                expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
+                action="Read the dials again; another travel is `travel_mm` of the tool's gauge.",
+            )
     content = read_toml(config, BadTheatreFile)
     kept = content["tools"][name]
     x, y, z, upper_x, upper_y = gauge_mm

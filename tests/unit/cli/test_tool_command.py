@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import tomllib
 from datetime import UTC, datetime
 from pathlib import Path
@@ -14,11 +15,12 @@ from recording_cell import ENDPOINTS
 from user_commands import in_this_process, one_error
 
 from procedures.cli.calibrating.files import write_theatre
+from procedures.cli.doctor.calibrations import tool_diagnostics
 from procedures.cli.tool.command import app
 from procedures.cli.tool.purposes import Purpose
 from procedures.workcell.errors import ForeignTool
 from procedures.workcell.tool_records import ToolRecords
-from ronna_hw.config import read_theatre_file
+from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.tool_record import ToolPurpose
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
@@ -123,6 +125,45 @@ def test_a_renewed_record_is_of_the_new_tip_and_of_the_gauge_as_it_was_read(thea
     assert record.gauge is not None
     assert (record.gauge.reading_mm, record.gauge.upper_reading_mm) == ((0.01, -0.02, 0.03), (0.04, -0.05))
     assert in_this_process(app, "check", "--config", last).returncode == 0
+
+
+def test_the_doctor_tells_of_a_guide_that_weighs_beyond_its_end(theatre: Path) -> None:
+    content = tomllib.loads(theatre.read_text())
+    pose = content["calibration"]["tool_tip"]["flange_from_tool"]
+    (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
+    pose["translation_mm"] = [place_mm / 10 for place_mm in pose["translation_mm"]]
+    (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
+    assert before.advice == ""
+    assert "its centre of gravity 114 mm: look at [calibration.tool_tip]" in after.advice
+
+
+@pytest.mark.parametrize(
+    ("command", "told"),
+    [
+        ("renew guide --by '' --gauge-mm 0 0 0 0 0", "name of a person; expected letters, got nothing"),
+        ("renew guide --by Nurse --gauge-mm 9 0 400 0 0", "--gauge-mm: Z is 400; expected -10 to 10 mm"),
+        ("renew gide --by Nurse --gauge-mm 0 0 0 0 0", "no tool 'gide' with a gauge; expected guide"),
+        ("define drill --purpose gripper --number 2", "drill has number 2, which is that of guide"),
+        (
+            "define d --purpose gripper --gauge-deg -400 -75 99 0 66 180",
+            "A1 is -400 degrees; expected -170",
+        ),
+        (
+            "define d --purpose gripper --centre-of-gravity-mm 0.11 0 0.03",
+            "has length 0.114: give milli",
+        ),
+    ],
+)
+def test_what_no_tool_can_have_is_refused_by_name_value_and_range(
+    theatre: Path, command: str, told: str
+) -> None:
+    name, *arguments = shlex.split(command)
+    last = theatre.with_name("last.toml")
+    given = (*PLAIN, *arguments) if name == "define" else arguments
+    said = in_this_process(app, name, *given, "--config", theatre, "--write", last)
+    assert said.returncode != 0
+    assert told in " ".join(one_error(said.stderr))
+    assert not last.exists()
 
 
 def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path) -> None:

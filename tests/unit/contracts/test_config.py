@@ -1,5 +1,5 @@
 import re
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,12 @@ POSE: dict[str, Any] = {"translation_mm": [0.0, 0.0, 300.0], "quaternion_wxyz": 
             {"quaternion_wxyz": [0.0, 90.0, 0.0, 0.0]},
             "not 1: give a rotation, not angles",
         ),
-        ({"expires": datetime.fromisoformat("2026-12-01")}, {}, "timezone"),
+        (
+            {"expires": datetime.fromisoformat("2026-12-01")},
+            {},
+            "expected day, time and time zone, as 2026",
+        ),
+        ({"expires": date(2026, 12, 21)}, {}, "time zone, as 2026-12-21T12:00:00Z (found 2026-12-21)"),
     ],
 )
 def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
@@ -71,6 +76,24 @@ def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
     tip = {**RECORD, "flange_from_tool": {**POSE, **pose}, **record}
     with pytest.raises(BadTheatreFile, match=re.escape(said)):
         parse_theatre({"theatre": "lab", "calibration": {"tool_tip": tip}})
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (
+            {"procedure": {"stand_mm": [0.56, 0.1, 0.3]}},
+            "stand_mm: has length 0.643: give millimetres",
+        ),
+        (
+            {"robot": {"master": {"driver": "kuka_rsi", "endpoint": {"rsi": "udp://127.0.0.1:1"}}}},
+            "robot.master.endpoint: expected one address, got a table: did you mean 'endpoints'?",
+        ),
+    ],
+)
+def test_what_stands_in_a_wrong_unit_or_place_says_so(content: dict[str, Any], said: str) -> None:
+    with pytest.raises(BadTheatreFile, match=re.escape(said)):
+        parse_theatre({"theatre": "lab", **content})
 
 
 def test_a_device_needs_an_endpoint() -> None:

@@ -155,7 +155,7 @@ def test_an_alert_that_harms_no_pose_is_read_and_tracking_goes_on(tracker: Polar
         ({"tools": "robot_frame.rom"}, "tools"),
         ({"tools": [{"name": "a", "rom": "robot_frame.rom"}] * 2}, "duplicate tool name"),
         ({"illuminator_rate_hz": 50}, "illuminator_rate_hz"),
-        ({"maximum_baud": 12345}, "maximum_baud"),
+        ({"maximum_baud": 12345}, r"maximum_baud: expected one of 9600.*\(found 12345\)"),
         ({"colour": "green"}, "colour"),
         ({"time_limits_s": {"NOPE": 1.0}}, "NOPE"),
         ({"tools": [], "reply": "XML", "volume": 0}, "2 mistake"),

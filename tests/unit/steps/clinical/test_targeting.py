@@ -114,7 +114,7 @@ def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
 def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell) -> None:
     engine = begin(cell)
     cell.arm.mounted = STEREO_HEAD
-    with pytest.raises(WrongTool, match=f"expected {GUIDE}, got {STEREO_HEAD}"):
+    with pytest.raises(WrongTool, match=f"guide, number {GUIDE}, got number {STEREO_HEAD}"):
         run(engine, f"positioning:{FIRST}")
     assert cell.operator.asked == []
     assert cell.arm.motions == []
