@@ -40,8 +40,9 @@ class BodyView:
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
-        if self._cameras:
-            tool = self._workcell.tool_pose(joints_rad)
+        if self._cameras and self._workcell.tool is MountedTool.STEREO_HEAD:  # not while that is unchecked
+            flange = self._workcell.flange_pose(joints_rad)
+            tool = flange @ self._workcell.flange_from(MountedTool.STEREO_HEAD)
             x, y, z = tool.translation_mm.tolist()
             rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
             changes |= {"tool_mm": _rounded((x, y, z)), "tool_rows": tuple(rows)}

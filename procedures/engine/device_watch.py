@@ -51,6 +51,7 @@ class DeviceWatch:
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
         self._bounded: set[str] = set()  # trackers whose volume was told
+        self._told = ""  # what it could not see last
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 
@@ -99,17 +100,20 @@ class DeviceWatch:
     ) -> None:
         self._ending.set()
         self._thread.join()
-        self.look()
+        self._look()
 
     def _look_on(self) -> None:
-        told = ""
         while not self._ending.wait(self._period_s):
-            try:
-                self.look()
-            except Exception as problem:  # it looks again, and what it cannot see is told once
-                if str(problem) != told:
-                    told = str(problem)
-                    self._events.publish(_fault(problem))
+            self._look()
+
+    def _look(self) -> None:
+        """It looks again, and what it cannot see is told once; nothing else ends by it."""
+        try:
+            self.look()
+        except Exception as problem:
+            if str(problem) != self._told:
+                self._told = str(problem)
+                self._events.publish(_fault(problem))
 
 
 def _fault(problem: Exception) -> Fault:

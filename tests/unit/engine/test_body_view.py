@@ -7,8 +7,10 @@ from recording_cell import HOME, RecordingCell
 
 from procedures.engine.body_view import BodyView
 from procedures.engine.events import Bodies, EventStream, Pose
+from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Part, Surroundings
+from ronna_hw.devices.lifecycle import Lifecycle
 
 AROUND = Surroundings(
     tool=(Part("needle", Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 100.0), 3.0)),),
@@ -42,3 +44,15 @@ def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
     flange = cell.workcell.arm.kinematics.flange_pose(HOME)
     assert places[-1][:3] == pytest.approx(flange.translation_mm, abs=0.06)
     assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)
+
+
+def test_the_cameras_of_a_head_that_counts_as_unchecked_after_a_fault_are_drawn_nowhere(
+    cell: RecordingCell,
+) -> None:
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.surround(AROUND)
+    view = BodyView(cell.workcell)
+    assert len(view.at(POSE).tool_mm) == 3
+    cell.arm.state = Lifecycle.FAULT
+    cell.workcell.recover("arm", "A. Nurse")
+    assert view.at(POSE).tool_mm == ()

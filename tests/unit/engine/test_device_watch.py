@@ -93,3 +93,12 @@ def test_what_a_device_says_of_itself_is_published_when_it_changes() -> None:
     watch.look()
     told = [event.what.says for event in reader.read(0).events]
     assert [[(one.found, one.ready) for one in facts] for facts in told] == [[("EXT", True)], [("T1", False)]]
+
+
+def test_a_last_look_that_fails_hides_nothing_of_how_the_case_ended() -> None:
+    def cannot() -> LastKnown[object]:
+        raise LinkTimeout("no such register")
+
+    unseen = SimpleNamespace(observe=cannot, notices=())
+    with DeviceWatch({"arm": unseen}, EventStream(), lambda: 5.0, period_s=1000.0):
+        pass
