@@ -259,7 +259,9 @@ def test_the_packet_size_is_what_the_path_carries(cameras):
     pair = cameras.streaming()
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
     packets = -(-AREA.width * AREA.height // (1500 - 36)) + 2
-    assert [counters.packets for counters in pair.counters] == [packets, packets]
+    # On a computer that stalls, a packet may be asked for that was only late.
+    once = [each.packets - each.duplicates - each.ignored for each in pair.counters]
+    assert once == [packets, packets]
 
 
 def test_spoiled_light_is_seen(cameras):

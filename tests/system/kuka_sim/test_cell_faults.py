@@ -59,7 +59,7 @@ def test_a_restarted_program_has_another_port_other_stamps_and_the_present_pose_
     assert stage.rsi.axes_deg[0] == reached_deg
 
 
-def test_both_channels_tell_a_live_emergency_stop_as_their_next_word(
+def test_both_channels_tell_a_live_emergency_stop(
     cell: Callable[..., Cell],
 ) -> None:
     here = cell()
@@ -67,9 +67,7 @@ def test_both_channels_tell_a_live_emergency_stop_as_their_next_word(
     sdk.read()
     eki.read()
     ask_control_port(here.child.ready["control"], "fault", line="now: robot emergency stop")
-    told = [eki.read().get("EStop") for _ in range(6)]
-    # What was under way, what was due every 100 ms on a machine that stalls, and the change.
-    assert "1" in told
-    status = sdk.read().find("Status")
+    eki.until(lambda state: state.get("EStop") == "1")
+    status = sdk.read().find("Status")  # its first since: this channel tells changes only
     assert status is not None
     assert status.get("EmergencyStop") == "1"

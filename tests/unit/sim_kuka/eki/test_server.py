@@ -11,8 +11,10 @@ from xml.etree import ElementTree
 import pytest
 
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.wire.kuka_eki import STATE_PERIOD_MS
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.eki import server as eki_server
+from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.eki.sdk_channel import SdkChannel
 from sim.kuka.eki.server import (
     GARBAGE,
@@ -201,6 +203,21 @@ def test_the_sdks_client_is_told_the_status_once_and_again_when_it_changes(
         channel.tick(line.time.now_s)
         line.loop()
         told.append(line.heard().count(b"<Status "))
+    assert told == [1, 0, 1, 0]
+
+
+def test_the_drivers_client_is_told_a_change_before_the_next_state_is_due(
+    line: Line, make_bench: Callable[..., Any]
+) -> None:
+    controller = make_bench(start=False).controller
+    channel = ProjectChannel(line.server, controller, Autostart(controller, wanted=False))
+    told = []
+    for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
+        change()
+        line.time.now_s += STATE_PERIOD_MS / 5000.0
+        channel.tick(line.time.now_s)
+        line.loop()
+        told.append(line.heard().count(b"<State "))
     assert told == [1, 0, 1, 0]
 
 
