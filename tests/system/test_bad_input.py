@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from user_commands import Commands, in_this_process, one_error
+from waiting import HANG_LIMIT_S
 
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
@@ -87,7 +88,7 @@ def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
         done = _doctor(theatre)
     finally:
         robot.terminate()
-        robot.communicate(timeout=5)
+        robot.communicate(timeout=HANG_LIMIT_S)
     assert done.returncode == EXIT_NOT_FOUND
     assert "NDI-" in json.loads(done.stdout)["findings"][-1]["seen"]
 

@@ -11,6 +11,7 @@ import pytest
 from person import Person
 from run_folders import await_motion_in, run_folder
 from user_commands import Commands, in_this_process, one_error
+from waiting import HANG_LIMIT_S
 
 from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
@@ -51,7 +52,7 @@ def cell(commands: Commands, tmp_path: Path) -> Iterator[Cell]:
         yield Cell(commands, tmp_path)
     finally:
         theatre.terminate()
-        theatre.communicate(timeout=5)
+        theatre.communicate(timeout=HANG_LIMIT_S)
 
 
 @pytest.mark.slow

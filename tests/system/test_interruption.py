@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from run_folders import assert_nothing_half_written, await_motion_in
 from user_commands import Commands, one_error
+from waiting import HANG_LIMIT_S
 
 from ronna_hw.errors import EXIT_LINK_LOST
 
@@ -22,7 +23,7 @@ def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Comm
     process = commands.start("ronna-procedure", *CASE, "--out", str(out))
     await_motion_in(out, MOVING_STEP)
     process.kill()
-    process.communicate(timeout=5)
+    process.communicate(timeout=HANG_LIMIT_S)
     assert commands.await_no_survivors() == []
     assert_nothing_half_written(out)
 
@@ -38,7 +39,7 @@ def test_interrupted_at_twenty_random_moments_nothing_stays_behind(
         process = commands.start("ronna-procedure", *CASE, "--out", str(out))
         time.sleep(chosen.uniform(0.05, 6.0))  # the moment itself is what is random here
         process.send_signal(signal.SIGINT)
-        _, stderr = process.communicate(timeout=15)
+        _, stderr = process.communicate(timeout=HANG_LIMIT_S)
         assert process.returncode in (0, 130), stderr
         assert commands.await_no_survivors() == []
         assert_nothing_half_written(out)

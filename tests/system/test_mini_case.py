@@ -13,6 +13,7 @@ from run_folders import assert_nothing_half_written, await_motion_in, records_of
 from scipy.spatial.distance import cdist
 from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
+from waiting import HANG_LIMIT_S
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, read_journal
@@ -208,7 +209,7 @@ def interrupted(
         process = shared_commands.start("ronna-procedure", *CASE, "--out", str(out))
         await_motion_in(out, "positioning:T1")
         process.send_signal(request.param)
-        _, stderr = process.communicate(timeout=15)
+        _, stderr = process.communicate(timeout=HANG_LIMIT_S)
         assert process.returncode == 130, stderr
         assert shared_commands.await_no_survivors() == []
         assert_nothing_half_written(out)
