@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import binomtest, chi2, t
 
 CONFIDENCE = 0.95
 ON_BOTH_SIDES = 0.5 * (1.0 + CONFIDENCE)
@@ -46,6 +45,8 @@ def percent(count: float, of: float) -> Bounded:
     if not runs:
         return Bounded(0.0, None, None)
     side = "less" if number == 0 else "greater" if number == runs else "two-sided"
+    from scipy.stats import binomtest  # half a second, which no worker of a campaign needs
+
     interval = binomtest(number, runs, alternative=side).proportion_ci(CONFIDENCE, "exact")
     return Bounded(
         100.0 * number / runs,
@@ -56,6 +57,8 @@ def percent(count: float, of: float) -> Bounded:
 
 def number(count: float) -> Bounded:
     """Mean of a Poisson distribution of which one number was counted (exact: Garwood)."""
+    from scipy.stats import chi2
+
     if not round(count):
         return Bounded(0.0, None, float(chi2.ppf(CONFIDENCE, 2)) / 2.0)
     low = float(chi2.ppf(1.0 - ON_BOTH_SIDES, 2 * round(count))) / 2.0
@@ -68,6 +71,8 @@ def mean(values: ArrayLike) -> Bounded:
     value = float(given.mean())
     if len(given) < 2:
         return Bounded(value, None, None)
+    from scipy.stats import t
+
     half = float(t.ppf(ON_BOTH_SIDES, len(given) - 1) * given.std(ddof=1) / np.sqrt(len(given)))
     return Bounded(value, value - half, value + half)
 
@@ -78,6 +83,8 @@ def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
     value = float(np.sqrt(square))
     if runs < 2:
         return Bounded(value, None, None)
+    from scipy.stats import t
+
     spread = float(np.sqrt(max(0.0, fourths / runs - square**2) / (runs - 1)))
     half = float(t.ppf(ON_BOTH_SIDES, runs - 1)) * spread
     return Bounded(value, float(np.sqrt(max(0.0, square - half))), float(np.sqrt(square + half)))

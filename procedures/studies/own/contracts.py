@@ -7,14 +7,15 @@ as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from procedures.imaging.volume import Volume
-from procedures.strategies.strategy import Strategy
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.strategies.strategy import Strategy
 
 Array = NDArray[np.float64]
 
