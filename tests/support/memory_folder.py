@@ -9,6 +9,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 MEMORY = Path("/dev/shm")
+PREFIX = "of-a-test-"
+
+
+def shared_memory() -> set[str]:
+    """Names of what programs share there, without the folders of tests."""
+    return {name for name in os.listdir(MEMORY) if not name.startswith(PREFIX)}
 
 
 @contextlib.contextmanager
@@ -17,5 +23,5 @@ def memory_folder(otherwise: Path) -> Iterator[Path]:
     if not os.access(MEMORY, os.W_OK):
         yield otherwise
         return
-    with tempfile.TemporaryDirectory(dir=MEMORY) as folder:
+    with tempfile.TemporaryDirectory(prefix=PREFIX, dir=MEMORY) as folder:
         yield Path(folder)

@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
+from memory_folder import shared_memory
 from user_commands import Commands, one_error
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
@@ -41,7 +42,7 @@ def temporary(commands: Commands, tmp_path: Path) -> Path:
 def test_a_process_that_is_halted_at_its_start_ends_the_case_and_nothing_stays(
     commands: Commands, tmp_path: Path, temporary: Path, words: str, told: str
 ) -> None:
-    shared = set(os.listdir("/dev/shm"))
+    shared = shared_memory()
     process = commands.start("ronna-procedure", *CASE, "--out", str(tmp_path / "runs"))
     os.kill(_first_sight(commands, words), signal.SIGSTOP)
     _, stderr = process.communicate(timeout=ENDS_WITHIN_S)
@@ -49,7 +50,7 @@ def test_a_process_that_is_halted_at_its_start_ends_the_case_and_nothing_stays(
     assert told in " ".join(one_error(stderr))
     assert commands.await_no_survivors() == []
     assert list(temporary.iterdir()) == []
-    assert set(os.listdir("/dev/shm")) <= shared
+    assert shared_memory() <= shared
 
 
 def _first_sight(commands: Commands, words: str) -> int:
