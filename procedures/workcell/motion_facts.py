@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from procedures.engine.operator import ReadBack
 from procedures.workcell.carried_tool import CarriedTool
 from ronna_hw.arm.calibrated import CalibratedArm
+from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import RobotArm
 from ronna_hw.devices.readings import JointVector
@@ -35,8 +36,15 @@ class MotionFacts:
         return (
             f"{self.what} moves {self.travel_mm:.0f} mm, joints turn up to "
             f"{math.degrees(self.largest_turn_rad):.0f} deg, in {self.preview.duration_s:.1f} s "
-            f"at up to {self.preview.largest_speed_mm_s:.0f} mm/s; {near}"
+            f"at up to {self.preview.largest_speed_mm_s:.0f} mm/s; {near}{self._from_head(closest)}"
         )
+
+    def _from_head(self, closest: Closest | None) -> str:
+        """How near the head it comes: bodies of the arm are nearly always nearest to each other."""
+        nearest_mm = self.preview.nearest_to_head_mm
+        if nearest_mm is None or (closest and nearest_mm <= closest.distance_mm):  # it is said already
+            return ""
+        return f"; {nearest_mm:.0f} mm from the head at the least"
 
     @property
     def read_back(self) -> ReadBack:

@@ -38,6 +38,10 @@ MEASURED = {
     "correspondence", "path_check", "relocalization", "registration", "tool_check",
 }  # fmt: skip
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
+FACTS = re.compile(  # what moves, how far, how fast, how close to what, and how close to the head
+    r"the (stereo head|guide) moves \d+ mm, joints turn up to \d+ deg, in \d+\.\d s at up to \d+ mm/s; "
+    r"[a-z ]+ passes (head at \d+ mm|[a-z ]+ at \d+ mm; \d+ mm from the head at the least)"
+)
 
 
 class MiniRun:
@@ -103,6 +107,18 @@ def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: Mi
     steps = [(line["entry"], line["step"]) for line in lines if line["entry"] in ("intent", "result")]
     assert steps[0::2] == [("intent", step) for _, step in steps[1::2]]
     assert (lines[0]["entry"], lines[-1]["entry"]) == ("opened", "closed")
+
+
+@pytest.mark.hazard(36)
+def test_every_motion_that_is_asked_about_is_told_with_how_far_how_fast_and_how_close_to_what(
+    finished: MiniRun,
+) -> None:
+    lines = [line for line in read_journal(finished.folder / JOURNAL_FILE) if line["entry"] == "confirmation"]
+    asked = {line["topic"]: str(line["value"]) for line in lines}
+    for topic in ("first_motion", "approach:T1", "retreat:T1", "park"):
+        assert FACTS.fullmatch(asked[topic]), (topic, asked[topic])
+    topics = [*asked]
+    assert topics.index("approach:T1") < topics.index("at_target:T1") < topics.index("retreat:T1")
 
 
 def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) -> None:
