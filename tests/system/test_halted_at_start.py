@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from memory_folder import shared_memory
 from user_commands import Commands, one_error
+from waiting import eventually
 
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
 SIGHT_LIMIT_S = 60.0
@@ -50,7 +51,7 @@ def test_a_process_that_is_halted_at_its_start_ends_the_case_and_nothing_stays(
     assert told in " ".join(one_error(stderr))
     assert commands.await_no_survivors() == []
     assert list(temporary.iterdir()) == []
-    assert shared_memory() <= shared
+    eventually(lambda: shared_memory() <= shared)  # other programs have semaphores there for moments
 
 
 def _first_sight(commands: Commands, words: str) -> int:
