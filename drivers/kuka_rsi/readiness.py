@@ -9,7 +9,7 @@ from ronna_hw.devices.readiness import MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
-MEANINGS = {29002: "the replies of the program that led the arm had stopped, and the controller stopped it"}
+MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
 AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
 
 
@@ -35,15 +35,16 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
 
 def _message(number: int) -> str:
     meaning = MEANINGS.get(number)
-    return f"{number} is not acknowledged" + (f" ({meaning})" if meaning else "")
+    return f"KSS{number} is not acknowledged ({meaning})" if meaning else f"{number} is not acknowledged"
 
 
 def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
     """Everything that `activate` looks at."""
     yield from _standing(state)
     yield Fact(
-        "RSI program", state.rsi.name, state.rsi in (RsiState.IDLE, RsiState.FAULT),
-        "Another client streams: end it, or reset the program at the pendant.",
+        "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
+        "It was ended by a message: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT
+        else "Another client streams: end it, or reset the program at the pendant.",
     )  # fmt: skip
     yield Fact("at rest", "moves" if state.moving else "yes", not state.moving, "Wait until it rests.")
     yield Fact(

@@ -12,8 +12,9 @@ from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.conformance.case import DESTRUCTIVE, MOTION, Suite
 from ronna_hw.conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
 from ronna_hw.conformance.protocol import ProtocolCases, composed, protocol_of
+from ronna_hw.devices.discovery import ONLY, Search
 from ronna_hw.endpoints import parse_endpoint
-from ronna_hw.registry import load_driver
+from ronna_hw.registry import finders, load_driver
 
 PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
 
@@ -83,7 +84,9 @@ def resolve(kind: str, choice: Choice) -> Target:
         clock, driver = theatre.clock.endpoint, choice.driver or config.driver
         config = config.model_copy(update={"driver": driver})
     elif choice.endpoints:
-        config = configured(driver, _by_name(choice.endpoints))
+        addresses = _by_name(choice.endpoints)
+        _require_roles(driver, addresses)
+        config = configured(driver, addresses)
     protocol = protocol_of(driver)
     if choice.sim and protocol.simulator is None:
         raise NoSimulator(f"there is no simulator for the wire protocol of {driver}")
@@ -117,6 +120,24 @@ def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
     if len(named) > 1 and (None in names or len(set(names)) < len(names)):
         raise NoDeviceChosen("several endpoints need a name each", action="Write NAME=URI for each.")
     return dict(named)
+
+
+def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
+    """Raise CNF-001 where a driver that searches for its device needs other endpoints, with an example."""
+    finder = finders().get(driver)
+    wanted = {} if finder is None else finder.example(Search()).endpoints
+    if not wanted or {name or ONLY for name in addresses} == set(wanted):
+        return
+    given = " ".join(
+        f"--endpoint {name}={address}" if name else f"--endpoint {address}"
+        for name, address in wanted.items()
+    )
+    raise NoDeviceChosen(
+        f"{driver} has other endpoints",
+        expected=", ".join(name or "one without a name" for name in wanted),
+        got=", ".join(name or "one without a name" for name in addresses),
+        action=f"Give for example {given}.",
+    )
 
 
 def _named(text: str) -> tuple[str | None, str]:

@@ -43,7 +43,9 @@ class BaslerProbe:
     def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Diagnostic]:
         """Broadcast discovery on the cameras' own networks, then each address."""
         networks = {network: discover_cameras(network) for network in dict.fromkeys(_networks(cameras))}
-        found = [each for replied in networks.values() for each in replied]
+        named = {camera.endpoint.host for camera in cameras}
+        replies = [each for replied in networks.values() for each in replied]
+        found = sorted(replies, key=lambda each: each.address not in named)  # our own first
         diagnostics = [
             discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
         ]

@@ -51,9 +51,15 @@ def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expe
 
 
 def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) -> Diagnostic:
-    """The cameras on one network."""
-    listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in found)
-    return Diagnostic(f"cameras on {interface.name}", True, listed)
+    """The cameras on one network, with those whose serial number replied several times."""
+    serials = [each.serial for each in found]
+    doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
+    advice = (
+        f"{' and '.join(doubled)} replied several times: another cell or a simulator is on this network."
+        if doubled
+        else ""
+    )
+    return Diagnostic(f"cameras on {interface.name}", True, ", ".join(map(_shown, found)), advice)
 
 
 def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
@@ -61,12 +67,14 @@ def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Exp
     identity, controller = camera.identity, camera.controller
     if identity is None or controller is None:
         return _unanswered(camera, found)
-    seen = "; ".join(_seen(camera, identity, controller))
     if expected.model and identity.model != expected.model:
         advice = f"Expected a {expected.model}, got a {identity.model}: check address and cable."
-    elif expected.serial and identity.serial != expected.serial:
-        advice = _wrong_serial(expected.serial, found)
-    elif controller.taken:
+        return Diagnosis(False, f"a {identity.model}, expected a {expected.model}", advice)
+    if expected.serial and identity.serial != expected.serial:
+        seen = f"camera {identity.serial}, expected {expected.serial}"
+        return Diagnosis(False, seen, _wrong_serial(expected.serial, found))
+    seen = "; ".join(_seen(camera, identity, controller))
+    if controller.taken:
         advice = _taken(controller)
     elif camera.packet_bytes is None:
         advice = "It refused control although no application has it: switch it off and on."
@@ -125,8 +133,11 @@ def _taken(controller: Controller) -> str:
 
 
 def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
-    if other := next((each for each in found if each.serial == serial), None):
-        return f"Camera {serial} is at {other.address}: swap cables, or endpoints in the theatre file."
+    if others := [each for each in found if each.serial == serial]:
+        more = f" (and replied {len(others)} times)" if len(others) > 1 else ""
+        return (
+            f"Camera {serial} is at {others[0].address}{more}: swap cables, or endpoints in the theatre file."
+        )
     return f"Expected camera {serial}, which did not reply. After replacing a camera, recalibrate the head."
 
 
@@ -143,18 +154,25 @@ def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnos
     via = f" via {interface.name} ({interface.address})" if interface else ""
     elsewhere = _elsewhere(camera, found)
     if camera.response is Response.REFUSED:
-        advice = elsewhere or "A computer is at this address, not a camera: check the address."
-        return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice)
+        advice = (
+            "A computer is at this address, not a camera: check power and cable of the camera, its address."
+        )
+        return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere)
     if interface is not None and not interface.reaches(camera.endpoint.host):
-        advice = elsewhere or "No network card here is in its subnet: camera and host must share one."
+        advice = "No network card here is in its subnet: camera and host must share one."
     else:
-        advice = elsewhere or "Check power and cable of the camera, and its address in the theatre file."
-    return Diagnosis(False, f"silent{via}", advice)
+        advice = "Check power and cable of the camera, and its address."
+    return Diagnosis(False, f"silent{via}", advice + elsewhere)
 
 
 def _elsewhere(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
-    others = [each for each in found if each.address != camera.endpoint.host][:LISTED_CAMERAS]
+    others = [each for each in found if each.address != camera.endpoint.host]
     if not others:
         return ""
-    listed = ", ".join(f"{each.model} {each.serial} at {each.address}" for each in others)
-    return f"These cameras reply: {listed}. Correct the address in the theatre file."
+    listed = ", ".join(map(_shown, others[:LISTED_CAMERAS]))
+    more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""
+    return f" These reply: {listed}{more}."
+
+
+def _shown(camera: CameraIdentity) -> str:
+    return f"{camera.model} {camera.serial} at {camera.address}"

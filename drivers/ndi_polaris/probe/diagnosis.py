@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 from drivers.ndi_polaris.probe.line import Attempt, LineState, Opening, Outcome
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.host.serial_ports import permission_advice
+from ronna_hw.wire.kuka_eki import STATE
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 PRINTABLE_SHARE = 0.9
+EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
 LEAST_TEXT = 6  # characters before bytes are called text
 SECTION = "lines"
 
@@ -64,6 +66,12 @@ def diagnose(line: LineState) -> Diagnosis:
             False,
             f"echoes what we send {_where(noisy[0])}",
             "A loop-back plug, or a terminal with its echo on: there is no unit.",
+        )
+    if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
+        return Diagnosis(
+            False,
+            "a robot controller that sends its state by EKI, no tracker",
+            "To judge it, name it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
         )
     seen = "; ".join(f"garbage {_where(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:])
     if (text := _as_text(noisy[-1].heard)) is not None:

@@ -95,7 +95,7 @@ def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, request: Cal
         folder = new_folder(request.out, kind.name, run)
         with held_run(folder), leaving_report(folder, with_truth=False):
             looked(kind, recipe, run, folder)
-    show(kind, read_payload(folder), folder, as_json=request.as_json)
+    show(kind, read_payload(folder), folder, written=request.write, as_json=request.as_json)
 
 
 def looked(
@@ -121,15 +121,23 @@ def conclude(kind: CalibrationKind[Looks, Result], run: CalibrationRun, looks: L
 
 
 def show(
-    kind: CalibrationKind[Looks, Result], payload: dict[str, Any], folder: Path, *, as_json: bool
+    kind: CalibrationKind[Looks, Result],
+    payload: dict[str, Any],
+    folder: Path,
+    *,
+    written: Path | None,
+    as_json: bool,
 ) -> None:
-    """The figures of a calibration that is finished."""
+    """The figures of a calibration that is finished, and the theatre file that was `written` with it."""
     if as_json:
         console.print_json({**payload, "folder": str(folder)})
         return
     rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
     console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
-    console.tell(f"records in {folder}: put calibration.toml into the theatre file, or use --write")
+    told = (
+        f"written to {written}" if written else "put calibration.toml into the theatre file, or use --write"
+    )
+    console.tell(f"records in {folder}: {told}")
     for warning in kind.warnings(payload):
         console.tell(f"warning: {warning}")
 

@@ -37,7 +37,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
             leave_report(folder, told=False)
             seal_run(folder)
         tell(f"{left.run.name} is finished: nothing remains to be done")
-        show(kind, read_payload(folder), folder, as_json=as_json)
+        show(kind, read_payload(folder), folder, written=run.write, as_json=as_json)
         return
     make_ready(left)
     with leaving_report(folder, with_truth=False):
@@ -45,7 +45,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
             _conclude(kind, run, recipe, left)
         else:
             looked(kind, recipe, run, folder, Resumption(left, accepted))
-    show(kind, read_payload(folder), folder, as_json=as_json)
+    show(kind, read_payload(folder), folder, written=run.write, as_json=as_json)
 
 
 @contextmanager

@@ -14,7 +14,7 @@ from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.control.identity import CameraIdentity
 from drivers.basler_stereo.probe import camera_state, probe
 from drivers.basler_stereo.probe.camera_state import CameraState, Controller, Response, look_at_camera
-from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic
+from drivers.basler_stereo.probe.diagnosis import Expected, camera_diagnostic, discovery_diagnostic
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -25,6 +25,7 @@ from ronna_hw.wire.gige_vision import GVCP_PORT
 MODEL = "acA2000-50gmNIR"
 LEFT = CameraIdentity("192.168.3.11", "00:30:53:00:00:01", "Basler", MODEL, "21900001", "1.0", "left")
 RIGHT = replace(LEFT, address="192.168.3.12", serial="21900002", user_name="right")
+MANY = tuple(replace(RIGHT, address=f"192.168.3.{number}") for number in range(21, 27))
 CARD = Interface("enp3s0", "192.168.3.1", 24, 9000)
 ENDPOINT = Endpoint("gev", host="192.168.3.11")
 EXPECTED = Expected(ENDPOINT, LEFT.serial, MODEL)
@@ -67,8 +68,15 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
             "acA640-120gm",
             "Expected a acA2000",
         ),
-        (replace(WELL, identity=RIGHT), (replace(LEFT, address="192.168.3.12"),), "21900002", "swap cables"),
-        (replace(WELL, identity=RIGHT), (), "21900002", "recalibrate the head"),
+        (
+            replace(WELL, identity=RIGHT),
+            (replace(LEFT, address="192.168.3.12"), replace(LEFT, address="192.168.3.13")),
+            "camera 21900002, expected 21900001",
+            "is at 192.168.3.12 (and replied 2 times): swap cables",
+        ),
+        (replace(WELL, identity=RIGHT), (), "camera 21900002, expected 21900001", "recalibrate the head"),
+        (CameraState(ENDPOINT, Response.SILENT, CARD), MANY, "silent", "Check power and cable of the camera"),
+        (CameraState(ENDPOINT, Response.SILENT, CARD), MANY, "silent", "at 192.168.3.24 and 2 more."),
         (
             replace(WELL, controller=Controller(True, "192.168.3.7", 40001), packet_bytes=None),
             (),
@@ -105,6 +113,8 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
         "another model",
         "swapped",
         "another serial",
+        "silent, many answer",
+        "silent, more answer than are listed",
         "controlled from elsewhere",
         "controlled from here",
         "controlled from here, unseen",
@@ -122,6 +132,11 @@ def test_what_is_not_well_has_a_cause_in_plain_words(
     assert advice in diagnostic.advice
     assert diagnostic.document is not None
     assert diagnostic.document["cause"] == diagnostic.advice
+
+
+def test_a_serial_number_that_replied_several_times_is_told() -> None:
+    assert discovery_diagnostic(CARD, (LEFT, RIGHT)).advice == ""
+    assert "21900002 replied several times" in discovery_diagnostic(CARD, (LEFT, *MANY)).advice
 
 
 def test_small_packets_are_well_and_say_what_would_be_better() -> None:

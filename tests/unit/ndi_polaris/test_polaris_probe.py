@@ -234,6 +234,7 @@ def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
     [
         (ANSWER, True, "answered: G.001.005"),
         (b"\x00\x01\xfe\xff", False, "garbage over TCP: bytes 00 01 fe ff"),
+        (b'<State Mode="EXT"></State>', False, "a robot controller that sends its state by EKI"),
         (b"", False, "sends nothing"),
         (None, False, "closed as soon as it is used"),
     ],
