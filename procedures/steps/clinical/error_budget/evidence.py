@@ -33,7 +33,14 @@ def two_way_table(table: TwoWayTable) -> Evidence:
         + ("" if table.agrees_both_ways else ": the two ways do NOT agree")
         + "".join(f"; sphere {one + 1} is confirmed by nothing" for one in table.unmatched_ct)
         + (f"; {len(table.unmatched_room)} readings are no sphere" if table.unmatched_room else ""),
-        head=("sphere", "CT mm", "tracker mm", "stereo mm", "without it mm", "nearest"),
+        head=(
+            "sphere",
+            "CT estimates differ mm",
+            "off tracker mm",
+            "off stereo head mm",
+            "off, fitted without it mm",
+            "partner is nearest",
+        ),
         rows=tuple(
             (
                 str(row.fiducial + 1),
