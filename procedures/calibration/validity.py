@@ -14,6 +14,8 @@ MADE_BY_COMMAND = {  # in the order in which they are made: each builds on those
     "tool_tip": "ronna-procedure calibrate tool-tip",
 }
 
+DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only there
+
 
 def require_valid(calibrations: Calibrations, moment: datetime, options: str = "") -> None:
     """Raise CAL-001 with every record that has expired at a moment and the commands that make them.
@@ -32,7 +34,9 @@ def require_valid(calibrations: Calibrations, moment: datetime, options: str = "
         return
     first = next(iter(expired.values()))
     commands = ", then ".join(
-        f"{command} {options}".rstrip() for name, command in MADE_BY_COMMAND.items() if name in expired
+        f"{command} {options}{FIRST_DAY if name in DRAWN and '--sim' in options else ''}".rstrip()
+        for name, command in MADE_BY_COMMAND.items()
+        if name in expired
     )
     raise CalibrationExpired(
         "; ".join(problem.what for problem in expired.values()),

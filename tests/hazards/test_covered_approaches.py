@@ -13,6 +13,7 @@ from procedures.guards.room_watch import MOST_UNSEEN_S
 HEAD_MM, CART_MM = 0.5, 1.7
 READING_S = 0.2
 LATE_SHARE = 0.005  # of the carts that move while the arm does: noticed one motion later, in the same pose
+MOST_HIDDEN = 0.1  # of the approaches: 3 of the 150 targets of 50 scenes are hidden by the arm itself
 SIZES = [(2, 6), pytest.param(50, 20, marks=[pytest.mark.slow, pytest.mark.timeout(1200)])]  # scenes, trials
 
 
@@ -33,6 +34,8 @@ def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
     quiet = list(ended(scenes, trials, Moved.NOTHING, 0.0, covers=False))
     assert {one.how for one in quiet if not one.arm_hides} == {How.PASSED}
     assert {one.how for one in quiet} <= {How.PASSED, How.SUSPENDED}
+    assert sum(one.arm_hides for one in quiet) <= MOST_HIDDEN * len(quiet)
+    assert all(one.expected for one in quiet if one.arm_hides)  # the operator is told before the approach
     covered = {one.how for one in ended(scenes, trials, Moved.NOTHING, 0.0, covers=True)}
     assert How.NOTICED not in covered
 

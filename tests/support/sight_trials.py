@@ -106,6 +106,7 @@ class Ended:
     begun: int
     unseen_s: float  # at the begin of the last of them
     arm_hides: bool = False  # at the target itself
+    expected: bool = False  # that it does
 
 
 @dataclass
@@ -143,8 +144,10 @@ class CoveredApproach:
             how = How.NOTICED
         except PatientUnseen:
             how = How.HELD
-        hidden = int(self.sight.seen(self._at).sum()) < LEAST_POINTS
-        return Ended(how, self._begun, self._unseen_s, hidden)
+        hidden, expected = (
+            int(seen(self._at).sum()) < LEAST_POINTS for seen in (self.sight.seen, self.sight.expected)
+        )
+        return Ended(how, self._begun, self._unseen_s, hidden, expected)
 
     def _run(self) -> How:
         home, watch = self.case.home_rad, self._watch

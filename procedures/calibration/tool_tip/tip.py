@@ -26,11 +26,12 @@ from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
-LEAST_READINGS = 8  # with fewer, pivoting leaves more than twice LARGEST_GAP_MM open
+LEAST_READINGS = 8  # with fewer, pivoting leaves more than MOST_OPEN_MM open with some good stands
 SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
 LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
 LARGEST_GAP_MM = 0.08  # of ball and divot; what is smaller goes into the tip, so the stand must be good
+MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings in the poses of the step leave 0.07 to 0.17
 SURE = 3.0  # standard errors, where pivoting leaves more open than that
 LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; worse would excuse any gap
 
@@ -80,6 +81,13 @@ def fit_tip(pairs: TipPairs) -> TipFit:
             limit=f"{LARGEST_PIVOT_SCATTER_MM:g} mm per axis",
             got=f"{beyond(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
             action="Check that stand, guide and dials are rigid; then repeat.",
+        )
+    if SURE * gap_error > MOST_OPEN_MM:
+        raise DoesNotFit(
+            "pivoting does not tell whether the divot is where the ball was: too few orientations, or alike",
+            limit=f"{MOST_OPEN_MM:g} mm left open",
+            got=f"{beyond(SURE * gap_error, MOST_OPEN_MM, 2)} mm",
+            action="Tilt the guide farther to all sides, or read more orientations; then repeat.",
         )
     limit = max(LARGEST_GAP_MM, SURE * gap_error)
     if np.linalg.norm(gap) > limit:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import shlex
 import shutil
 import signal
 import sys
@@ -219,9 +220,9 @@ def opened_case(
 def _theatre_options(request: TheatreRequest) -> str:
     """How a calibration is given the same theatre, and its records to it."""
     if request.config is not None:
-        return f"--config {request.config} --write {request.config}"
-    choice = request.choice
-    return f"--sim --scene {choice.scene} --seed {choice.seed}" + (" --first-day" * choice.first_day)
+        file = shlex.quote(str(request.config))
+        return f"--config {file} --write {file}"
+    return f"--sim --scene {shlex.quote(request.choice.scene)} --seed {request.choice.seed}"
 
 
 def operator_of(

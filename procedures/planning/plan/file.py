@@ -26,6 +26,7 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import printable
 
+LEAST_MARGIN_MM = 0.05  # a third of the best error that is predicted
 # What plans of earlier versions do not have, and what to write.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
@@ -70,6 +71,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         for identifier, count in _ids(content).items()
         if count > 1
     ]
+    found += [] if plan is None else _in_another_unit(plan)
     if len(found) == 1:
         raise type(found[0])(f"{name}: {found[0].what}")
     raise_together(found, name)
@@ -90,6 +92,29 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
         write_whole(path, (head + tomli_w.dumps(content)).encode())
     except OSError as error:
         raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
+
+
+def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
+    """What no case can be done with, and what a plan in metres or centimetres says. Not asked of a record."""
+    found = [
+        PlanMistakes(
+            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can promise: give "
+            f"millimetres, not metres, and {LEAST_MARGIN_MM:g} or more"
+        )
+        for one in plan.trajectories
+        if one.margin_mm < LEAST_MARGIN_MM
+    ]
+    deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
+    needed_mm = deepest.depth_mm + plan.standoff_mm
+    if plan.instrument_length_mm < needed_mm:
+        found.append(
+            PlanMistakes(
+                f"instrument_length_mm is {plan.instrument_length_mm:g}, but {deepest.id} needs more than "
+                f"{needed_mm:.1f} mm: {deepest.depth_mm:.1f} mm from entry to target, {plan.standoff_mm:g} "
+                "mm of stand-off, and the guide; give millimetres, not centimetres"
+            )
+        )
+    return found
 
 
 def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:

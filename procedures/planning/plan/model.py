@@ -27,7 +27,6 @@ MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more 
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
 ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
 
-LEAST_MARGIN_MM = 0.05  # a third of the best error that is predicted
 LONGEST_AUTHOR = 60
 DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
 LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # what lies inside the skin, its check refuses by name
@@ -35,15 +34,6 @@ MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
 
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
-
-
-def _reachable(margin_mm: float) -> float:
-    if margin_mm < LEAST_MARGIN_MM:
-        raise ValueError(
-            f"{margin_mm:g} mm is less than any case can promise: give millimetres, not metres, and "
-            f"{LEAST_MARGIN_MM:g} or more"
-        )
-    return margin_mm
 
 
 class PatientPosition(StrEnum):
@@ -82,7 +72,7 @@ class PlannedTrajectory(Strict):
         le=360.0,
         description="Of the guide about the axis.",
     )
-    margin_mm: Annotated[float, AfterValidator(_reachable)] = Field(
+    margin_mm: float = Field(
         allow_inf_nan=False, gt=0.0, le=20.0, description="Largest target error that is accepted."
     )
 
@@ -160,26 +150,6 @@ class Plan(Strict):
     seal: Seal | None = Field(
         default=None, description="What the planner puts under a plan; take it away to edit the file by hand."
     )
-
-    @model_validator(mode="after")
-    def _is_long_enough(self) -> Plan:
-        deepest = max(self.trajectories, key=lambda one: one.depth_mm)
-        needed_mm = deepest.depth_mm + self.standoff_mm
-        if self.instrument_length_mm < needed_mm:
-            raise PydanticCustomError(
-                "instrument",
-                "instrument_length_mm is {length}, but {name} needs more than {needed} mm: {depth} mm from "
-                "entry to target, {standoff} mm of stand-off, and the guide; give millimetres, not "
-                "centimetres",
-                {
-                    "length": f"{self.instrument_length_mm:g}",
-                    "name": deepest.id,
-                    "needed": f"{needed_mm:.1f}",
-                    "depth": f"{deepest.depth_mm:.1f}",
-                    "standoff": f"{self.standoff_mm:g}",
-                },
-            )
-        return self
 
     @model_validator(mode="after")
     def _is_the_frame(self) -> Plan:

@@ -67,9 +67,8 @@ class ArmBody:
             (elbow, wrist, FOREARM_RADIUS_MM),
             (wrist, flange[:3, 3], WRIST_RADIUS_MM),
         ]
-        on_tool = self._mount_limbs + self._carried.get(mounted_tool, [])
-        if past_mount:
-            on_tool = [limb for limb in on_tool if limb[2] != MOUNT_RADIUS_MM]
+        bars, carried = self._carried.get(mounted_tool, ([], []))
+        on_tool = carried if past_mount else [*self._mount_limbs, *bars, *carried]
         tool = flange @ self._flange_from_tool
         if on_tool:
             begins, stops, radii = zip(*on_tool, strict=True)
@@ -90,29 +89,28 @@ class ArmBody:
 
 def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
     """Plate and riser in the tool frame, and where the riser ends."""
-    beside = flange_mm[:2] / np.linalg.norm(flange_mm[:2]) * RISER_MM
+    away_mm = float(np.linalg.norm(flange_mm[:2]))
+    # A tool on the flange's axis has its riser on any side.
+    towards = flange_mm[:2] / away_mm if away_mm > 0.0 else np.array([-1.0, 0.0])
+    beside = towards * RISER_MM
     foot, top = np.array([*beside, flange_mm[2]]), np.array([*beside, -RISER_TOP_MM])
     return [(flange_mm, foot, MOUNT_RADIUS_MM), (foot, top, MOUNT_RADIUS_MM)], top
 
 
-def _guide(mount: Mount, top: Vector) -> list[Limb]:
-    """The tube, and the bridge to its upper end, in the tool frame."""
+def _guide(mount: Mount, top: Vector) -> tuple[list[Limb], list[Limb]]:
+    """The bridge to its upper end, which is of the mount, and the tube; in the tool frame."""
     ends = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
     lower, upper = apply(matrix_of(mount.tool_from_tip_true), ends)
-    return [(top, upper, MOUNT_RADIUS_MM), (upper, lower, GUIDE_RADIUS_MM)]
+    return [(top, upper, MOUNT_RADIUS_MM)], [(upper, lower, GUIDE_RADIUS_MM)]
 
 
-def _stereo_head(scene: Scene, top: Vector) -> list[Limb]:
-    """The cameras, the beam between them and the bridge to its middle, in the tool frame."""
+def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
+    """The bridge and the beam that carries the cameras, which are of the mount, and the cameras; likewise."""
     ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]  # the lens' centre, the back of the housing
     left, right = (apply(inverse(matrix_of(one.camera_from_tool)), ends) for one in (scene.left, scene.right))
     beam = (left.mean(axis=0), right.mean(axis=0))
-    return [
-        (top, np.mean(beam, axis=0), MOUNT_RADIUS_MM),
-        (*beam, MOUNT_RADIUS_MM),
-        (*left, CAMERA_RADIUS_MM),
-        (*right, CAMERA_RADIUS_MM),
-    ]
+    bars: list[Limb] = [(top, np.mean(beam, axis=0), MOUNT_RADIUS_MM), (*beam, MOUNT_RADIUS_MM)]
+    return bars, [(*left, CAMERA_RADIUS_MM), (*right, CAMERA_RADIUS_MM)]
 
 
 def _turns(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:

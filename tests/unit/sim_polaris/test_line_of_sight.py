@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ronna_hw.collision_config import CollisionConfig
 from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
 from sim.polaris.optics.marker_noise import eyes_mm
@@ -17,6 +18,7 @@ from sim.theatre.scene.named_scenes import SceneName, named_scene
 from sim.theatre.world import ArmState, World
 
 EYE = np.zeros((1, 3))
+BUILT_MM = 6.0  # a mount is built beside its drawing by 2 mm per axis
 
 
 def stage_at_home(name: SceneName, seed: int) -> tuple[TrueScene, World]:
@@ -100,6 +102,28 @@ def test_a_guide_held_before_the_head_keeps_its_mount_out_of_the_skin() -> None:
     along_axis = np.linspace((0.0, 0.0, -mount.guide.reach_mm + 20.0), (0.0, 0.0, 0.0), 50)
     side_mm = np.array([0.0, 200.0, 0.0])  # seen from beside the axis, where nothing else stands
     assert not capsules.hides((along_axis.mean(axis=0) + side_mm)[None], along_axis).any()
+
+
+def test_a_tool_on_the_axis_of_the_flange_hides_something_too() -> None:
+    scene = named_scene("mini", seed=4)
+    pose = scene.mount.flange_from_tool_true.model_copy(update={"translation_mm": (0.0, 0.0, 60.0)})
+    mount = scene.mount.model_copy(update={"flange_from_tool_true": pose})
+    arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), np.eye(4), 0, True)
+    capsules = ArmBody(scene.model_copy(update={"mount": mount})).capsules(arm, 2, np.eye(4))
+    assert np.isfinite(capsules.starts_mm).all()
+    assert np.isfinite(capsules.ends_mm).all()
+
+
+def test_every_body_of_the_guide_that_planning_knows_is_where_the_simulated_one_is() -> None:
+    scene = named_scene("mini", seed=4)
+    flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
+    arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
+    capsules = ArmBody(scene).capsules(arm, scene.mount.tool_number_guide, np.eye(4))
+    shares = np.linspace(0.0, 1.0, 200)[:, None, None]
+    places = (capsules.starts_mm + shares * (capsules.ends_mm - capsules.starts_mm)).reshape(-1, 3)
+    for body in CollisionConfig().guide:
+        for end in (body.start_mm, body.end_mm):
+            assert np.linalg.norm(places - np.array(end), axis=1).min() <= BUILT_MM, body.name
 
 
 def test_a_sphere_behind_the_head_is_not_seen() -> None:

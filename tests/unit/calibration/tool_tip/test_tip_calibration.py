@@ -170,6 +170,16 @@ def test_a_figure_beyond_its_limit_by_little_is_told_apart_from_it(
     assert got > limit
 
 
+def test_no_large_gap_goes_unnoticed_between_orientations_that_are_alike() -> None:
+    generator = np.random.default_rng(5)
+    turns = Rotation.from_rotvec(generator.normal(0.0, 0.17, (8, 3))).as_matrix()
+    at_ball = np.tile(np.eye(4), (8, 1, 1))
+    at_ball[:, :3, :3] = turns
+    pairs = TipPairs(at_ball, at_ball, np.zeros((8, 3)), generator.normal(0.0, 0.03, (8, 3)))
+    with pytest.raises(DoesNotFit, match="Tilt the guide farther"):
+        fit_tip(pairs)
+
+
 def test_the_command_asks_for_as_many_readings_as_the_fit_needs() -> None:
     for option, least in (("--readings", LEAST_READINGS), ("--validation", LEAST_VALIDATION)):
         done = in_this_process(app, "calibrate", "tool-tip", "--sim", option, str(least - 1))
