@@ -24,6 +24,7 @@ from open_planner import (
     type_number,
     type_place,
 )
+from page_reading import low_contrast_by_scheme, not_reached_by_tab, without_name
 from waiting import eventually
 
 from procedures.planning.plan.lock import held_plan
@@ -173,6 +174,19 @@ def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_to
     names = [one["name"] for one in tomllib.loads(plan.read_text())["structures"]]
     assert names == ["S1", "vessel"]
     assert page.complaints == []
+
+
+def test_its_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_named_and_reached(
+    opened: Open, page: Any, plan: Path
+) -> None:
+    enter_planner(page, opened(plan)["url"])
+    await_judged(page)
+    page.get_by_label("crosshair to the target").click()
+    click_picture(page, "axial", 0.5, 0.2)
+    page.get_by_role("button", name="draw a structure").click()
+    assert low_contrast_by_scheme(page) == {}
+    assert without_name(page) == []
+    assert not_reached_by_tab(page) == []
 
 
 def test_a_case_that_begins_on_the_plan_ends_the_editing_until_it_is_over(

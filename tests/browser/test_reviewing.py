@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from operated_case import READY_S, OperatedCases, enter
+from page_reading import low_contrast_by_scheme, not_reached_by_tab, without_name
 from waiting import eventually
 
 
@@ -32,6 +33,9 @@ def test_a_finished_case_is_reviewed_back_to_its_first_event(
         page.mouse.click(slider["x"] + 3, slider["y"] + slider["height"] / 2)
         page.wait_for_selector(".accuracy >> text=No registration yet")
         page.get_by_label("one event on").click()
+        assert low_contrast_by_scheme(page) == {}
+        assert without_name(page) == []
+        assert not_reached_by_tab(page) == []
         assert page.complaints == []
     finally:
         process.terminate()

@@ -28,7 +28,8 @@ LOW_CONTRAST = """
   while (walker.nextNode()) {
     const words = walker.currentNode.textContent.trim(), element = walker.currentNode.parentElement;
     if (!words || !element.checkVisibility({opacityProperty: true, visibilityProperty: true})) continue;
-    if (element.closest("[disabled], .disabled, .stage, script, style, svg, .paper")) continue;
+    if (element.closest("[disabled], .disabled, .q-field--disabled")) continue;
+    if (element.closest(".stage, script, style, svg, .paper")) continue;
     const style = getComputedStyle(element);
     let opacity = 1;
     for (let e = element; e; e = e.parentElement) opacity *= Number(getComputedStyle(e).opacity);
@@ -72,6 +73,19 @@ MOST_TABS = 150
 def low_contrast(page: Any) -> list[str]:
     """Text that stands out less than AA asks for, with its ratio; not of what is disabled."""
     return list(page.evaluate(LOW_CONTRAST, [LARGE_PX, LARGE_BOLD_PX, BOLD, AA, AA_LARGE]))
+
+
+def low_contrast_by_scheme(page: Any) -> dict[str, list[str]]:
+    """The same in light and dark, of those in which there is any."""
+    page.add_style_tag(content="* { transition: none !important; }")  # no colour on its way to another
+    found = {}
+    for scheme in ("light", "dark"):
+        page.emulate_media(color_scheme=scheme)
+        page.wait_for_function(
+            "dark => document.body.classList.contains('body--dark') === dark", arg=scheme == "dark"
+        )
+        found[scheme] = low_contrast(page)
+    return {scheme: texts for scheme, texts in found.items() if texts}
 
 
 def without_name(page: Any) -> list[str]:
