@@ -16,6 +16,7 @@ from pydantic import (
     BeforeValidator,
     ConfigDict,
     Field,
+    ValidationInfo,
     model_validator,
 )
 
@@ -56,9 +57,11 @@ def farther_than(shortest_mm: float) -> AfterValidator:
     return AfterValidator(in_millimetres)
 
 
-def _whole_moment(value: object) -> object:
+def _whole_moment(value: object, info: ValidationInfo) -> object:
     if isinstance(value, date) and getattr(value, "tzinfo", None) is None:
         raise ValueError("expected day, time and time zone, as 2026-12-21T12:00:00Z")
+    if info.mode == "json" and isinstance(value, str):  # what comes out of here is no JSON any more
+        return datetime.fromisoformat(value)
     return value
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from ronna_hw.calibration import Dated
 from ronna_hw.clock import HostClock
 from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre, read_theatre_file
 from ronna_hw.devices.errors import UnknownDriver
@@ -94,6 +95,12 @@ def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
 def test_what_stands_in_a_wrong_unit_or_place_says_so(content: dict[str, Any], said: str) -> None:
     with pytest.raises(BadTheatreFile, match=re.escape(said)):
         parse_theatre({"theatre": "lab", **content})
+
+
+def test_a_dated_record_is_read_again_from_the_json_that_a_run_keeps_it_in() -> None:
+    made = datetime(2026, 11, 21, 12, tzinfo=UTC)
+    dated = Dated(identifier="one", created=made, expires=made.replace(month=12), made_by="a test")
+    assert Dated.model_validate_json(dated.model_dump_json()) == dated
 
 
 def test_a_device_needs_an_endpoint() -> None:
