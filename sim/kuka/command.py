@@ -69,7 +69,11 @@ def kuka(
         str | None, typer.Option(hidden=True, help="Address of the theatre that starts it.")
     ] = None,
 ) -> None:
-    """Simulate a KUKA controller and its arm, for any client, until terminated."""
+    """Simulate a KUKA controller and its arm, for any client, until terminated.
+
+    docs/how-to/a-client-of-your-own.md shows a telegram, its reply and a request; with --verbose it is logged
+    why a reply was rejected.
+    """
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.arm.manipulator import Manipulator
     from sim.kuka.controller.autostart import Autostart

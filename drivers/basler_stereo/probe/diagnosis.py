@@ -55,9 +55,7 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     advice = (
-        f"{' and '.join(doubled)} replied several times: another cell or a simulator is on this network."
-        if doubled
-        else ""
+        f"{' and '.join(doubled)} replied several times: another cell is on this network." if doubled else ""
     )
     return Diagnostic(f"cameras on {interface.name}", True, ", ".join(map(_shown, found)), advice)
 

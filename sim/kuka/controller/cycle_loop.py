@@ -16,6 +16,7 @@ import socket
 import time
 
 from ronna_hw.clock import WAIT_STEP_S
+from ronna_hw.logs import logger
 from ronna_hw.wire.kuka_eki import RsiState
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller.controller import Controller
@@ -62,6 +63,7 @@ class CycleLoop:
         self._link = LinkFaults(world.scene.seed, log, takes_second=self._takes_second)
         board = FaultBoard(world, "robot", self._cycle_number)
         self._cell = ControllerFaults(board, controller, self._servers, self._link, log)
+        self._log = logger(device="kuka")
         self._pendant = MessageDisplay(world.clock.now_s)
         self._project = ProjectChannel(project_server, controller, autostart)
         self._sdk = SdkChannel(sdk_server, controller, autostart)
@@ -242,6 +244,11 @@ class CycleLoop:
     def _show(self) -> None:
         run = self._controller.run
         self._pendant.look(self._controller.message, run.notice if run is not None else "")
+        if run is not None:
+            run.rejected.tell(time.monotonic(), self._tell_rejected)
+
+    def _tell_rejected(self, reason: str, count: int) -> None:
+        self._log.info(reason, so_far=count)
 
     def _notice_change(self) -> None:
         """Report a changed state to the channels at once instead of at the end of their period."""

@@ -21,6 +21,7 @@ from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.rsi.axis_correction import ACTIVE_BIT, AxisCorrector
 from sim.kuka.rsi.position_correction import PositionCorrector
+from sim.kuka.rsi.rejected_replies import RejectedReplies
 from sim.kuka.rsi.reply_reader import Reply, ReplyReader
 from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
 from sim.kuka.rsi.telegram_writer import TelegramWriter
@@ -101,6 +102,7 @@ class RsiRun:
             start.reported_frame,
             context.feedback,
         )
+        self.rejected = RejectedReplies(context.ethernet.sentype)
         self._reader = ReplyReader(context.receive, context.ethernet.sentype, parameters)
         self._outputs = EthernetOutputs(context, parameters.missing_element)
         inputs = inputs_of(context)
@@ -171,7 +173,10 @@ class RsiRun:
     def read(self, data: bytes) -> Reply | None:
         """A reply to this cycle's telegram; None for a broken or foreign one, or one of another cycle."""
         reply = self._reader.read(data)
-        return reply if reply is not None and reply.ipoc == self.ipoc else None
+        if reply is not None and reply.ipoc == self.ipoc:
+            return reply
+        self.rejected.note(data, self.ipoc)
+        return None
 
     def finish(self, reply: Reply | None) -> None:
         """End the cycle with the reply that came, or without one; sets `over` when the run ends."""

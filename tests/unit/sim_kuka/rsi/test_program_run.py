@@ -373,3 +373,32 @@ def test_twelve_milliseconds_allow_three_times_the_step(make_bench: Callable[...
     assert bench.controller.message is None
     bench.answer(on_a1(6 * QUARTER_DEG + 0.001))
     assert message_of(bench) == 1074
+
+
+@pytest.mark.parametrize(
+    ("reply", "reason"),
+    [
+        (b'<Sen Type="RONNA"><IPOC>%d</IPOC></Sen>', "Type RONNA, expected KROSHU"),
+        (b'<Sen Type="KROSHU"><IPOC>7</IPOC></Sen>', "IPOC 7, expected "),
+        (b'<Sen Type="KROSHU"></Sen>', "no IPOC"),
+        (b"hello", "no <Sen Type=...>"),
+        (b'<Sen Type="KROSHU"><AK A1="0"><IPOC>%d</IPOC></Sen>', "no well-formed XML"),
+    ],
+)
+def test_why_a_reply_is_rejected_is_told_once_a_second_with_how_many_were(
+    bench: Any, reply: bytes, reason: str
+) -> None:
+    run = bench.controller.run
+    told: list[tuple[str, int]] = []
+    data = reply % run.ipoc if b"%d" in reply else reply
+    for now_s in (10.0, 10.5, 11.5):
+        assert run.read(data) is None
+        run.rejected.tell(now_s, lambda why, count: told.append((why, count)))
+    run.rejected.tell(20.0, lambda why, count: told.append((why, count)))
+    assert [count for _, count in told] == [1, 3]
+    assert all(why.startswith(f"reply rejected: {reason}") for why, _ in told)
+
+
+def test_of_a_reply_that_is_taken_nothing_is_told(bench: Any) -> None:
+    bench.answer()
+    assert bench.controller.run.rejected.count == 0
