@@ -135,6 +135,7 @@ def test_a_first_day_is_refused_calibrated_and_runs_through(commands: Commands, 
     first, then = (f"ronna-procedure calibrate {what} --sim" for what in ("tracker-frame", "tool-tip"))
     assert told.index(first) < told.index(then)
     assert "ct_import" not in told  # before anything is asked or read
+    assert not (tmp_path / "runs").exists()
     run_all([frame, tip], commands, tmp_path)
     done = run_all([case], commands, tmp_path)[0]
     assert "T1" in done.stdout

@@ -135,7 +135,9 @@ def show(
     rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
     console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
     told = (
-        f"written to {written}" if written else "put calibration.toml into the theatre file, or use --write"
+        f"written to {written}"
+        if written
+        else f"put calibration.toml into the theatre file, or use --write; --sim takes --calibration {folder}"
     )
     console.tell(f"records in {folder}: {told}")
     for warning in kind.warnings(payload):

@@ -15,6 +15,7 @@ from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused
 from procedures.engine.journal import JOURNAL_FILE
+from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.errors import EXIT_USAGE
 from ronna_hw.log_output import LOG_FILE
@@ -133,8 +134,10 @@ def run_folder(request: CaseRequest) -> Iterator[Path]:
 
 
 def forget_if_refused(folder: Path, problem: BaseException) -> None:
-    """Remove a run folder whose simulated theatre or patient was refused: what they began is of no use."""
-    refused = isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
+    """Remove a run folder whose theatre, patient or records were refused: what they began is of no use."""
+    refused = isinstance(problem, CalibrationExpired) or (
+        isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
+    )
     if refused and not (folder / JOURNAL_FILE).exists():
         shutil.rmtree(folder, ignore_errors=True)
 
