@@ -11,7 +11,6 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -182,6 +181,7 @@ def opened_case(
 ) -> Iterator[Engine]:
     """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
     from procedures.calibration.validity import require_valid
+    from procedures.engine.context import this_second
     from procedures.planning.plan.lock import held_plan
     from ronna_hw.records import write_whole
 
@@ -190,7 +190,7 @@ def opened_case(
 
     def procedure(theatre: Theatre) -> Procedure:
         if resumption is None:  # before anybody is asked anything; set_up looks again
-            require_valid(theatre.calibrations, datetime.now(UTC), _theatre_options(request))
+            require_valid(theatre.calibrations, this_second(), _theatre_options(request))
         if request.plan is not None and (resumption is None or resumption.left.untouched):
             write_whole(case / "plan.toml", request.plan.read_bytes())  # instead of the phantom's own
         plan = held.enter_context(held_plan(case / "plan.toml"))

@@ -84,10 +84,14 @@ def test_a_depth_stop_that_is_set_wrong_is_read_as_it_is() -> None:
 def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> None:
     room = Room(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": SKIN})["readings"] == []
-    for request in ({"do": "work", "task": INSERT}, {"do": "work", "task": "tea"}, {"do": "work"}):
+    for request, reason in (
+        ({"do": "work", "task": INSERT}, "bad request"),
+        ({"do": "work", "task": "tea"}, "there is no task 'tea'"),
+        ({"do": "work"}, "bad request"),
+    ):
         answer = room.answer(request)
         assert not answer["ok"]
-        assert "bad request" in answer["reason"]
+        assert reason in answer["reason"]
 
 
 def shift_mm(world: World) -> tuple[float, float, float]:
