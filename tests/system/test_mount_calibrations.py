@@ -15,6 +15,7 @@ from user_commands import Commands, in_this_process, one_error
 from benchmarks.frame_looks import FrameCell
 from benchmarks.tip_looks import TipCell
 from procedures.calibration.tool_tip import looks as tip_looks
+from procedures.calibration.tool_tip.tip import LEAST_READINGS
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE
 from procedures.cli.procedure import app
 from sim.theatre.scene.model import read_scene
@@ -63,7 +64,7 @@ def test_a_record_in_metres_is_refused_by_the_number(looks: Path, tmp_path: Path
     done = in_this_process(app, "calibrate", "tracker-frame", "--from", looks, "--out", tmp_path / "out")
     (error, *_) = one_error(done.stderr)
     assert error.startswith("CAL-005")
-    assert "start.tool_from_marker: translation_mm has length 0.205: give millimetres, not metres" in error
+    assert "start.tool_from_marker.translation_mm: has length 0.205: give millimetres, not metres" in error
 
 
 @pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
@@ -99,7 +100,7 @@ def test_readings_that_were_lost_are_told_with_the_number_that_is_needed(
     stored["readings"] = stored["readings"][:4]
     (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
     done = in_this_process(app, "calibrate", "tool-tip", "--from", readings, "--out", tmp_path / "out")
-    assert "at least 6" in " ".join(one_error(done.stderr))
+    assert f"at least {LEAST_READINGS}" in " ".join(one_error(done.stderr))
 
 
 def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path) -> None:
