@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from procedures.calibration.errors import BadObservations
+from procedures.cli.calibrating.replaced_tables import with_tables
 from procedures.reporting.calibration import RESULT_FILE
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.command_line import console
@@ -61,7 +62,7 @@ def read_payload(folder: Path) -> dict[str, Any]:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
-    """The theatre file `source` with new calibration records, as `target`; only comments are lost.
+    """The theatre file `source` with new calibration records, as `target`; comments stay.
 
     Records of tools stay as they are: that a tool's gauge still fits its new tip, a person says.
     """
@@ -78,14 +79,11 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
     """The same with new entries in whichever tables."""
-    import tomli_w
-
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, where its relative paths begin",
             action="Name a file in the folder of the theatre file.",
         )
-    content = read_toml(source, BadTheatreFile)
-    for name, entries in tables.items():
-        content[name] = {**content.get(name, {}), **entries}
-    write_whole(target, tomli_w.dumps(content).encode())
+    read_toml(source, BadTheatreFile)  # within bounds
+    text = with_tables(source.read_text(encoding="utf-8-sig"), tables)
+    write_whole(target, text.encode())

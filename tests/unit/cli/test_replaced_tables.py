@@ -1,0 +1,58 @@
+"""A theatre file that a calibration writes keeps what a person wrote into the former one."""
+
+from __future__ import annotations
+
+import tomllib
+
+import pytest
+
+from procedures.cli.calibrating.replaced_tables import with_tables
+
+FORMER = """# Our cell.
+theatre = "lab"  # on the third floor
+
+[calibration.tool_tip]
+identifier = "old"
+[calibration.tool_tip.flange_from_tool]
+translation_mm = [
+  1.0,  # from the drawing
+]
+
+# The frame on the mount.
+[calibration.tracker_frame]
+identifier = "frame"  # as drawn
+
+[[tools.guide.bodies]]  # two of them
+radius_mm = 5.0
+[[tools.guide.bodies]]
+radius_mm = 6.0
+"""
+TIP = {"identifier": "new", "flange_from_tool": {"translation_mm": [2.0]}}
+
+
+@pytest.mark.parametrize(
+    "tables",
+    [
+        {"calibration": {"tool_tip": TIP}},
+        {"calibration": {"arm": TIP}},
+        {"calibration": {"tool_tip": TIP, "tracker_frame": {"identifier": "f"}}},
+        {"tools": {"guide": {"number": 2}, "drill": {"number": 3}}},
+    ],
+)
+def test_only_the_named_tables_change(tables: dict[str, dict[str, object]]) -> None:
+    meant = tomllib.loads(FORMER)
+    for name, entries in tables.items():
+        meant[name] = {**meant[name], **entries}
+    written = with_tables(FORMER, tables)
+    assert tomllib.loads(written) == meant
+    for comment in ("# Our cell.", "# on the third floor", "# The frame on the mount."):
+        assert comment in written
+
+
+@pytest.mark.parametrize(
+    "former",
+    ['calibration = { tool_tip = { identifier = "old" } }\n', '[calibration]\ntool_tip.identifier = "old"\n'],
+)
+def test_what_is_written_in_another_way_is_replaced_as_well(former: str) -> None:
+    written = with_tables(former, {"calibration": {"tool_tip": TIP}})
+    assert tomllib.loads(written) == {"calibration": {"tool_tip": TIP}}
