@@ -52,7 +52,9 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
         return UsageMistake(text, action=f"{meant}{see}")
     message = getattr(mistake, "message", "") or _formatted(mistake)
     if found := _EXTRA.match(message):
-        return UsageMistake(f"{found[1]!r} is too much on this command line", action=see)
+        repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
+        repeat = f"For several values an option is repeated: {', '.join(repeated)}. " if repeated else ""
+        return UsageMistake(f"{found[1]!r} is too much on this command line", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
             f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()

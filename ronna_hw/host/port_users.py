@@ -52,6 +52,15 @@ def user_of_udp_port(address: str, port: int) -> PortUser | None:
     return None
 
 
+def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
+    """The process of this computer that listens on a TCP port; None when there is none, or it is hidden."""
+    for each in psutil.net_connections(kind="tcp4"):
+        listens = each.status == psutil.CONN_LISTEN and each.laddr.port == port
+        if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
+            return PortUser(each.pid, _name(each.pid))
+    return None
+
+
 def holder_of_lock(file: int) -> PortUser | None:
     """The process that holds the `flock` of an open file, with its terminal; None when it is hidden."""
     inode = os.fstat(file).st_ino

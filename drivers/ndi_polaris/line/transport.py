@@ -15,6 +15,7 @@ import serial
 
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import users_of_serial_port
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 WRITE_LIMIT_S = 1.0  # a line that accepts no bytes for this long is dead
@@ -208,7 +209,9 @@ class TcpTransport(_Descriptor):
 def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
     """The error, with advice for its cause."""
     number, reason = _number(error), _reason(error)
-    unavailable = PortUnavailable(f"cannot open {endpoint}: {reason}", action=_ADVICE.get(number or 0))
+    users = users_of_serial_port(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
+    by = f", {' and '.join(map(str, users))}" if users else ""
+    unavailable = PortUnavailable(f"cannot open {endpoint}: {reason}{by}", action=_ADVICE.get(number or 0))
     unavailable.number, unavailable.reason = number, reason
     return unavailable
 

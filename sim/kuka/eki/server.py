@@ -9,6 +9,7 @@ ends the connection.
 from __future__ import annotations
 
 import contextlib
+import errno
 import re
 import socket
 import time
@@ -19,6 +20,7 @@ from xml.etree import ElementTree
 
 from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.endpoints import Endpoint
+from ronna_hw.host.port_users import listener_of_tcp_port
 from sim.errors import EndpointTaken
 
 BUFFER_LIMIT_BYTES = 16384  # BUFFSIZE of an EKI channel
@@ -26,6 +28,9 @@ UNREAD_LIMIT = 512  # BUFFERING Limit: more unread values destroy the connection
 READ_BYTES = 65536
 GARBAGE = b"\xff\x00 what? />\r\n"
 PADDING = b"\0" * 64
+ANOTHER_PORT = (
+    "End that program, or take free ports: --eki tcp://127.0.0.1:0 --eki-project tcp://127.0.0.1:0."
+)
 
 # Nothing is given back that was matched (*+): a tag without an end must not cost the square of its length.
 _TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*+)(?:[^<>\"'/]|/(?!>)|\"[^\"<]*+\"|'[^'<]*+')*+(/?)>")
@@ -271,5 +276,8 @@ def _listen(endpoint: Endpoint) -> socket.socket:
         listener.setblocking(False)
     except OSError as error:
         listener.close()
-        raise EndpointTaken(f"cannot listen on {endpoint}: {error.strerror}") from error
+        reason = (error.strerror or str(error)).lower()
+        if error.errno == errno.EADDRINUSE and (holder := listener_of_tcp_port(endpoint.host, endpoint.port)):
+            reason = f"in use by {holder}"
+        raise EndpointTaken(f"cannot listen on {endpoint}: {reason}", action=ANOTHER_PORT) from error
     return listener

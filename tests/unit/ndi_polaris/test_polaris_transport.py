@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pty
 import socket
+import subprocess
+import sys
 import termios
 import tty
 from collections.abc import Iterator
@@ -164,3 +166,19 @@ def test_an_endpoint_that_cannot_be_opened_says_why(tmp_path: Path) -> None:
         open_transport(parse_endpoint("tcp://127.0.0.1:1"), 1.0)
     with pytest.raises(BadEndpoint):
         open_transport(parse_endpoint("udp://127.0.0.1:1"), 1.0)
+
+
+def test_who_holds_a_serial_port_is_named() -> None:
+    unit, terminal = pty.openpty()
+    path = os.ttyname(terminal)
+    hold = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); input()"
+    with subprocess.Popen(
+        [sys.executable, "-c", hold, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as holder:
+        assert holder.stdout is not None
+        holder.stdout.readline()
+        with pytest.raises(PortUnavailable, match=rf"held by another program, .* \(pid {holder.pid}\)"):
+            SerialTransport(parse_endpoint(f"serial://{path}"))
+        holder.communicate(b"\n")
+    os.close(unit)
+    os.close(terminal)

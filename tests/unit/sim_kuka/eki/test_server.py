@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import socket
 from collections.abc import Callable, Iterator
 from time import process_time
@@ -12,6 +13,7 @@ import pytest
 
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.kuka_eki import STATE_PERIOD_MS
+from sim.errors import EndpointTaken
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.eki import server as eki_server
 from sim.kuka.eki.project_channel import ProjectChannel
@@ -227,3 +229,11 @@ def test_a_request_without_an_end_costs_no_more_than_its_length(tail: bytes) -> 
     found, _ = cut_requests(b'<Cmd Id="1"></Cmd><Cmd' + tail * (READ_BYTES // len(tail)))
     assert found == [b'<Cmd Id="1"></Cmd>']
     assert process_time() - began_s < 1.0
+
+
+def test_who_has_the_port_of_a_channel_is_named_with_a_free_one() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        address = Endpoint("tcp", "127.0.0.1", other.getsockname()[1])
+        with pytest.raises(EndpointTaken, match=rf"in use by .*\(pid {os.getpid()}\)") as refused:
+            EkiServer(address)
+    assert "--eki-project tcp://127.0.0.1:0" in refused.value.advice
