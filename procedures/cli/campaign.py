@@ -337,11 +337,15 @@ def _run(
     if kept := len(ledger.finished):
         console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
     if ledger.damaged:
-        console.tell(
-            f"{counted(ledger.damaged, 'damaged line')} of {folder} dropped: what they held runs again"
-        )
-    with console.progress_bar(study.name) as progress:
-        run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
+        again = "its unit is run again" if ledger.damaged == 1 else "their units are run again"
+        console.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
+    try:
+        with console.progress_bar(study.name) as progress:
+            run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
+    except KeyboardInterrupt:
+        kept = counted(len(ledger.finished), "unit")
+        console.tell(f"{kept} kept in {folder}; the same command goes on")
+        raise
     sums = add_up(ledger.results())
     found = tables(sums)
     report = publish(folder, study.name, study.parameters(), found, plots(sums))

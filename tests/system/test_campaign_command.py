@@ -10,6 +10,8 @@ import pytest
 from user_commands import Commands, in_this_process
 
 from procedures.cli.campaign import app
+from procedures.studies.campaign.unit import Sums, Unit
+from procedures.studies.registration import RegistrationStudy
 
 STARTED_S = 60.0  # hang guard: the first units of a pool that has to import SciPy on a busy computer
 UNITS_BEFORE_THE_KILL = 10
@@ -69,6 +71,23 @@ def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> N
     assert refused.stdout == ""
     assert refused.stderr.startswith("STU-001: ")
     assert len(refused.stderr.splitlines()) <= 2
+
+
+def test_what_an_interrupted_campaign_has_kept_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run, begun = RegistrationStudy.run, []
+
+    def interrupted_in_the_third(study: RegistrationStudy, unit: Unit) -> Sums:
+        begun.append(unit)
+        if len(begun) == 3:
+            raise KeyboardInterrupt
+        return run(study, unit)
+
+    monkeypatch.setattr(RegistrationStudy, "run", interrupted_in_the_third)
+    ended = in_this_process(app, "registration", "--runs", "2", "--workers", "1", "--out", tmp_path)
+    assert ended.returncode == 130
+    assert ended.stderr == f"2 units kept in {tmp_path}; the same command goes on\ninterrupted\n"
 
 
 @pytest.mark.slow

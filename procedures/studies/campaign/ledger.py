@@ -29,7 +29,7 @@ class Ledger:
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
-        self.damaged = 0  # lines that were dropped: their units are run again
+        self.damaged = 0  # lines that were left out: their units are run again
         head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
@@ -40,7 +40,7 @@ class Ledger:
     def add(self, unit: Unit, sums: Sums) -> None:
         """Record a finished unit."""
         self.finished[unit.key] = sums
-        self._append({"unit": unit.key, "sums": sums})
+        self._append({"unit": unit.key, "sums": sums, "sha256": _hash(unit.key, sums)})
 
     def missing(self) -> list[Unit]:
         """Units still to be run, in the order of the study."""
@@ -75,12 +75,16 @@ class Ledger:
             file.write(json.dumps(line) + "\n")
 
 
+def _hash(key: str, sums: Sums) -> str:
+    return hashlib.sha256(json.dumps([key, sums], sort_keys=True).encode()).hexdigest()
+
+
 def _finished(line: str) -> tuple[str, Sums] | None:
-    """The unit of a line and its sums; None for a line that is damaged."""
+    """The unit of a line and its sums; None for a line that is damaged, or says other than was written."""
     try:
         content = parse_json(line)
-        sums = content["sums"]
-        return (str(content["unit"]), sums) if isinstance(sums, dict) else None
+        key, sums = content["unit"], content["sums"]
+        return (key, sums) if content["sha256"] == _hash(key, sums) else None
     except (ValueError, KeyError, TypeError):
         return None
 

@@ -135,6 +135,16 @@ def test_a_damaged_line_costs_its_unit_only(tmp_path: Path) -> None:
     assert Ledger(tmp_path, SMALL).damaged == 0
 
 
+def test_a_line_that_says_other_than_was_written_is_run_again(tmp_path: Path) -> None:
+    ledger = Ledger(tmp_path, SMALL)
+    unit = ledger.missing()[0]
+    ledger.add(unit, {"runs": 4.0, "success": 3.0})
+    file = tmp_path / FILE
+    file.write_text(file.read_text().replace('"success": 3.0', '"success": 4.0'))
+    opened = Ledger(tmp_path, SMALL)
+    assert (opened.damaged, opened.finished) == (1, {})
+
+
 def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
     (tmp_path / FILE).write_text("tea\n")
