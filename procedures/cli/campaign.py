@@ -313,7 +313,7 @@ def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
     from procedures.studies.own.contracts import MethodKind
     from procedures.studies.own.trial import tried_apart
 
-    return tuple(tried_apart(MethodKind[kind], name) for name in dict.fromkeys(names))
+    return tuple(tried_apart(MethodKind[kind], name, console.tell) for name in dict.fromkeys(names))
 
 
 def _run(
@@ -341,7 +341,9 @@ def _run(
         console.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
     try:
         with console.progress_bar(study.name) as progress:
-            run_study(study, ledger, workers=workers, scheduler=scheduler, progress=progress)
+            run_study(
+                study, ledger, workers=workers, scheduler=scheduler, progress=progress, tell=console.tell
+            )
     except KeyboardInterrupt:
         kept = counted(len(ledger.finished), "unit")
         console.tell(f"{kept} kept in {folder}; the same command goes on")

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
-from multiprocessing import get_context, parent_process
+from itertools import islice
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any
 from urllib.parse import urlsplit
 
 from procedures.studies.campaign.ledger import Ledger
+from procedures.studies.campaign.silence import Silence, Told
 from procedures.studies.campaign.unit import Study, Sums, Unit
 from procedures.studies.errors import (
     ExtraMissing,
@@ -41,17 +44,19 @@ def run_study(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[float], None] = lambda share: None,
+    tell: Told = lambda text: None,
 ) -> None:
     """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
-    Own methods never stay: what ends their process ends no campaign. Raises STU-003 to STU-005, of own
-    methods STU-012 to STU-014. Units finished before an error or an interruption are kept.
+    Own methods never stay: what ends their process ends no campaign, and `tell` hears which one does not
+    answer. Raises STU-003 to STU-005, of own methods STU-012 to STU-014. Units finished before an error or an
+    interruption are kept.
     """
     missing = ledger.missing()
     everything = len(study.units())
     done = everything - len(missing)
     progress(done / everything)
-    with _runner(study, missing, workers, scheduler) as finished:
+    with _runner(study, missing, workers, scheduler, tell) as finished:
         for unit, sums in finished:
             ledger.add(unit, sums)
             done += 1
@@ -60,7 +65,7 @@ def run_study(
 
 @contextmanager
 def _runner(
-    study: Study, units: list[Unit], workers: int | None, scheduler: str | None
+    study: Study, units: list[Unit], workers: int | None, scheduler: str | None, tell: Told
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:
@@ -73,11 +78,7 @@ def _runner(
     else:
         count = workers or len(os.sched_getaffinity(0))
         with _one_thread_each(), fresh_processes(count) as pool:
-            try:
-                yield _on_pool(pool, study, units, count)
-            except BaseException:  # including interruptions: nothing still queued may start
-                pool.shutdown(cancel_futures=True)
-                raise
+            yield _on_pool(pool, study, units, count, Silence([one.name for one in _own(study)], tell))
 
 
 def _own(study: Study) -> tuple[OwnMethod, ...]:
@@ -85,13 +86,26 @@ def _own(study: Study) -> tuple[OwnMethod, ...]:
     return getattr(study, "own", ())
 
 
-def fresh_processes(count: int) -> ProcessPoolExecutor:
-    """That many, which end with this one. A forked child would inherit locks of the libraries' threads."""
-    return ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent)
+@contextmanager
+def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
+    """That many, which end with this one. A forked child would inherit locks of the libraries' threads.
+
+    An error or an interruption of the block kills them: what they run may never end by itself.
+    """
+    others = active_children()
+    with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
+        try:
+            yield pool
+        except BaseException:
+            for process in active_children():
+                if process not in others:
+                    process.kill()
+            raise
 
 
 def _end_with_parent() -> None:
     """In a worker: end if the campaign is killed; otherwise it would wait for its next unit for ever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal, sent to all: the campaign ends its workers
     parent = parent_process()
     if parent is None:
         return
@@ -118,14 +132,19 @@ def _one_thread_each() -> Iterator[None]:
                 os.environ[name] = value
 
 
-def _on_pool(pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int) -> Finished:
+def _on_pool(
+    pool: ProcessPoolExecutor, study: Study, units: list[Unit], count: int, silence: Silence
+) -> Finished:
     waiting = {pool.submit(study.run, unit): unit for unit in units}
     lost = set()
-    for future in as_completed(waiting):
-        if isinstance(future.exception(), BrokenProcessPool):  # so are all others, but what has finished
-            lost.add(waiting[future].key)
-        else:
-            yield waiting[future], _result(waiting[future], future.result)
+    while waiting:
+        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they begin in their order
+        for future in wait(waiting, silence.limit_s, FIRST_COMPLETED).done:
+            unit = waiting.pop(future)
+            if isinstance(future.exception(), BrokenProcessPool):  # so are all others, but what has finished
+                lost.add(unit.key)
+            else:
+                yield unit, _result(unit, future.result)
     if lost:
         raise _ended(study, [unit.key for unit in units if unit.key in lost][:count])
 

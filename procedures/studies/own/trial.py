@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
@@ -10,6 +11,7 @@ import numpy as np
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
 from procedures.studies.accuracy.postures import postures
+from procedures.studies.campaign.silence import Silence, Told
 from procedures.studies.campaign.workers import ENDED_ITS_PROCESS, fresh_processes
 from procedures.studies.correspondence.readings import draw_readings
 from procedures.studies.errors import MethodFailed, MethodRefused
@@ -32,11 +34,19 @@ BALL_RADIUS_MM = 5.75
 BALL_HU, AIR_HU = 100, -1000
 
 
-def tried_apart(kind: MethodKind, text: str) -> OwnMethod:
-    """As `tried`, first in a process of its own: what ends that one is told, and ends no campaign."""
+def tried_apart(kind: MethodKind, text: str, tell: Told = lambda text: None) -> OwnMethod:
+    """As `tried`, first in a process of its own: what ends that one is told, and ends no campaign.
+
+    `tell` hears that it does not answer.
+    """
+    silence = Silence([text], tell)
     with fresh_processes(1) as pool:
         try:
-            pool.submit(tried, kind, text).result()
+            answer = pool.submit(tried, kind, text)
+            while not answer.done():
+                silence.under_way(["its trial"])
+                wait([answer], silence.limit_s)
+            answer.result()
         except BrokenProcessPool as error:
             raise MethodFailed(f"{text} {ENDED_ITS_PROCESS}, when it was tried") from error
     return own_method(kind, text)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from multiprocessing import active_children
 from pathlib import Path
 
 import pytest
 
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.studies.campaign.ledger import Ledger
+from procedures.studies.campaign.silence import Silence
 from procedures.studies.campaign.unit import Sums, add_up
 from procedures.studies.campaign.workers import run_study
 from procedures.studies.correspondence.study import CorrespondenceStudy
@@ -345,6 +347,24 @@ def test_a_method_that_ends_its_process_later_is_told_with_the_unit_and_what_had
     with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: .*, in norm\|1\|4\|2 #0"):
         run_study(study, ledger, workers=1)
     assert [*Ledger(folder / "out", study).finished] == ["norm|1|4|0 #0", "norm|1|4|1 #0"]
+
+
+def test_a_method_that_does_not_answer_is_told_once_and_ends_with_the_campaign(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (folder / "loops.py").write_text("def loops(image_mm, physical_mm, **given):\n    while True: pass\n")
+    study = study_of(own_method(PAIRING, "loops:loops"))
+    monkeypatch.setattr(Silence.__init__, "__defaults__", (0.1,))
+    told = []
+
+    def interrupt_after_the_first(text: str) -> None:
+        told.append(text)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_study(study, Ledger(folder / "out", study), workers=1, tell=interrupt_after_the_first)
+    assert told == ["loops:loops has not answered for 0.1 s, in norm|1|4|0 #0; Ctrl-C ends it"]
+    assert not active_children()
 
 
 def test_an_installed_method_is_known_by_its_name_and_by_no_other_kind(folder: Path) -> None:

@@ -1,0 +1,30 @@
+"""Units of own methods that do not answer: told by name, since an endless loop looks like long work."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+
+SILENT_S = 10.0
+
+Told = Callable[[str], None]
+
+
+class Silence:
+    """Told once for each unit that has been under way for `limit_s`."""
+
+    def __init__(self, names: Sequence[str], tell: Told, limit_s: float = SILENT_S) -> None:
+        """`names` are those of the own methods; without any, nothing is told."""
+        self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
+        self._since: dict[str, float] = {}
+        self._told: set[str] = set()
+
+    def under_way(self, keys: Iterable[str]) -> None:
+        """To be called at least every `limit_s` with the units that run."""
+        now_s = time.monotonic()
+        since = {key: self._since.get(key, now_s) for key in keys}
+        self._since = since
+        for key in since.keys() - self._told:
+            if self._names and now_s - since[key] >= self.limit_s:
+                self._told.add(key)
+                self._tell(f"{self._names} has not answered for {self.limit_s:g} s, in {key}; Ctrl-C ends it")
