@@ -345,8 +345,8 @@ def _run(
                 study, ledger, workers=workers, scheduler=scheduler, progress=progress, tell=console.tell
             )
     except KeyboardInterrupt:
-        kept = counted(len(ledger.finished), "unit")
-        console.tell(f"{kept} kept in {folder}; the same command goes on")
+        units = counted(len(ledger.finished), "unit")
+        console.tell(f"{units} kept in {folder}; the same command goes on")
         raise
     sums = add_up(ledger.results())
     found = tables(sums)

@@ -21,7 +21,8 @@ from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
-LARGEST_TURN_RAD = 4.0 * math.pi  # two whole turns: whoever means more means degrees
+LARGEST_TURN_RAD = 2.0 * math.pi  # a whole turn: whoever means more means degrees
+MOST_SHOWN = 10**6  # a whole number may be too large for a float
 AT_SPHERE_MM = 1e-3  # between a sphere and the tool's origin: rounding, far below any error of the study
 OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may say of a turn: the next is tried
 FLAGS = ("localizes_per_trajectory", "controls_approach")
@@ -97,10 +98,12 @@ class OwnStrategy:
     ) -> Sequence[float]:
         """Turns about the axis, the best first."""
         turns = self._asked("turns_rad", along, fiducials_mm, robot_from_ct, arm)
-        if not turns or not all(
-            isinstance(one, int | float) and abs(one) <= LARGEST_TURN_RAD for one in turns
-        ):
+        if not turns or not all(isinstance(one, int | float) for one in turns):
             raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
+        for turn in turns:
+            if not abs(turn) <= LARGEST_TURN_RAD:  # nor is NaN
+                shown = f"{turn:g}: degrees?" if abs(turn) < MOST_SHOWN else "a huge number"
+                raise self._wrong("turns_rad", "angles within ±2π rad", shown)
         return turns
 
     def _says(self, flag: str) -> bool:

@@ -7,6 +7,8 @@ from concurrent.futures import wait
 from concurrent.futures.process import BrokenProcessPool
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.studies.accuracy.phantom import Markers, phantom, place
@@ -14,7 +16,7 @@ from procedures.studies.accuracy.postures import postures
 from procedures.studies.campaign.silence import Silence, Told
 from procedures.studies.campaign.workers import ENDED_ITS_PROCESS, fresh_processes
 from procedures.studies.correspondence.readings import draw_readings
-from procedures.studies.errors import MethodFailed, MethodRefused
+from procedures.studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from procedures.studies.heads import NoiseReading, any_pose, sites_mm
 from procedures.studies.own.contracts import MethodKind
 from procedures.studies.own.correspondence import OwnPairing
@@ -24,10 +26,13 @@ from procedures.studies.own.registration import OwnRegistration
 from procedures.studies.own.strategy import OwnStrategy
 from procedures.studies.strategies.study import DEPTHS_MM, TARGETS
 
+Array = NDArray[np.float64]
+
 TRIAL_SEED = 17
 PATIENT = 1
 FIDUCIALS, OUTLIERS = 4, 1
 SIGMA_MM = 0.5
+FITTING_MM = 0.1  # of points without error: far above rounding and the end of an iteration
 TRIAL_VOXELS = 60  # along each axis, 1 mm
 TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0.75, 0.7))  # of the edge
 BALL_RADIUS_MM = 5.75
@@ -80,7 +85,33 @@ def _transform(method: OwnMethod) -> object:
     physical_mm = any_pose(np.random.default_rng(TRIAL_SEED)).apply(image_mm)
     covariance_mm2 = np.tile(SIGMA_MM**2 * np.eye(3), (FIDUCIALS, 1, 1))
     fitted = OwnRegistration.of(method)(image_mm, physical_mm, covariance_mm2=covariance_mm2)
+    _require_sense(method.name, fitted, image_mm, physical_mm)
     return fitted.as_matrix().tolist()
+
+
+def _require_sense(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
+    """The points fit without error: an answer that fits only in another sense was meant so. Raises STU-014.
+
+    One that fits in no sense is a bad method, which the campaign measures.
+    """
+    metres = RigidTransform.from_components(1e3 * fitted.translation, fitted.rotation)
+    if _fits(fitted, image_mm, physical_mm):
+        return
+    for sense, other in (
+        ("its inverse fits: image <- physical", fitted.inv()),
+        ("it fits with the translation × 1000: metres", metres),
+        ("its inverse fits with the translation × 1000: metres", metres.inv()),
+    ):
+        if _fits(other, image_mm, physical_mm):
+            raise MethodAnswerWrong(
+                f"{name} does not fit the points of its trial, which have no error",
+                expected="physical <- image, mm",
+                got=sense,
+            )
+
+
+def _fits(transform: RigidTransform, image_mm: Array, physical_mm: Array) -> bool:
+    return float(np.linalg.norm(transform.apply(image_mm) - physical_mm, axis=1).max()) < FITTING_MM
 
 
 def _centres(method: OwnMethod) -> object:

@@ -27,6 +27,7 @@ from procedures.studies.registration import RegistrationStudy
 METHODS = '''
 import numpy as np
 from scipy.spatial.transform import RigidTransform
+from procedures.registration.point_registration import register
 from procedures.strategies.ocs import OrientationCorrection
 
 drawn = []
@@ -75,6 +76,14 @@ def larger(image_mm, physical_mm, *, covariance_mm2):
 def only_turn(image_mm, physical_mm, *, covariance_mm2):
     return np.eye(3)
 
+def inverted(image_mm, physical_mm, *, covariance_mm2):
+    return register(image_mm, physical_mm).transform.inv()
+
+def in_metres(image_mm, physical_mm, *, covariance_mm2):
+    matrix = register(image_mm, physical_mm).transform.as_matrix()
+    matrix[:3, 3] /= 1000.0
+    return matrix
+
 def lost(image_mm, physical_mm, *, covariance_mm2):
     return np.full((4, 4), np.nan)
 
@@ -102,6 +111,10 @@ class Still(OrientationCorrection):
 class Endless(OrientationCorrection):
     def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
         return [10**400]
+
+class Degrees(OrientationCorrection):
+    def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
+        return [0, 90, 180]
 
 class Later(OrientationCorrection):
     def turns_rad(self, along, fiducials_mm, robot_from_ct, arm):
@@ -191,6 +204,8 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
         (REGISTRATION, "mine:mirror", "no rigid transform; .* got a mirror image"),
         (REGISTRATION, "mine:larger", "got axes off by 0.2"),
         (REGISTRATION, "mine:only_turn", r"got shape \(3, 3\)"),
+        (REGISTRATION, "mine:inverted", r"expected physical <- image, mm, got its inverse fits"),
+        (REGISTRATION, "mine:in_metres", r"got it fits with the translation × 1000: metres"),
         (REGISTRATION, "mine:lost", "got numbers that are not finite"),
         (
             LOCALIZER,
@@ -210,7 +225,8 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
             "mine:Still",
             "turns_rad answers wrongly; expected at least one finite angle",
         ),
-        (STRATEGY, "mine:Endless", "turns_rad answers wrongly; expected at least one finite angle"),
+        (STRATEGY, "mine:Endless", "turns_rad answers wrongly; expected angles within ±2π rad"),
+        (STRATEGY, "mine:Degrees", r"turns_rad .* expected angles within ±2π rad, got 90: degrees\?"),
     ],
 )
 def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
@@ -221,9 +237,9 @@ def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: s
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("mine:looks_up", r"mine:looks_up raised KeyError: 'nothing': .*mine\.py, line 28"),
-        ("mine:writes", r"raised ValueError: .*read-only.*mine\.py, line 31"),
-        ("mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 38"),
+        ("mine:looks_up", r"mine:looks_up raised KeyError: 'nothing': .*mine\.py, line 29"),
+        ("mine:writes", r"raised ValueError: .*read-only.*mine\.py, line 32"),
+        ("mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 39"),
     ],
 )
 def test_what_a_method_raises_is_told_with_its_line(text: str, said: str) -> None:
