@@ -15,6 +15,7 @@ from typing import TextIO
 
 import cv2
 
+from procedures.engine.errors import NotRecorded
 from procedures.engine.journal import JOURNAL_FILE
 from procedures.engine.replay.recorded_answers import read_in_order
 from procedures.engine.replay.sections import BEGINS
@@ -22,6 +23,7 @@ from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_extent import RawExtent, write_extent
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import chain_until_broken
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
 from ronna_hw.records import PARTIAL
 
 MOST_RAW_BYTES = 2_000_000_000  # of one run, as on its tape
@@ -54,8 +56,15 @@ class RawReading:
     value: StereoReading | TrackerFrame | ArmReading
 
 
-def raw_readings(run: Path) -> Iterator[RawReading]:
-    """The readings of a run in their order; one that was damaged ends them. Raises PRO-024."""
+def raw_readings(run: Path | str) -> Iterator[RawReading]:
+    """The readings in a run's folder, in their order; one that was damaged ends them. Raises PRO-024."""
+    run = Path(run)
+    if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
+        raise NotRecorded(
+            f"{run} is no run with readings",
+            expected=f"the folder of one run, with {JOURNAL_FILE} and {READINGS_FOLDER}/{READINGS_FILE}",
+            action="ronna-procedure list shows the runs in a folder.",
+        )
     chain, _ = chain_until_broken(run / JOURNAL_FILE)
     steps = {
         line["sequence"]: str(line.get("step", "home")) for line in chain.lines if line["entry"] in BEGINS

@@ -52,9 +52,13 @@ def test_own_methods_stand_beside_ours_with_bounds_and_a_run_is_read_in_python(
     (run,) = (tmp_path / "runs").iterdir()
     kept = sorted(path.relative_to(run / "raw") for path in (run / "raw").rglob("*.*"))
     assert kept == sorted(path.relative_to(tmp_path / "raw") for path in (tmp_path / "raw").rglob("*.*"))
-    seen = subprocess.run(
-        [sys.executable, "look.py"], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=True
-    ).stdout.splitlines()
+    seen, straight = (
+        subprocess.run(
+            [sys.executable, file], cwd=tmp_path, capture_output=True, text=True, timeout=LIMIT_S, check=True
+        ).stdout.splitlines()
+        for file in ("look.py", "straight.py")
+    )
+    assert any(line.startswith("global_localization tracker ") for line in straight)
     assert any(line.startswith("global_localization robot_frame: 60 frames, sd ") for line in seen)
     pictures = [one for one in kept if one.suffix == ".png"]
     assert sum(line.startswith("pictures/") for line in seen) == len(pictures) > 10

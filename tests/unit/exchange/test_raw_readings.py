@@ -129,12 +129,18 @@ def test_frames_have_a_row_for_each_tool_and_each_single_marker(run: Path, tmp_p
 
 
 def test_in_python_they_are_the_readings_of_the_drivers(run: Path) -> None:
-    frame, pair, arm = (one.value for one in raw_readings(run))
+    frame, pair, arm = (one.value for one in raw_readings(str(run)))
     assert (frame, arm) == (FRAME, ARM)
     assert isinstance(pair, StereoReading)
     assert PAIR.left is not None
     assert pair.left is not None
     np.testing.assert_array_equal(pair.left.pixels, PAIR.left.pixels)
+
+
+@pytest.mark.parametrize("kind", [Path, str])
+def test_a_folder_of_runs_is_not_taken_for_a_run(kind: type[Path | str], run: Path) -> None:
+    with pytest.raises(NotRecorded, match=f"PRO-024: {run.parent} is no run with readings; .* list shows"):
+        next(raw_readings(kind(run.parent)))
 
 
 def test_the_disk_is_bounded_and_the_end_is_told(tmp_path: Path) -> None:
