@@ -128,7 +128,7 @@ def correspondence(
         implanted = by_template.TemplateStudy(runs, seed)
         _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json, verbose)
         return
-    chosen, own = chosen_methods(methods or ())
+    chosen, own = chosen_methods(methods or (), console.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(runs, seed, chosen, values_mm, own=own)
     if sweep:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from difflib import get_close_matches
 
+from procedures.studies.campaign.silence import Told
 from procedures.studies.correspondence.study import Method
 from procedures.studies.errors import MethodRefused
 from procedures.studies.own.contracts import MethodKind
@@ -20,8 +21,13 @@ NAMES = {
 }
 
 
-def chosen_methods(names: Sequence[str]) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
-    """Known methods and own ones; all known ones where none is named. Raises STU-012 to STU-014."""
+def chosen_methods(
+    names: Sequence[str], tell: Told = lambda text: None
+) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
+    """Known methods and own ones; all known ones where none is named. Raises STU-012 to STU-014.
+
+    `tell` hears which own one does not answer.
+    """
     if not names:
         return tuple(Method), ()
     wanted = tuple(dict.fromkeys(names))
@@ -29,9 +35,11 @@ def chosen_methods(names: Sequence[str]) -> tuple[tuple[Method, ...], tuple[OwnM
     for name in unknown:
         if ":" not in name and name not in (there := installed()):
             known = [*NAMES, *there]
-            near = get_close_matches(name, known) or known
+            near = get_close_matches(name, known, n=1)
+            meant = f": {near[0]}?" if near else ""
             raise MethodRefused(
-                f"--method: there is no method {name!r}", expected=f"{', '.join(near)} or module:function"
+                f"--method: there is no method {name!r}{meant}",
+                expected=f"{', '.join(known)} or module:function",
             )
-    own = tuple(tried_apart(MethodKind.PAIRING, name) for name in unknown)
+    own = tuple(tried_apart(MethodKind.PAIRING, name, tell) for name in unknown)
     return tuple(NAMES[name] for name in wanted if name in NAMES), own
