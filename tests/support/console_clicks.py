@@ -7,6 +7,7 @@ from typing import Any
 
 HOLD_MS = 1150  # the page asks for a second
 ARMED_MS = 750
+SEAT_IS_FREE = "document.querySelector('[data-do=claim]').checkVisibility()"
 PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed 3
 
 
@@ -14,6 +15,14 @@ def take_seat(page: Any, name: str = "Dr Test") -> None:
     page.get_by_label("Your name").fill(name)
     page.get_by_role("button", name="Take the seat").click()
     page.wait_for_selector(f"text=You operate as {name}")
+
+
+def keep_seat(page: Any) -> bool:
+    """Take it again where a busy computer was silent for so long that it became free; whether that was so."""
+    is_free = bool(page.locator("[data-do=claim]").is_visible())
+    if is_free:
+        take_seat(page)
+    return is_free
 
 
 def hold(page: Any, button: Any) -> None:
@@ -36,6 +45,8 @@ def answer(page: Any, patient: str = PATIENT) -> str:
     if typed.count():
         moves = re.search(r"moves (\d+) mm", question.locator(".value").inner_text())
         typed.fill(moves[1] if moves else patient)
+    page.wait_for_function(f"document.querySelector('section.question .answers button') || {SEAT_IS_FREE}")
+    keep_seat(page)
     button = question.locator(".answers button").first
     if "(hold)" in button.inner_text():
         hold(page, button)
@@ -56,9 +67,12 @@ def run_by_clicks(page: Any, *, patient: str = PATIENT, run_on: bool = False) ->
         "document.querySelector('section.question h2') || document.querySelector('.frozen')"
         " || !document.querySelector('[data-do=next]').disabled"
         " || document.querySelector('.state strong').innerText === 'finished'"
+        f" || {SEAT_IS_FREE}"
     )
     while True:
         page.wait_for_function(ready)
+        if keep_seat(page):
+            continue
         if page.locator("section.question h2").count():
             asked.append(answer(page, patient))
         elif page.locator(".state strong").inner_text() == "finished":

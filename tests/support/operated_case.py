@@ -79,7 +79,19 @@ class OperatedCases:
         """Start `ronna-procedure resume RUN --console` for a case that was left."""
         return self._start(case.folder, "resume", str(case.run), "--console")
 
+    def without_console(self, scene: tuple[str, ...] = MINI) -> OperatedCase:
+        """The same case with nothing that shows it, answered by the script; it has come to its end."""
+        out = self._folder / f"runs-{len(self.started)}"
+        case = self._begun(out, "run", "--json", "--sim", *scene, "--out", str(out))
+        assert case.ended() == 0, case.said
+        return case
+
     def _start(self, runs: Path, *arguments: str) -> OperatedCase:
+        case = self._begun(runs, *arguments)
+        case.await_addresses()
+        return case
+
+    def _begun(self, runs: Path, *arguments: str) -> OperatedCase:
         number = len(self.started)
         errors, output = (self._folder / f"{name}-{number}" for name in ("errors", "output"))
         line = [sys.executable, "-P", "-m", "procedures.cli.procedure", *arguments]
@@ -89,7 +101,6 @@ class OperatedCases:
             )
         case = OperatedCase(process, runs, errors, output)
         self.started.append(case)
-        case.await_addresses()
         return case
 
 
