@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 import pytest
-from case_results import measured, outcome_of
+from case_results import measured, targets
 from console_clicks import answer, answer_until, run_by_clicks, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
 
@@ -54,4 +54,5 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
 
     alone = start.without_console(DEFAULT)
     assert measured(case.run) == measured(alone.run)
-    assert len(outcome_of(alone)["targets"]) == 3
+    assert len(targets(case.run)) == 3
+    assert targets(case.run) == targets(alone.run)

@@ -8,7 +8,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import psutil
-from case_results import measured, outcome_of
+from case_results import measured, outcome_of, targets
 from console_clicks import ARMED_MS, answer_until, hold, take_seat
 from modest_chromium import opened_context
 from operated_case import OperatedCases, enter
@@ -41,7 +41,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
 
     alone = start.without_console()
     assert measured(case.run) == measured(alone.run)
-    assert outcome_of(alone)["targets"]
+    assert targets(case.run) == targets(alone.run)
 
 
 def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(

@@ -7,6 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from operated_case import OperatedCase
+from user_commands import in_this_process
+
+from sim.cli import app as ronna_sim
 
 MEASURED = (
     "fiducial_localization",
@@ -24,6 +27,19 @@ def outcome_of(case: OperatedCase) -> dict[str, Any]:
 
 
 def measured(run: Path) -> dict[str, Any]:
-    """The results of its measurements, by record."""
+    """The results of its measurements, by record; without the largest push on the guide.
+
+    That is the largest of as many readings as the hold lasts, and a hold lasts as long as somebody works.
+    """
     records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
-    return {one["identifier"]: one["payload"] for one in records if one["kind"] in MEASURED}
+    return {
+        one["identifier"]: {key: value for key, value in one["payload"].items() if key != "pushed_mm"}
+        for one in records
+        if one["kind"] in MEASURED
+    }
+
+
+def targets(run: Path) -> list[dict[str, Any]]:
+    """How far off each target truly is."""
+    verified = in_this_process(ronna_sim, "verify", run, "--json")
+    return list(json.loads(verified.stdout)["targets"])
