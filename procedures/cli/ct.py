@@ -292,7 +292,7 @@ def _print_markers(result: Localization) -> None:
         rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
     console.print_table(
         f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
-        ["#", "L", "P", "S", "sigma", "agree", "radius", "quality", "flags"],
+        ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"],
         rows,
     )
 
@@ -306,7 +306,7 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
     console.print_table(
         f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
-        ["L", "P", "S", "surface", "radius", "odds", "outcome"],
+        ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"],
         rows,
     )
 

@@ -44,7 +44,7 @@ def localize(
     which carries the candidates; without it, no marker at all raises it. `progress` is called with the share
     done. CT-017 for impossible requests.
     """
-    check_request(volume.geometry, diameter_mm, expected)
+    check_request(volume, diameter_mm, expected)
     report = progress if progress is not None else _silent
     report(0.0)
     radius_mm = 0.5 * diameter_mm
@@ -120,8 +120,15 @@ def require_count(found: int, expected: int | None, candidates: tuple[Candidate,
         )
 
 
-def check_request(geometry: VoxelGeometry, diameter_mm: float, expected: int | None) -> None:
-    """Raise CT-017 for a diameter or a count that makes no sense in this series."""
+def check_request(volume: object, diameter_mm: float, expected: int | None) -> None:
+    """Raise CT-017 for no volume, or a diameter or a count that makes no sense in it."""
+    if not isinstance(volume, Volume):
+        raise LocalizationMisused(
+            "spheres are localized in a Volume, which knows its millimetres",
+            got=type(volume).__name__,
+            action="Read one with procedures.imaging.read_series(FOLDER).",
+        )
+    geometry = volume.geometry
     if not np.isfinite(diameter_mm) or diameter_mm < MIN_VOXELS_ACROSS * float(geometry.spacing_mm.max()):
         raise LocalizationMisused(
             f"spheres of {diameter_mm:g} mm cannot be localized",

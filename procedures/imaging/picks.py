@@ -30,6 +30,7 @@ IN_RAS = (
     "It would be on a sphere in RAS, which 3D Slicer shows: change the signs of the first two numbers, or "
     "give its .mrk.json, which says its coordinate system."
 )
+IN_METRES = "It would be on a sphere in metres: give millimetres."
 START_STEP = 0.4  # of the radius, between the starts around a pick that shows no contrast
 
 
@@ -47,7 +48,7 @@ def localize_picks(
     CT-017 as `localize` does.
     """
     picks = np.asarray(picks_mm, dtype=float)
-    check_request(volume.geometry, diameter_mm, expected)
+    check_request(volume, diameter_mm, expected)
     if picks.ndim != 2 or picks.shape[1] != 3 or not np.isfinite(picks).all():
         raise PickRefused("picks are rows of three finite numbers", got=f"shape {picks.shape}")
     radius_mm = 0.5 * diameter_mm
@@ -70,13 +71,19 @@ def localize_picks(
 
 
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
-    """The sphere at a pick. One that shows none, and would in RAS, is refused with that hint."""
+    """The sphere at a pick. One that shows none, and would in RAS or metres, is refused with that hint."""
     try:
         return _measured(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
         if _shows_sphere(volume, number, LPS_FROM_RAS * pick_mm, radius_mm):
-            raise PickRefused(refused.what, action=IN_RAS) from refused
+            raise _hinted(refused, IN_RAS) from refused
+        if _shows_sphere(volume, number, 1e3 * pick_mm, radius_mm):
+            raise _hinted(refused, IN_METRES) from refused
         raise
+
+
+def _hinted(refused: PickRefused, action: str) -> PickRefused:
+    return PickRefused(refused.what, expected=refused.expected, action=action)
 
 
 def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float) -> bool:
@@ -89,10 +96,10 @@ def _shows_sphere(volume: Volume, number: int, pick_mm: Array, radius_mm: float)
 
 def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
     geometry = volume.geometry
-    place = f"pick {number} at ({', '.join(f'{value:z.1f}' for value in pick_mm)})"
+    place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
     index = geometry.to_index(pick_mm)
     if (index < -0.5).any() or (index > np.array(geometry.shape) - 0.5).any():
-        raise PickRefused(f"{place} lies outside the scanned volume")
+        raise PickRefused(f"{place} lies outside the scanned volume", expected=_extent(geometry))
     grid_mm = index * geometry.spacing_mm
     refused: list[Candidate] = []
     for peak in _starts(volume, grid_mm, radius_mm):
@@ -105,6 +112,14 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
     if refused:
         reason = max(refused, key=lambda one: one.surface_share or 0.0).reason
     raise PickRefused(f"{place} {reason}")
+
+
+def _extent(geometry: VoxelGeometry) -> str:
+    """From where to where it was scanned, along the patient's axes."""
+    corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
+    places_mm = geometry.to_patient_mm(corners)
+    ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
+    return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends) + " mm"
 
 
 def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[Peak]:

@@ -11,6 +11,7 @@ Array = NDArray[np.float64]
 
 COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares stay far from overflow
 NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is
+SMALLEST_SPREAD_M = 0.01  # of markers: what spreads so far and no further than two spheres may be in metres
 FEWEST_PAIRS = 3  # a rigid transform has six unknowns, two points leave one of them free
 SYMMETRY_TOLERANCE = 1e-9  # relative; covariances come from products and are symmetric to rounding
 
@@ -63,11 +64,14 @@ def refuse_duplicates(points: Array, name: str) -> None:
     distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
     np.fill_diagonal(distances, np.inf)
     if distances.min() < NEAREST_SPHERES_MM:
+        spread_mm = float(np.ptp(points, axis=0).max())
+        metres = SMALLEST_SPREAD_M < spread_mm < NEAREST_SPHERES_MM
         first, second = (int(index) for index in np.unravel_index(distances.argmin(), distances.shape))
         raise DuplicatePoints(
             f"{name} points {first} and {second} are the same sphere",
             limit=f"{NEAREST_SPHERES_MM:g} mm apart",
-            got=f"{distances.min():.3f} mm",
+            got=f"{distances.min():.3g} mm",
+            action="All lie within 2 mm: are these metres? Give millimetres." if metres else None,
         )
 
 

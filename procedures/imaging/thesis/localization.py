@@ -43,7 +43,7 @@ def localize_as_thesis(
     progress: Callable[[float], None] = lambda share: None,
 ) -> Localization:
     """Localize spheres with the thesis' pipeline; arguments and errors as of `localize`."""
-    check_request(volume.geometry, diameter_mm, expected)
+    check_request(volume, diameter_mm, expected)
     radius_mm = 0.5 * diameter_mm
     candidates: list[Candidate] = []
     markers: list[Marker] = []

@@ -49,7 +49,10 @@ def test_a_rough_pick_is_refined_as_if_it_had_been_detected(
     ("shifts", "words"),
     [
         ([(0.0, 14.0, 0.0)], "pick 1 at .* (sphere|surface|radius)"),
-        ([(500.0, 0.0, 0.0)], "pick 1 at .* outside the scanned volume"),
+        (
+            [(500.0, 0.0, 0.0)],
+            r"pick 1 at .* mm lies outside the scanned volume; expected L -?\d+ to -?\d+, P .* mm\.",
+        ),
         ([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "pick 2 at .* found already"),
         ([(float("nan"), 0.0, 0.0)], "three finite numbers"),
     ],
@@ -66,6 +69,18 @@ def test_a_pick_without_a_sphere_is_refused_with_the_reason(
 def test_picks_in_RAS_are_refused_with_that_hint(volume: Volume) -> None:
     with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in RAS"):
         localize_picks(volume, truth(volume)[:1] * (-1.0, -1.0, 1.0))
+
+
+def test_picks_in_metres_are_refused_with_that_hint(volume: Volume) -> None:
+    with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in metres"):
+        localize_picks(volume, truth(volume)[:1] / 1000.0)
+
+
+def test_what_is_no_volume_is_refused_with_what_makes_one() -> None:
+    with pytest.raises(
+        errors.LocalizationMisused, match=r"CT-017: .* millimetres: ndarray\. Read one with .*read_series"
+    ):
+        localize(np.zeros((4, 4, 4), dtype=np.int16))  # type: ignore[arg-type]
 
 
 def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:

@@ -96,3 +96,9 @@ def test_numbers_that_are_not_real_are_refused_by_their_type(kind):
             register(image, physical)
     with pytest.raises(BadCovariance, match=r"REG-005.*not real numbers"):
         register(GOOD, GOOD, covariance_mm2=UNIT.astype(kind))
+
+
+@pytest.mark.parametrize(("image", "physical"), [(GOOD / 1000.0, GOOD), (GOOD, GOOD / 1000.0)])
+def test_points_that_look_like_metres_are_asked_about(image, physical):
+    with pytest.raises(DuplicatePoints, match=r"REG-004: .* are these metres\?"):
+        register(image, physical)
