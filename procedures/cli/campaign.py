@@ -84,7 +84,7 @@ def correspondence(
             min=0.1,
             max=10.0,
             metavar="MM",
-            help="Value of e of the thesis methods; may be given more than once [1.5 and 2.5].",
+            help="Value of e of the thesis methods in mm; may be given more than once [1.5 and 2.5].",
         ),
     ] = None,
     xframe: Annotated[

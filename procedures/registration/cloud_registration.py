@@ -63,13 +63,20 @@ def register_clouds(
     image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
         raise BadParameter(
-            "the overlap must leave three points", limit="above 0, at most 1", got=f"{overlap}"
+            "the overlap must leave three points",
+            limit="above 0, at most 1",
+            got=f"{overlap}",
+            action="Give the share of the image points that the physical ones cover.",
         )
     tree = cKDTree(physical)
     if start is not None:
         matrix = np.asarray(start.as_matrix())
         if matrix.shape != (4, 4):
-            raise BadParameter("the start must be one transform physical <- image")
+            raise BadParameter(
+                "the start must be one transform physical <- image",
+                got=f"{len(matrix)} transforms",
+                action="Give one SciPy RigidTransform, or leave the start out.",
+            )
         return _as_fit(_closest_points(image, physical, tree, matrix, overlap))
     fits = [_closest_points(image, physical, tree, one, overlap) for one in _axis_starts(image, physical)]
     best = min(fits, key=lambda fit: fit.residual_mm)

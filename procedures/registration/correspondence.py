@@ -36,10 +36,17 @@ class Prior:
     def __post_init__(self) -> None:
         """Raises REG-007."""
         if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
-            raise BadParameter("a prior needs one SciPy Rotation physical <- image")
+            raise BadParameter(
+                "a prior needs one SciPy Rotation physical <- image",
+                got=type(self.rotation).__name__,
+                action="Give one, such as Rotation.from_matrix(turn).",
+            )
         if not (isinstance(self.tolerance_rad, int | float) and 0.0 < self.tolerance_rad <= math.pi):
             raise BadParameter(
-                "the prior's tolerance is out of range", limit="0 to pi rad", got=f"{self.tolerance_rad}"
+                "the prior's tolerance is out of range",
+                limit="0 to pi rad",
+                got=f"{self.tolerance_rad}",
+                action="Give an angle in radians: math.radians(degrees).",
             )
 
     def allows(self, rotation: Array) -> bool:

@@ -67,7 +67,9 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
 def chi_square_limit(freedom: int, confidence: float) -> float:
     """The chi-square value that is exceeded with probability 1 - confidence."""
     if not 0.0 < confidence < 1.0:
-        raise BadParameter("a confidence lies between 0 and 1", got=f"{confidence}")
+        raise BadParameter(
+            "a confidence lies between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
+        )
     return float(chdtri(freedom, 1.0 - confidence))
 
 
@@ -177,7 +179,9 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     of freedom; the limit then widens as an F distribution says.
     """
     if not 0.0 < confidence < 1.0:
-        raise BadParameter("a confidence lies between 0 and 1", got=f"{confidence}")
+        raise BadParameter(
+            "a confidence lies between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
+        )
     variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
     total = variances.sum(axis=-1)
     squares = np.square(variances).sum(axis=-1)

@@ -53,7 +53,7 @@ class BadParameter(DataError):
     """A standard deviation, a count, a prior or a confidence is impossible."""
 
     code = "REG-007"
-    action = "Give positive finite standard deviations in mm, counts of at least 3, angles in radians."
+    action = "Give a positive finite length in mm."
 
 
 class NoUniqueMatch(RefusedError):

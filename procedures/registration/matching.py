@@ -59,7 +59,9 @@ def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
     """What agreement is worth under these standard deviations, as `match` takes them. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
-        raise BadParameter("at least one sigma must be positive", got=f"{variance} mm2")
+        raise BadParameter(
+            "at least one sigma must be positive", got=f"{variance} mm2", action="Give the larger one in mm."
+        )
     return Evidence(variance)
 
 
@@ -75,6 +77,7 @@ def _variance_mm2(name: str, sigma_mm: Any) -> float:
             f"sigma_{name}_mm is not a standard deviation",
             expected="one number or three (x, y, z), finite, not negative",
             got=" ".join(str(sigma_mm).split()),
+            action="Give standard deviations per axis in mm.",
         )
     squares = [float(one) ** 2 for one in given.ravel()]
     return sum(squares) / len(squares)
@@ -84,4 +87,8 @@ def _check_expected(expected: Any) -> None:
     if expected is None:
         return
     if isinstance(expected, bool) or not isinstance(expected, int | np.integer) or expected < FEWEST_PAIRS:
-        raise BadParameter(f"expected must be a whole number of at least {FEWEST_PAIRS}", got=f"{expected}")
+        raise BadParameter(
+            f"expected must be a whole number of at least {FEWEST_PAIRS}",
+            got=f"{expected}",
+            action="Give how many markers the patient wears, or leave it out.",
+        )

@@ -113,7 +113,10 @@ class Registration:
         if fle_mm is not None:
             return fre_gate(self.fre_mm, fle_mm, self.pairs, confidence)
         if self.chi_square is None:
-            raise BadParameter("the gate needs a known FLE or covariances")
+            raise BadParameter(
+                "the gate needs a known FLE or covariances",
+                action="Give fle_mm, or register with covariance_mm2.",
+            )
         limit = chi_square_limit(degrees_of_freedom(self.pairs), confidence)
         return FreGate(self.fre_mm, self.chi_square, limit, confidence)
 
@@ -161,7 +164,7 @@ class Registration:
         of all shares add up to the square of the whole. Raises REG-001, REG-007 without covariances.
         """
         if self.covariance_mm2 is None:
-            raise BadParameter("a shared residual needs covariances")
+            raise BadParameter("a shared residual needs covariances", action="Register with covariance_mm2.")
         targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
         fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
         part = np.broadcast_to(np.asarray(part_mm2, dtype=float), self.covariance_mm2.shape)

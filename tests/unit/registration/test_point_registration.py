@@ -191,5 +191,5 @@ def test_inputs_are_left_untouched(random, fiducials):
 
 def test_a_gate_needs_a_known_error(random, fiducials):
     points = fiducials(4, random)
-    with pytest.raises(BadParameter, match="REG-007"):
+    with pytest.raises(BadParameter, match=r"REG-007.*Give fle_mm, or register with covariance_mm2"):
         register(points, points).gate()
