@@ -75,7 +75,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 count,
                 None if published is None else published[0],
                 mean,
-                bounds.mean(errors.mean(axis=1)).text,
+                bounds.mean_length(errors.mean(axis=1)).text,
                 None if published is None else 100.0 * (mean / published[0] - 1.0),
                 None if published is None else f"{published[1]:.2f}-{published[2]:.2f}",
                 "-".join(f"{value:.2f}" for value in np.percentile(errors, QUARTILES)),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -75,6 +75,12 @@ def mean(values: ArrayLike) -> Bounded:
 
     half = float(t.ppf(ON_BOTH_SIDES, len(given) - 1) * given.std(ddof=1) / np.sqrt(len(given)))
     return Bounded(value, value - half, value + half)
+
+
+def mean_length(values: ArrayLike) -> Bounded:
+    """As `mean`, of lengths, whose mean cannot lie below 0."""
+    told = mean(values)
+    return told if told.low is None else replace(told, low=max(0.0, told.low))
 
 
 def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.studies.campaign.bounds import Bounded
+from procedures.studies.campaign.bounds import CAPTION, Bounded
 
 DOTS_PER_INCH = 110
 SIZE_IN = (6.4, 4.0)
 BAND_ALPHA = 0.15  # of the bounds about a curve
+LEGEND = f"{CAPTION} bounds"
 CAP_POINTS = 2  # width of the ends of a bar's bounds
 
 Point = tuple[float, float | Bounded]
@@ -32,11 +33,13 @@ def curves(
     """Named curves over a common axis, with named ranges of it; bounds of the values as a band."""
     figure, axes = _figure()
     for name, points in lines.items():
-        places, values = [x for x, _ in points], [_bounded(y) for _, y in points]
+        places, values = [x for x, _ in points], _values(points)
         (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
         axes.fill_between(
             places, *zip(*map(_ends, values), strict=True), color=line.get_color(), alpha=BAND_ALPHA, lw=0
         )
+    if any(_ends(one)[0] < _ends(one)[1] for points in lines.values() for one in _values(points)):
+        axes.fill_between([], [], [], color="grey", alpha=BAND_ALPHA, lw=0, label=LEGEND)
     for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
         axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
     axes.set_title(title)
@@ -55,6 +58,7 @@ def bars(
     groups: Mapping[str, Mapping[str, float | Bounded]],
     *,
     logarithmic: bool = False,
+    x_label: str = "",
 ) -> bytes:
     """Groups of bars: group -> series -> value, with whiskers for its bounds.
 
@@ -63,7 +67,7 @@ def bars(
     figure, axes = _figure()
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     width = 0.8 / max(1, len(names))
-    none_counted = False
+    none_counted = whiskers = False
     for place, name in enumerate(names):
         middles = [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))]
         values = [_bounded(group.get(name, 0.0)) for group in groups.values()]
@@ -75,6 +79,7 @@ def bars(
                 none_counted = True
                 axes.plot([middle], [high], marker="v", markersize=4, color=colour)
             elif high > low:
+                whiskers = True
                 axes.errorbar(
                     [middle],
                     [one.value],
@@ -83,10 +88,13 @@ def bars(
                     capsize=CAP_POINTS,
                     lw=0.7,
                 )
+    if whiskers:
+        axes.plot([], [], "|", markersize=8, color="black", label=LEGEND)
     if none_counted:
         axes.plot([], [], "v", markersize=4, color="grey", label="none counted: at most")
     axes.set_xticks(range(len(groups)), list(groups))
     axes.set_title(title)
+    axes.set_xlabel(x_label)
     axes.set_ylabel(y_label)
     if logarithmic:
         axes.set_yscale("log")
@@ -111,6 +119,10 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     axes.set_ylabel(y_label)
     axes.grid(alpha=0.3)
     return _png(figure)
+
+
+def _values(points: Curve) -> list[Bounded]:
+    return [_bounded(y) for _, y in points]
 
 
 def _bounded(value: float | Bounded) -> Bounded:

@@ -205,6 +205,10 @@ def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         ordered = dict(sorted(groups.items()))
         name = f"unsuccessful-{noise.value.replace(' ', '-')}.png"
         pictures[name] = bars(
-            f"By number of fiducials, noise {noise}", "unsuccessful or false, %", ordered, logarithmic=True
+            f"By number of fiducials, noise {noise}",
+            "unsuccessful or false, %",
+            ordered,
+            logarithmic=True,
+            x_label="fiducials",
         )
     return pictures

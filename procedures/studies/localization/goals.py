@@ -57,7 +57,7 @@ def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[
         rows.append(_at_most(f"rms µm, {where}", rms_um, RMS_UM[protocol][streaked]))
     share_um = percentile_um(total, Method.OURS, found)
     if streaked and share_um is not None and protocol in SHARE_95_UM:
-        rows.append(_at_most(f"95 % µm, {where}", share_um, SHARE_95_UM[protocol]))
+        rows.append(_at_most(f"95th percentile µm, {where}", share_um, SHARE_95_UM[protocol]))
     low, high = CHI2
     rows.append((f"chi² / 3n, {where}", chi2, f"{low:g} to {high:g}", _word(low <= chi2 <= high)))
     return rows

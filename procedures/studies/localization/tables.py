@@ -40,7 +40,7 @@ COLUMNS = (
     bounds.column("false"),
     "rms µm",
     bounds.column("rms"),
-    "95 % µm",
+    "95th percentile µm",
     "rms / CRB",
     "chi² / 3n",
 )
@@ -99,7 +99,9 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
             for cell in cells
             if cell.endswith(f"|{protocol}")
         }
-        pictures[f"error-{protocol}.png"] = bars(f"3-D error, {protocol} protocol", "rms, µm", groups)
+        pictures[f"error-{protocol}.png"] = bars(
+            f"3-D error, {protocol} protocol", "rms, µm", groups, x_label="family of scans"
+        )
     if frames := pooled(sums, [cell for cell in sums if cell.startswith(FRAMES)]):
         pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
     return pictures

@@ -108,7 +108,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     count,
                     each.size,
                     float(np.mean(each)),
-                    bounds.mean(each.mean(axis=1)).text,
+                    bounds.mean_length(each.mean(axis=1)).text,
                     float(np.percentile(each, HIGHEST)),
                     float(np.max(each)),
                     GOAL_MM,

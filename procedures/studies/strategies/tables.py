@@ -115,7 +115,7 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
                 *series,
                 None if thesis is None else thesis.mean_mm,
                 mean,
-                bounds.mean(means).text,
+                bounds.mean_length(means).text,
                 None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
                 f"{low:.2f}-{high:.2f}",
                 None if thesis is None else thesis.sd_mm,

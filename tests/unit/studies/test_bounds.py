@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
-from procedures.studies.campaign import bounds
+from procedures.studies.campaign import bounds, plots
 from procedures.studies.campaign.plots import bars, curves
 
 
@@ -57,3 +58,20 @@ def test_bounds_change_what_a_plot_shows_of_a_zero_count() -> None:
     assert drawn[100] != drawn[10_000]
     banded = curves("t", "x", "y", {"ours": [(1.0, bounds.percent(1, 10)), (2.0, bounds.percent(2, 10))]})
     assert banded != curves("t", "x", "y", {"ours": [(1.0, 10.0), (2.0, 20.0)]})
+
+
+def test_plots_say_what_their_bands_and_whiskers_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr(plots, "_png", drawn.append)
+    told = bounds.percent(1, 10)
+    curves("t", "x", "y", {"ours": [(1.0, told), (2.0, told)]})
+    bars("t", "y", {"5": {"ours": told}}, x_label="x")
+    for figure in drawn:
+        (legend,) = figure.legends or [figure.axes[0].get_legend()]
+        assert {text.get_text() for text in legend.get_texts()} == {"ours", "95 % bounds"}
+        assert figure.axes[0].get_xlabel() == "x"
+
+
+def test_a_mean_length_is_not_bounded_below_zero() -> None:
+    assert bounds.mean([0.0, 1.0]).text == "-5.85 to 6.85"
+    assert bounds.mean_length([0.0, 1.0]).text == "0 to 6.85"

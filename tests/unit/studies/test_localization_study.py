@@ -103,7 +103,7 @@ def test_goals_are_held_against_what_was_reached() -> None:
         "rms µm, good, without streaks on posts": "yes",
         "chi² / 3n, good, without streaks on posts": "yes",
         "rms µm, good, with streaks on posts": "yes",
-        "95 % µm, good, with streaks on posts": "yes",
+        "95th percentile µm, good, with streaks on posts": "yes",
         "chi² / 3n, good, with streaks on posts": "yes",
         "spheres": "yes",
         "volumes": "yes",
