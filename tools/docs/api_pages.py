@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Any
 
 import procedures.imaging
 import procedures.registration
@@ -19,9 +20,12 @@ from drivers.ndi_polaris import PolarisTracker
 from procedures.exchange import raw_readings
 from procedures.strategies import strategy, trajectory
 from procedures.studies.own import contracts
-from ronna_hw import frames
+from ronna_hw import frames, simulation, theatre
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings
 from ronna_hw.devices.byte_sink import RecordsBytes
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 @dataclass(frozen=True)
@@ -58,13 +62,15 @@ def numerics() -> str:
 
 
 def devices() -> str:
-    """The interfaces of devices, their readings, and the drivers."""
+    """The theatre that opens them, the interfaces of devices, their readings, and the drivers."""
     interfaces = Part("ronna_hw.devices", [lifecycle.Device, OpticalTracker, RobotArm, StereoPair])
     own = [
         one for one in vars(readings).values() if inspect.isclass(one) and one.__module__ == readings.__name__
     ]
     return _page(
         [
+            _of(theatre, "open_theatre", "Theatre"),
+            _of(simulation, "simulated_theatre"),
             interfaces,
             Part(readings.__name__, own),
             _driver(PolarisTracker, OpticalTracker),
@@ -89,6 +95,12 @@ def _part(part: Part) -> Iterator[str]:
 
 def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
     yield f"### class `{one.__name__}`\n\n{_words(one)}\n"
+    if issubclass(one, Enum):
+        yield f"Members: {', '.join(f'`{name}`' for name in one.__members__)}.\n"
+    elif is_dataclass(one):
+        yield from _fields(one)
+    if inspect.isfunction(call := vars(one).get("__call__")) and getattr(one, "_is_protocol", False):
+        yield f"- **`{one.__name__}{_signature(call)}`**: {_on_one_line(_words(call))}"
     for name, member in vars(one).items():
         if name.startswith("_"):
             continue
@@ -99,6 +111,18 @@ def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
             yield f"- **`{name}`**: {_on_one_line(words)}"
         elif inspect.isfunction(got):
             yield f"- **`{name}{_signature(got)}`**: {_on_one_line(words)}"
+    yield ""
+
+
+def _fields(one: type[DataclassInstance]) -> Iterator[str]:
+    """Each field with its type and, where one stands beside it, its comment: mostly the unit."""
+    lines = inspect.getsource(one).splitlines()
+    for field in fields(one):
+        if field.name.startswith("_"):
+            continue
+        written = next((line for line in lines if line.startswith(f"    {field.name}:")), "")
+        comment = written.partition("  # ")[2]
+        yield f"- `{field.name}`: `{field.type}`" + (f"; {comment}" if comment else "")
     yield ""
 
 
