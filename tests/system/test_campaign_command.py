@@ -64,15 +64,6 @@ def test_methods_are_not_chosen_for_a_sweep(tmp_path: Path) -> None:
     assert refused.stderr.startswith("CLI-001: --method and --e do not go with --sweep")
 
 
-def test_a_method_that_is_not_there_is_answered_with_all_that_are(tmp_path: Path) -> None:
-    refused = in_this_process(app, "correspondence", "--method", "conut", "--out", tmp_path / "out")
-    assert refused.returncode == 2
-    assert refused.stderr.startswith(
-        "STU-012: --method: there is no method 'conut': count?; expected clique, orientation, count, thesis,"
-        " thesis-validated"
-    )
-
-
 def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "units.jsonl").write_text('{"study": "correspondence", "fingerprint": "0"}\n')
     refused = in_this_process(app, "registration", "--runs", "2", "--out", tmp_path)
