@@ -96,7 +96,7 @@ def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
     with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
         try:
             yield pool
-        except BaseException:
+        except BaseException:  # an interruption above all: leaving the pool would wait for its workers
             for process in active_children():
                 if process not in others:
                     process.kill()
