@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable
 
 HANG_LIMIT_S = 30.0
+STALL_OF_THE_COMPUTER_S = 10.0  # added to each limit that a command keeps: what the machine may take from it
 LOOK_S = 0.005  # between two looks
 
 

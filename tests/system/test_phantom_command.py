@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import select
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from parent_death import ends_with_its_parent
 from user_commands import in_this_process
 
 from procedures.cli.ct import app as ronna_ct
@@ -74,22 +70,5 @@ def test_mistakes_are_one_message_with_a_code(
 
 
 def test_it_ends_with_its_parent_when_told_to(tmp_path: Path) -> None:
-    parent_program = (
-        "import subprocess, sys\n"
-        "child = subprocess.Popen(sys.argv[1:])\n"
-        "print(child.pid, flush=True)\n"
-        "child.wait()\n"
-    )
-    arguments = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
-    parent = subprocess.Popen(
-        [sys.executable, "-c", parent_program, *arguments], stdout=subprocess.PIPE, text=True
-    )
-    assert parent.stdout is not None
-    child = os.pidfd_open(int(parent.stdout.readline()))
-    while not list((tmp_path / "ct").glob("*.dcm")):
-        time.sleep(0.02)
-    parent.kill()
-    parent.wait()
-    parent.stdout.close()
-    assert select.select([child], [], [], 2.0)[0], "still there after 2 s"
-    os.close(child)
+    line = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
+    assert ends_with_its_parent(line, begun=lambda: any((tmp_path / "ct").glob("*.dcm")))

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import STALL_OF_THE_COMPUTER_S
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
@@ -27,7 +28,6 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
 
-STALL_OF_THE_COMPUTER_S = 3.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
 POINTER = planar_tool(
     "POINTER",
@@ -126,7 +126,7 @@ def test_the_frame_number_rises_at_sixty_per_second(unit: ChildProcess) -> None:
     last = first
     while last < first + 30:
         last = device.read_frame().stamp.device_clock
-    assert 0.4 < time.monotonic() - began_s < 5.0
+    assert time.monotonic() - began_s > 0.4  # thirty frames at sixty per second take half a second
     assert device.statistics.repeated > 0
     device.close()
 
@@ -153,7 +153,7 @@ def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(mortal_unit: ChildPr
         device.read_frame()
     began_s = time.monotonic()
     device.close()
-    assert time.monotonic() - began_s < 3.0
+    assert time.monotonic() - began_s < CLOSE_LIMIT_S + STALL_OF_THE_COMPUTER_S
 
 
 @pytest.mark.hazard(4)

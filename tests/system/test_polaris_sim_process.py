@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import os
 import select
-import signal
 import socket
 import subprocess
-import sys
 import termios
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from parent_death import ends_with_its_parent
 from user_commands import in_this_process
+from waiting import HANG_LIMIT_S, STALL_OF_THE_COMPUTER_S
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
@@ -115,26 +115,12 @@ def test_sigterm_ends_it_in_time_with_a_host_connected(
     host = Host(child.ready["endpoint"])
     host.ask("INIT ")
     child.process.terminate()
-    assert child.process.wait(STOP_TIMEOUT_S) == 0
+    assert child.process.wait(STOP_TIMEOUT_S + STALL_OF_THE_COMPUTER_S) == 0
     host.close()
 
 
 def test_it_does_not_outlive_its_parent() -> None:
-    parent_program = (
-        "import subprocess, sys\n"
-        "child = subprocess.Popen([sys.executable, '-P', '-m', 'sim.cli', 'polaris'])\n"
-        "print(child.pid, flush=True)\n"
-        "child.wait()\n"
-    )
-    parent = subprocess.Popen([sys.executable, "-P", "-c", parent_program], stdout=subprocess.PIPE, text=True)
-    assert parent.stdout is not None
-    lines = [parent.stdout.readline(), parent.stdout.readline()]
-    number = next(int(line) for line in lines if line.strip().isdigit())
-    assert any(line.startswith("READY ") for line in lines)
-    parent.send_signal(signal.SIGKILL)
-    parent.wait()
-    assert select.select([os.pidfd_open(number)], [], [], STOP_TIMEOUT_S)[0], "still there after 2 s"
-    parent.stdout.close()
+    assert ends_with_its_parent(command("sim.cli", "polaris"))
 
 
 @pytest.mark.parametrize(
@@ -247,7 +233,7 @@ def test_ready_is_one_line_of_json_on_standard_output(start: Callable[..., Child
     line = done.stdout.readline()
     done.terminate()
     rest = done.stdout.read()
-    done.wait(STOP_TIMEOUT_S)
+    done.wait(HANG_LIMIT_S)
     done.stdout.close()
     assert json.loads(line.removeprefix("READY "))["endpoint"].startswith("serial:///dev/")
     assert rest == ""

@@ -10,7 +10,9 @@ from collections.abc import Callable
 
 import pytest
 from kuka_clients import Cell
+from waiting import STALL_OF_THE_COMPUTER_S
 
+from ronna_hw.host.child_process import STOP_TIMEOUT_S
 from ronna_hw.wire.kuka_context import context_hash, load_context
 from sim.theatre.world import World
 
@@ -136,7 +138,7 @@ def test_it_ends_within_two_seconds_of_a_signal_while_it_streams(
     here = cell("--autostart")
     here.rsi.cycles(5)
     here.child.process.send_signal(number)
-    assert here.child.process.wait(2.0) == 0
+    assert here.child.process.wait(STOP_TIMEOUT_S + STALL_OF_THE_COMPUTER_S) == 0
 
 
 def test_a_client_may_come_back_at_once(cell: Callable[..., Cell]) -> None:

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import os
-import select
-import subprocess
-import sys
-
 from kuka_clients import FREE
+from parent_death import ends_with_its_parent
+
+from ronna_hw.host.child_process import command
 
 
 def test_it_ends_within_two_seconds_of_its_parents_death() -> None:
-    script = (
-        "import subprocess, sys; p = subprocess.Popen([sys.executable, '-P', '-m', 'sim.cli', 'kuka',"
-        f" '--eki', '{FREE}', '--eki-project', '{FREE}', '--scene', 'mini'], stdout=subprocess.PIPE);"
-        " p.stdout.readline(); print(p.pid, flush=True)"
+    assert ends_with_its_parent(
+        command("sim.cli", "kuka", "--eki", FREE, "--eki-project", FREE, "--scene", "mini")
     )
-    done = subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True, timeout=20)
-    watched = os.pidfd_open(int(done.stdout)) if os.path.exists(f"/proc/{int(done.stdout)}") else None
-    if watched is not None:
-        assert select.select([watched], [], [], 2.0)[0]
-        os.close(watched)
