@@ -204,7 +204,7 @@ class PlanDesk(Bell):
             for number, one in enumerate(draft.markers, start=1)
         )
         with replaced_plan(self.file):  # a case that began since wins
-            if _digest(self.file) not in ("", self._on_disk):
+            if self._is_of_others():
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",
                     action="Nothing was overwritten. Move that file away, then save again.",
@@ -212,6 +212,12 @@ class PlanDesk(Bell):
             notes = ("Saved by the planner. Coordinates are LPS mm of the series.", *spheres)
             write_plan(self.file, plan, notes)
             self._on_disk = _digest(self.file)
+
+    def _is_of_others(self) -> bool:
+        try:
+            return _digest(self.file) not in ("", self._on_disk)
+        except OSError as error:
+            raise PlanNotSaved(f"cannot read what is in {self.file.name}: {error.strerror}") from error
 
     # The draft
 

@@ -50,6 +50,10 @@ if TYPE_CHECKING:
     from ronna_hw.devices.lifecycle import Device
     from ronna_hw.theatre import Theatre
 
+NOBODY_ANSWERS = (
+    "warning: standard input is no terminal, so nobody can answer and no question goes on: "
+    "run it at a terminal, with --console, or give --answers FILE"
+)
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
 
@@ -239,6 +243,14 @@ def operator_of(
     """
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
+    if (
+        request.config is not None
+        and answers is None
+        and not at_terminal
+        and watcher.pilot is None
+        and watcher.at_pause is None
+    ):
+        tell(NOBODY_ANSWERS)
     persons: dict[Topic, Operator] = {Topic.PAUSE: person, Topic.REPEAT: person} if at_terminal else {}
     if watcher.at_pause is not None:
         persons[Topic.PAUSE] = watcher.at_pause

@@ -103,7 +103,7 @@ class TerminalOperator:
         self._asking = asking
 
     def ask(self, question: Question) -> str:
-        """WritePrompt the value and wait for one of the answers, typed whole; anything else is asked again.
+        """Write the value and wait for one of the answers, typed whole; anything else is asked again.
 
         The answer that goes on counts only with what is to be read back, in the same time.
         """

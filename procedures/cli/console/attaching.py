@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,12 +15,14 @@ from procedures.cli.console.desk import Desk
 from procedures.cli.console.link import ConsoleLink
 from procedures.cli.console.pilot import Pilot
 from procedures.engine.errors import ConsoleMissing
+from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from ronna_hw.command_line.viewers_address import ViewersAddress
 
+LOOPBACK = "127.0.0.1"
 NEEDED = ("nicegui", "skimage")  # of the extra `console`
 
 
@@ -35,6 +38,19 @@ def check_console() -> None:
     """Raise PRO-040 where the console's libraries are not installed."""
     if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
         raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
+
+
+def check_port(port: int) -> None:
+    """Raise CLI-001 for a port that is taken, before anything of the case is opened."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise UsageMistake(
+                f"--console-port {port} cannot be used: {error.strerror}",
+                action="Give another port, or leave the option out: any free one is taken.",
+            ) from error
 
 
 @contextlib.contextmanager

@@ -44,9 +44,10 @@ def console_request(
         if port or bind or certificate or key:
             raise UsageMistake("--console-port, --bind, --certificate and --key go with --console")
         return None
-    from procedures.cli.console.attaching import ConsoleRequest, check_console
+    from procedures.cli.console.attaching import ConsoleRequest, check_console, check_port
 
     check_console()
+    check_port(port)
     viewers = viewers_address(bind, certificate, key)
     for warning in () if viewers is None else viewers.check():
         tell(f"warning: {warning}")

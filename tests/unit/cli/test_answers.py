@@ -96,3 +96,17 @@ def test_a_step_is_repeated_without_being_asked_about_only_where_nobody_sits(
     monkeypatch.setattr("procedures.cli.case.opening.on_terminal", lambda _stream: at_terminal)
     operator = operator_of(CaseRequest(out=tmp_path), Watcher(), None)
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
+
+
+@pytest.mark.parametrize(("at_terminal", "told"), [(True, ""), (False, "nobody can answer")])
+def test_that_nobody_can_answer_on_a_theatre_of_ones_own_is_told_before_anything_opens(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    at_terminal: bool,
+    told: str,
+) -> None:
+    monkeypatch.setattr("procedures.cli.case.opening.on_terminal", lambda _stream: at_terminal)
+    operator_of(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path), Watcher(), None)
+    error = capsys.readouterr().err
+    assert told in error if told else error == ""

@@ -13,6 +13,8 @@ import pytest
 
 from procedures.cli.console import link
 from procedures.cli.console.desk import Desk
+from procedures.cli.console.options import console_request
+from ronna_hw.command_line.errors import UsageMistake
 
 
 class Listening:
@@ -69,3 +71,10 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
         assert said[0].startswith("no console" if fails else "CONSOLE")
     finally:
         console.close()
+
+
+def test_a_port_that_is_taken_is_told_before_a_theatre_is_opened() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(UsageMistake, match=rf"CLI-001: --console-port {port} cannot be used: .*in use"):
+            console_request(wanted=True, port=port, bind=None, certificate=None, key=None)

@@ -112,6 +112,15 @@ def test_a_plan_that_another_program_changed_meanwhile_is_not_overwritten(desk: 
     assert desk.draft.standoff_mm == 31.0
 
 
+def test_a_plan_that_can_no_longer_be_read_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
+    draw(desk)
+    save(desk)
+    file.unlink()
+    file.mkdir()
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read what is in .*Is a directory"):
+        save(desk)
+
+
 def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
