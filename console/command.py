@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line.console import LogLevelOption, VerboseOption, run, set_up_logging
+from ronna_hw.command_line.console import run
 from ronna_hw.command_line.messages import tell
 from ronna_hw.command_line.viewers_address import (
     BindOption,
@@ -33,11 +33,8 @@ def review(
     bind: BindOption = None,
     certificate: CertificateOption = None,
     key: KeyOption = None,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Serve a page with the whole course of a run, until Ctrl-C. Its address holds a key."""
-    set_up_logging(verbose)
     from console.reviewing import review
 
     viewers = viewers_address(bind, certificate, key)

@@ -11,7 +11,6 @@ import logging.handlers
 import platform
 import re
 import sys
-import warnings
 from collections.abc import Iterator, MutableMapping
 from pathlib import Path
 from typing import Any, TextIO
@@ -42,12 +41,6 @@ def show_log(stream: TextIO) -> None:
 
     _attach(_Shown(stream), structlog.dev.ConsoleRenderer(colors=False))
     logging.captureWarnings(True)
-
-
-def ignore_libraries() -> None:
-    """Silence the warnings of libraries; without this Python prints them on standard error."""
-    logging.getLogger().addHandler(logging.NullHandler())
-    warnings.simplefilter("ignore")
 
 
 @contextlib.contextmanager

@@ -17,11 +17,8 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 @app.command()
 def open_planner(
     request: Annotated[str, typer.Argument(help="What is to be opened, as JSON.")],
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Read the CT and serve the planner."""
-    console.set_up_logging(verbose)
     from console.app import serve_pages
     from console.planning.desk import PlanDesk
     from console.planning.page import add_planner

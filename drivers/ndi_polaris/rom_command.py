@@ -42,8 +42,6 @@ def make(
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the .rom.")],
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> int:
     """Write a definition from marker coordinates.
 
@@ -51,7 +49,6 @@ def make(
     one for an existing definition. Exit codes: 0 written, perhaps with warnings about similar distances;
     1 the description is wrong or the file cannot be written.
     """
-    console.set_up_logging(verbose)
     from drivers.ndi_polaris.rom.definition import decode_definition, definition_hash, encode_definition
     from drivers.ndi_polaris.rom.description import read_description
     from drivers.ndi_polaris.tools.geometry import alike_segments_mm, find_alike
@@ -85,11 +82,8 @@ def show(
     rom: RomArgument,
     as_toml: Annotated[bool, typer.Option("--toml", help="Print the description that make reads.")] = False,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> int:
     """Show the content of a definition. Exit codes: 0 shown, 1 not a usable definition."""
-    console.set_up_logging(verbose)
     import sys
 
     from drivers.ndi_polaris.rom.definition import definition_hash
@@ -137,15 +131,12 @@ def compare(
     first: RomArgument,
     second: RomArgument,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> int:
     """Show the differences between two definitions.
 
     Field by field; marker positions by their distance in mm, unexplained bytes in hex.
     Exit codes: 0 no difference, 1 a difference, or one is not a usable definition.
     """
-    console.set_up_logging(verbose)
     from dataclasses import asdict
 
     from drivers.ndi_polaris.rom.comparison import compare_definitions, largest_segment_difference_mm
@@ -181,15 +172,12 @@ def check(
     roms: Annotated[list[Path], typer.Argument(metavar="ROM...", help="Definitions that are used together.")],
     tolerance_mm: ToleranceOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> int:
     """Check that marker distances are unique.
 
     Within a tool, and between tools that are used together.
         Exit codes: 0 unique, 1 not unique, or a file is not a usable definition.
     """
-    console.set_up_logging(verbose)
     from dataclasses import asdict
     from itertools import combinations
 

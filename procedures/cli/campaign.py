@@ -96,8 +96,6 @@ def correspondence(
     scheduler: SchedulerOption = None,
     out: OutOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
 
@@ -119,14 +117,14 @@ def correspondence(
             "--method and --e do not go with --sweep, --xframe or --template: they have their own"
         )
     if xframe:
-        _clinical(runs, seed, workers, scheduler, out, as_json, verbose)
+        _clinical(runs, seed, workers, scheduler, out, as_json)
         return
     runs = runs or THESIS_RUNS
     if template:
         from procedures.studies.correspondence import template as by_template
 
         implanted = by_template.TemplateStudy(runs, seed)
-        _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json, verbose)
+        _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json)
         return
     chosen, own = chosen_methods(methods or (), console.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
@@ -136,7 +134,7 @@ def correspondence(
             runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
         )
     plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
-    _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json, verbose)
+    _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json)
 
 
 def _clinical(
@@ -146,18 +144,16 @@ def _clinical(
     scheduler: str | None,
     out: Path | None,
     as_json: bool,
-    verbose: bool,
 ) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from procedures.studies.correspondence import clinical
     from procedures.studies.correspondence.frame_readings import recorded_readings
 
-    console.set_up_logging(verbose)
     folder = out or Path("campaigns") / clinical.ClinicalStudy.name
     with console.progress_bar("readings of the tracker") as progress:
         taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, seed, progress)
     study = clinical.ClinicalStudy(taken, seed)
-    _run(study, clinical.tables, clinical.plots, workers, scheduler, folder, as_json, verbose)
+    _run(study, clinical.tables, clinical.plots, workers, scheduler, folder, as_json)
 
 
 @app.command()
@@ -169,14 +165,12 @@ def registration(
     scheduler: SchedulerOption = None,
     out: OutOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from procedures.studies.registration import RegistrationStudy, plots, tables
 
     own = _own("REGISTRATION", methods)
-    _run(RegistrationStudy(runs, seed, own=own), tables, plots, workers, scheduler, out, as_json, verbose)
+    _run(RegistrationStudy(runs, seed, own=own), tables, plots, workers, scheduler, out, as_json)
 
 
 @app.command()
@@ -213,8 +207,6 @@ def localization(
     scheduler: SchedulerOption = None,
     out: OutOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
     from procedures.studies.localization.goals import tables_and_goals
@@ -239,7 +231,7 @@ def localization(
 
         protocol = ThesisLocalizationStudy(seed)
         told = thesis_localization_tables
-        _run(protocol, told.tables, told.plots, workers, scheduler, out, as_json, verbose)
+        _run(protocol, told.tables, told.plots, workers, scheduler, out, as_json)
         return
     study = LocalizationStudy(volumes, sets, seed, own=own)
     if tuning:
@@ -249,7 +241,7 @@ def localization(
     if families:
         only = tuple(dict.fromkeys(families))
         study = LocalizationStudy(volumes, 0, seed, only, name="localization-families", own=own)
-    _run(study, tables_and_goals, plots, workers, scheduler, out, as_json, verbose)
+    _run(study, tables_and_goals, plots, workers, scheduler, out, as_json)
 
 
 @app.command()
@@ -267,8 +259,6 @@ def strategies(
     scheduler: SchedulerOption = None,
     out: OutOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
     if identified and methods:
@@ -277,14 +267,14 @@ def strategies(
         from procedures.studies.strategies import identified as by_looks
 
         study = by_looks.IdentifiedStudy(arms, seed)
-        _run(study, by_looks.tables, by_looks.plots, workers, scheduler, out, as_json, verbose)
+        _run(study, by_looks.tables, by_looks.plots, workers, scheduler, out, as_json)
         return
     from procedures.studies.strategies.study import StrategiesStudy
     from procedures.studies.strategies.tables import plots, tables
 
     own = _own("STRATEGY", methods)
     trials = StrategiesStudy(arms, seed, "strategies-own" if own else "strategies", own)
-    _run(trials, tables, plots, workers, scheduler, out, as_json, verbose)
+    _run(trials, tables, plots, workers, scheduler, out, as_json)
 
 
 @app.command(name="application-error")
@@ -297,13 +287,11 @@ def application_error(
     scheduler: SchedulerOption = None,
     out: OutOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Error at superficial and deep targets on random arms, beside RONNA G3."""
     from procedures.studies.application_error import ApplicationErrorStudy, plots, tables
 
-    _run(ApplicationErrorStudy(arms, seed), tables, plots, workers, scheduler, out, as_json, verbose)
+    _run(ApplicationErrorStudy(arms, seed), tables, plots, workers, scheduler, out, as_json)
 
 
 def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
@@ -324,9 +312,7 @@ def _run(
     scheduler: str | None,
     out: Path | None,
     as_json: bool,
-    verbose: bool,
 ) -> None:
-    console.set_up_logging(verbose)
     from procedures.studies.campaign.ledger import Ledger
     from procedures.studies.campaign.publish import publish
     from procedures.studies.campaign.unit import add_up
@@ -365,10 +351,8 @@ def _run(
 def times(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
 ) -> None:
     """Where the time of runs went: phases, steps, people; beside the times of the thesis."""
-    console.set_up_logging(verbose)
     from procedures.studies.times import times_of
 
     found = times_of(runs)

@@ -113,8 +113,6 @@ def localize(
         ),
     ] = False,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
 
@@ -123,7 +121,6 @@ def localize(
     Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
     3 no markers, another number than expected (the candidates are listed) or not the layout, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     import procedures.imaging as imaging
     from procedures.exchange.sphere_files import check_names, write_spheres
     from procedures.imaging.errors import MarkerCountWrong
@@ -210,15 +207,12 @@ def view(
     diameter_mm: Annotated[
         float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
     ] = 11.5,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Write one HTML page of a CT: three planes to scroll, markers and candidates with their reasons.
 
     A click shows a place in LPS mm; picked places can be given to localize --pick. The page is complete in
     itself, needs no network, and names no patient. A series without markers has a page as well.
     """
-    console.set_up_logging(verbose)
     import procedures.imaging as imaging
     from procedures.imaging.errors import MarkerCountWrong
     from procedures.imaging.page.ct_page import ct_page

@@ -70,8 +70,6 @@ def place(
         typer.Option("--out", metavar="DIR", help="Write place.json and the picture place.svg into DIR."),
     ] = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Map where the cart may stand, and propose the place that may be missed by most.
 
@@ -82,7 +80,6 @@ def place(
 
     Exit codes: 0 there is a place, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     began_s = time.perf_counter()
     if strategy == CHOSEN_BY_PLACE:
         raise UsageMistake(

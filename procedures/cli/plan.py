@@ -64,8 +64,6 @@ def check(
     robot_from_ct: HeadOption = None,
     home: HomeOption = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Check a plan against its CT series and, given the pose of the head, every motion of the arm.
 
@@ -76,7 +74,6 @@ def check(
     Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 a target is out of reach
     or a path is blocked, 130 interrupted. All problems are reported at once.
     """
-    console.set_up_logging(verbose)
     began_s = time.perf_counter()
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     from procedures.planning.plan.check import check_plan
@@ -127,8 +124,6 @@ def template(
     ] = 10.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Propose where three or four markers go on a head, for a template that the surgeon implants them by.
 
@@ -136,7 +131,6 @@ def template(
     those with the least expected error in the middle of the head are taken. A plan names the template as
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
-    console.set_up_logging(verbose)
     from procedures.planning.markers.template import propose_template
     from procedures.planning.markers.template_file import head_of_scene, write_template
 
@@ -195,15 +189,12 @@ def marker_places(
     ] = 0.1,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Propose where markers go on the head so that the error at the planned targets is least.
 
     On free skin between forehead and vertex, clear of the trajectories. Told beside it: what markers spread
     over the same skin by chance would do.
     """
-    console.set_up_logging(verbose)
     from procedures.cli.plan_markers import propose
 
     propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)

@@ -18,14 +18,11 @@ def new(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file: the plan.")] = Path(
         "plan.toml"
     ),
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Begin a plan on a CT: series, patient position and spheres are filled in, the trajectories are yours.
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     from procedures.imaging import localize, read_series
     from procedures.planning.plan.new import new_plan
     from ronna_hw.records import write_whole

@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 
 from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, require_theatre_options
-from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.logging_options import VERBOSE_FLAG
 
 MODULE = "console.planning.serving"
 
@@ -33,8 +33,6 @@ def open_plan(
     robot_from_ct: HeadOption = None,
     home: HomeOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Plan in the browser: slices, markers, trajectories, judged while they are drawn. Until Ctrl-C.
 
@@ -42,7 +40,6 @@ def open_plan(
     """
     from procedures.cli.console.attaching import check_console
 
-    console.set_up_logging(verbose)
     require_theatre_options(config, robot_from_ct, home, strategy)
     check_console()
     if not series_dir.is_dir():
@@ -56,5 +53,5 @@ def open_plan(
         "robot_from_ct": robot_from_ct,
         "home_deg": home,
     }
-    more = ["--verbose"] if verbose else []
+    more = [VERBOSE_FLAG] if VERBOSE_FLAG in sys.argv else []
     os.execv(sys.executable, [sys.executable, "-P", "-m", MODULE, json.dumps(request), *more])

@@ -34,8 +34,6 @@ def postoperative(
         typer.Option("--run", metavar="RUN", help="Add the result to the report of this run."),
     ] = None,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Lay both CTs over each other on bone, find what was inserted, and tell its errors against the plan.
 
@@ -44,7 +42,6 @@ def postoperative(
     Exit codes: 0 every trajectory was found, 1 a CT or the plan is unusable, 2 usage, 3 refused: another
     patient or head, nothing found along a trajectory, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     import procedures.imaging as imaging
     from procedures.planning.plan.file import read_plan
     from procedures.postoperative.comparison import compare, require_series

@@ -25,10 +25,7 @@ from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.console import (
     JsonOption,
-    LogLevelOption,
-    VerboseOption,
     run,
-    set_up_logging,
 )
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -132,11 +129,8 @@ def run_command(
     ] = False,
     out: OutOption = Path("runs"),
     as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Run the whole case and end with the errors at the targets and a report."""
-    set_up_logging(verbose)
     from procedures.cli.case.display import follow_case
 
     request = _request(
@@ -192,11 +186,8 @@ def step_command(
     certificate: CertificateOption = None,
     key: KeyOption = None,
     out: OutOption = Path("runs"),
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Step through the case by hand, one command per line; help lists them."""
-    set_up_logging(verbose)
     from procedures.cli.case.stepping import step_through
 
     step_through(

@@ -1,4 +1,4 @@
-"""Options that every command has: `--version` beside `--help`, and `--verbose` also where there is no log."""
+"""Options that every command has: `--verbose`, `--log-level`, `--version`; a group has only the last."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ from typing import Annotated, Any
 
 import typer
 
-from ronna_hw.command_line.logging_options import VERBOSE_FLAG, set_up_logging
+from ronna_hw.command_line.logging_options import VERBOSE_FLAG, set_log_levels_by_option, set_up_logging
 from ronna_hw.command_line.messages import say
-
-VERSION_FLAG = "--version"
 
 
 def with_common_options(command: Any) -> Any:
     """Add them to typer's command and to all commands of a group; returns it."""
-    version, verbose = _declared()
+    declared = _declared()
     for one in _all(command):
         is_group = bool(getattr(one, "commands", {}))
-        if not is_group and not any(VERBOSE_FLAG in option.opts for option in one.params):
-            one.params.append(verbose)
-        one.params.append(version)
+        one.params.extend(declared[-1:] if is_group else declared)
     return command
 
 
@@ -40,37 +36,44 @@ def _tell_version(wanted: bool) -> None:
     raise typer.Exit
 
 
-def _show_log(wanted: bool) -> None:
-    if wanted:
-        set_up_logging(wanted)
-
-
 def _declared() -> list[Any]:
-    """The options as typer makes them: `--version`, `--verbose`."""
+    """The options as typer makes them: their callbacks do the work, and no command gets a value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
     @app.command()
     def declare(
+        verbose: Annotated[
+            bool,
+            typer.Option(
+                VERBOSE_FLAG,
+                expose_value=False,
+                callback=set_up_logging,
+                help="Show the log on standard error and, on an error, its traceback.",
+            ),
+        ] = False,
+        log_level: Annotated[
+            list[str] | None,
+            typer.Option(
+                "--log-level",
+                metavar="[NAME=]LEVEL",
+                is_eager=True,  # before the first line that --verbose shows
+                expose_value=False,
+                callback=set_log_levels_by_option,
+                help="Level of the log, or of one logger such as tracker=debug; repeatable; also in "
+                "RONNA_LOG.",
+            ),
+        ] = None,
         version: Annotated[
             bool,
             typer.Option(
-                VERSION_FLAG,
+                "--version",
                 is_eager=True,
                 expose_value=False,
                 callback=_tell_version,
                 help="Show version, commit and lock of the packages, and exit.",
             ),
         ] = False,
-        verbose: Annotated[
-            bool,
-            typer.Option(
-                VERBOSE_FLAG,
-                expose_value=False,
-                callback=_show_log,
-                help="Show the log on standard error and, on an error, its traceback.",
-            ),
-        ] = False,
     ) -> None:
-        """Never called: it declares two options."""
+        """Never called: it declares the options."""
 
     return list(typer.main.get_command(app).params)

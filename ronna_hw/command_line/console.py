@@ -22,12 +22,9 @@ from ronna_hw.command_line.common_options import with_common_options
 from ronna_hw.command_line.errors import UsageMistake, as_ronna_error
 from ronna_hw.command_line.logging_options import (
     VERBOSE_FLAG,
-    LogLevelOption,
-    VerboseOption,
     command_logger,
     log_failure,
     set_log_levels_from_environment,
-    set_up_logging,
 )
 from ronna_hw.command_line.messages import fail_with, message_console, on_terminal, say, tell
 from ronna_hw.command_line.progress import Progress, progress_bar
@@ -39,9 +36,7 @@ from ronna_hw.host.own_packages import require_own_packages
 
 __all__ = [
     "JsonOption",
-    "LogLevelOption",
     "Progress",
-    "VerboseOption",
     "command_logger",
     "exit_code_of",
     "fail_with",
@@ -52,7 +47,6 @@ __all__ = [
     "progress_bar",
     "run",
     "say",
-    "set_up_logging",
     "tell",
 ]
 

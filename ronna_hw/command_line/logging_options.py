@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import sys
-from collections.abc import Iterable
+import warnings
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
@@ -17,14 +16,10 @@ from ronna_hw.logs import Logger, is_known, known_loggers, logger, set_level
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
 
-VerboseOption = Annotated[
-    bool, typer.Option(VERBOSE_FLAG, help="Show the log on standard error and, on an error, its traceback.")
-]
 
-
-def set_log_levels(levels: Iterable[str] | None) -> None:
+def set_log_levels(levels: Sequence[str]) -> None:
     """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
-    for entry in levels or ():
+    for entry in levels:
         name, _, level = entry.strip().rpartition("=")
         if name and not is_known(name):
             raise UsageMistake(
@@ -36,16 +31,13 @@ def set_log_levels(levels: Iterable[str] | None) -> None:
             raise UsageMistake(f"log level {entry!r}: {wrong}") from wrong
 
 
-LogLevelOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--log-level",
-        metavar="[NAME=]LEVEL",
-        help="Level of the log, or of one logger such as tracker=debug; repeatable; also in RONNA_LOG.",
-        callback=set_log_levels,
-        expose_value=False,
-    ),
-]
+def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
+    """Apply them, also in every process that this command starts or becomes; raises CLI-001."""
+    if not levels:
+        return
+    set_log_levels(levels)
+    before = os.environ.get(LEVELS_VARIABLE)
+    os.environ[LEVELS_VARIABLE] = ",".join((*([before] if before else []), *levels))
 
 
 def set_log_levels_from_environment() -> None:
@@ -56,15 +48,16 @@ def set_log_levels_from_environment() -> None:
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`; otherwise keep libraries silent as well.
+    """Show the log on standard error with `--verbose`; otherwise silence the warnings of libraries.
 
-    A command calls this before it starts work; without it warnings of libraries would mix with its messages.
+    Without it Python prints those warnings among the messages of the command.
     """
-    from ronna_hw.log_output import about_this_computer, ignore_libraries, show_log
-
     if not verbose:
-        ignore_libraries()
+        logging.getLogger().addHandler(logging.NullHandler())
+        warnings.simplefilter("ignore")
         return
+    from ronna_hw.log_output import about_this_computer, show_log
+
     show_log(sys.stderr)
     command_logger().info("started", **about_this_computer())
 

@@ -13,14 +13,11 @@ import typer
 
 from ronna_hw.command_line.console import (
     JsonOption,
-    LogLevelOption,
-    VerboseOption,
     on_terminal,
     print_json,
     print_table,
     progress_bar,
     run,
-    set_up_logging,
     tell,
 )
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
@@ -56,11 +53,8 @@ def conformance(
         Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")
     ] = None,
     json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
-    set_up_logging(verbose)
     from ronna_hw.conformance.choice import Choice, resolve
     from ronna_hw.conformance.report import run_suite
     from ronna_hw.conformance.stand import stand

@@ -57,8 +57,6 @@ def calibrate_arm(
     answers: AnswersOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Identify links, joints, gravity, backlash and the head on the flange from looks at spheres at rest.
 
@@ -66,7 +64,6 @@ def calibrate_arm(
     looks do not give a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not
     confirmed, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     request = calibration_request(
         sim=sim,
         scene=scene,
@@ -96,15 +93,12 @@ def check(
     answers: AnswersOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Look at spheres from a few poses: is the arm still as its calibration record says?
 
     With --sim the theatre is a calibrated one. Exit codes: 0 it is, 3 it has changed or has no record, others
     as in `calibrate`.
     """
-    console.set_up_logging(verbose)
     from procedures.calibration.arm.check import check_arm
     from procedures.cli.arm import files
     from procedures.cli.arm.display import print_check

@@ -59,15 +59,12 @@ def tracker_frame(
     write: WriteOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Find the tracked frame on the mount: the arm turns it before the tracker, which looks at each pose.
 
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the looks do not give a calibration, 2 usage,
     3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     request = calibration_request(
         sim=sim,
         scene=scene,
@@ -114,14 +111,11 @@ def tool_tip(
     write: WriteOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Find the guide's tip beside the stereo head: the head looks at a ball, the tip pivots in its place.
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
-    console.set_up_logging(verbose)
     finite_ball(ball)
     request = calibration_request(
         sim=sim,

@@ -74,8 +74,6 @@ def new_theatre(
     ),
     check: Annotated[bool, typer.Option(help="Check the file as ronna-procedure doctor does.")] = True,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Begin the theatre file of your own devices: find them, write down every option, check the file.
 
@@ -83,7 +81,6 @@ def new_theatre(
     given is asked for. Exit codes: 0 written, and every device is there and ready; 2 usage; 4 written, and
     a device was not found or is not ready; 130 interrupted.
     """
-    console.set_up_logging(verbose)
     if not hardware:
         raise UsageMistake(
             "new-theatre writes the file of real devices: give --hardware",

@@ -17,7 +17,7 @@ from procedures.cli.console.options import (
     KeyOption,
     console_request,
 )
-from ronna_hw.command_line.console import JsonOption, LogLevelOption, VerboseOption, set_up_logging
+from ronna_hw.command_line.console import JsonOption
 from ronna_hw.command_line.errors import UsageMistake
 
 
@@ -52,8 +52,6 @@ def resume_command(
     certificate: CertificateOption = None,
     key: KeyOption = None,
     as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Go on with a run that was killed, left or interrupted.
 
@@ -61,7 +59,6 @@ def resume_command(
     compared with the record, and accepted. With --console whoever takes the operator's seat accepts; only
     --accept goes on without. Exit codes: 0 finished, 8 not taken up again.
     """
-    set_up_logging(verbose)
     from procedures.cli.runs.resume import resume
 
     request = console_request(wanted=console, port=console_port, bind=bind, certificate=certificate, key=key)
@@ -73,15 +70,12 @@ def home_command(
     accept: AcceptOption = False,
     answers: AnswersOption = None,
     as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Bring the arm of a run that has ended home: an instrument out along its axis first.
 
     Nothing moves before devices and tool were compared with the record, and accepted. The run stays as it
     was and can be taken up again. Exit codes: 0 the arm is home, 8 not accepted, others as in `run`.
     """
-    set_up_logging(verbose)
     from procedures.cli.runs.home import home
 
     home(run_folder, accept=accept, answers=answers, as_json=as_json)
@@ -96,15 +90,12 @@ def acknowledge_command(
         str | None, typer.Option(metavar="NAME", help="Who acknowledges; a terminal is asked for it.")
     ] = None,
     as_json: JsonOption = False,
-    verbose: VerboseOption = False,
-    log_level: LogLevelOption = None,
 ) -> None:
     """Recover the devices that are in fault, once the cause is gone; moves nothing.
 
     In the journal of the run stands who did it. Exit codes: 0 nothing is in fault any more, 3 the cause
     stands or nobody is named, 4 a device is not found, others as in `run`.
     """
-    set_up_logging(verbose)
     if (run_folder is None) == (config is None):
         raise UsageMistake("name either a run or, with --config, a theatre file")
     from procedures.cli.runs.acknowledge import acknowledge_run, acknowledge_theatre

@@ -67,15 +67,12 @@ def calibrate_head(
     write: WriteOption = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Calibrate both cameras and the head's tool frame by one ball, looked at from 60 or more poses.
 
     The arm moves, after a confirmation. Exit codes: 0 done, 1 the observations do not give a calibration,
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    console.set_up_logging(verbose)
     finite_ball(ball)
     request = calibration_request(
         sim=sim,
@@ -107,15 +104,12 @@ def check(
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Look at the ball from the eight orientations of the calibration again: has a camera or mount moved?
 
     A camera turned by 0.01 degrees is found. Exit codes: 0 the head is as it was, 3 it has changed or its
     calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
     """
-    console.set_up_logging(verbose)
     request = theatre_request(sim, scene, seed, config)
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.observations import read_strict
@@ -168,15 +162,12 @@ def measure(
     ] = None,
     out: OutOption = Path("calibrations"),
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
-    log_level: console.LogLevelOption = None,
 ) -> None:
     """Take a pair and show the ball's fit: pixels, quality, position in the tool frame.
 
     Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
     `calibrate`.
     """
-    console.set_up_logging(verbose)
     request = theatre_request(sim, scene, seed, config)
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.cli.case.leaving_report import leaving_report

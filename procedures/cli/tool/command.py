@@ -61,14 +61,12 @@ def define(
     gauge_base_mm: Annotated[float, typer.Option(help="Between both heights of the gauge's dials.")] = 60.0,
     days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
 ) -> None:
     """Write a theatre file with the record of a tool. Its tip is that of the file's calibration of now.
 
     Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 the file has
     mistakes, 2 usage.
     """
-    console.set_up_logging(verbose)
     from procedures.cli.tool.records import record_of
 
     _require_another_file(config, write)
@@ -105,14 +103,12 @@ def renew(
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
     days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
     as_json: console.JsonOption = False,
-    verbose: console.VerboseOption = False,
 ) -> None:
     """After its tip was calibrated: date a tool's record anew, for that tip and the gauge as it reads now.
 
     A calibration leaves the record alone: somebody has to say that this tool, on the gauge, is the one whose
     tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
     """
-    console.set_up_logging(verbose)
     from procedures.cli.tool.records import renewed
 
     _require_another_file(config, write)
@@ -149,12 +145,11 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 
 
 @app.command()
-def check(config: ConfigOption, verbose: console.VerboseOption = False) -> None:
+def check(config: ConfigOption) -> None:
     """Check the records of a theatre file as a case does: valid, of this flange, of this tip.
 
     Exit codes: 0 they fit, 1 the file has mistakes, 3 refused.
     """
-    console.set_up_logging(verbose)
     from procedures.workcell.tool_records import ToolRecords
     from ronna_hw.config import read_theatre_file
 
@@ -167,11 +162,8 @@ def check(config: ConfigOption, verbose: console.VerboseOption = False) -> None:
 
 
 @app.command(name="list")
-def list_tools(
-    config: ConfigOption, as_json: console.JsonOption = False, verbose: console.VerboseOption = False
-) -> None:
+def list_tools(config: ConfigOption, as_json: console.JsonOption = False) -> None:
     """List the tools of a theatre file."""
-    console.set_up_logging(verbose)
     from procedures.cli.tool.records import row_of
     from ronna_hw.config import read_theatre_file
 

@@ -45,7 +45,7 @@ def app_that(body: Callable[[], object]) -> typer.Typer:
     app = typer.Typer()
 
     @app.command()
-    def only(count: int = 1, verbose: console.VerboseOption = False) -> None:
+    def only(count: int = 1) -> None:
         body()
 
     return app
@@ -208,8 +208,7 @@ SPEAKING = (
     "import sys, typer; from ronna_hw.command_line import console; from ronna_hw.logs import logger\n"
     "app = typer.Typer()\n"
     "@app.command()\n"
-    "def speak(verbose: console.VerboseOption = False, log_level: console.LogLevelOption = None) -> None:\n"
-    "    console.set_up_logging(verbose)\n"
+    "def speak() -> None:\n"
     "    for device in ('tracker', 'stereo'):\n"
     "        log = logger(device=device)\n"
     "        log.debug('debug heard'); log.info('info heard'); log.error('error heard')\n"
@@ -229,9 +228,9 @@ LEVELS = {
 }  # fmt: skip
 
 
-def spoken(arguments: str, environment: str) -> subprocess.CompletedProcess[str]:
+def spoken(arguments: str, environment: str, script: str = SPEAKING) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-P", "-c", SPEAKING, *arguments.split()],
+        [sys.executable, "-P", "-c", script, *arguments.split()],
         capture_output=True,
         text=True,
         env={**os.environ, "RONNA_LOG": environment},
@@ -256,6 +255,19 @@ def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
     lines = [line.split() for line in done.stderr.splitlines() if " heard" in line]
     assert [(line[-3], line[-1].removeprefix("device=")) for line in lines] == LEVELS[shown]
     assert arguments or done.stderr == ""
+
+
+def test_the_process_that_a_command_becomes_logs_at_its_levels() -> None:
+    becoming = (
+        "import os, sys, typer; from ronna_hw.command_line import console; app = typer.Typer()\n"
+        "@app.command()\n"
+        "def become() -> None:\n"
+        f"    os.execv(sys.executable, [sys.executable, '-P', '-c', {SPEAKING!r}, '--verbose'])\n"
+        "console.run(app)"
+    )
+    done = spoken("--log-level tracker=debug", "stereo=error", becoming)
+    heard = [line.split() for line in done.stderr.splitlines() if " heard" in line]
+    assert [line[-3] for line in heard] == ["debug", "info", "error", "error"], done.stderr
 
 
 @pytest.mark.parametrize(

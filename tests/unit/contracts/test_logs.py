@@ -155,7 +155,8 @@ def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
 
 def test_ignored_warnings_reach_nobody() -> None:
     done = run_script(
-        "import logging, warnings; from ronna_hw.log_output import ignore_libraries; ignore_libraries(); "
+        "import logging, warnings; from ronna_hw.command_line.logging_options import set_up_logging; "
+        "set_up_logging(False); "
         "warnings.warn('x'); logging.getLogger('pydicom').warning('y')"
     )
     assert done.stderr == ""

@@ -37,13 +37,13 @@ def test_every_option_and_command_says_what_it_is_for(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_verbose_and_version_are_offered_wherever_a_message_may_name_them(name: str) -> None:
+def test_every_command_of_every_program_has_the_common_options(name: str) -> None:
     (script,) = entry_points(group="console_scripts", name=name)
     whole = with_common_options(typer.main.get_command(import_module(script.module).app))
     for path, command in commands_below(whole, name):
         offered = {word for one in command.params for word in one.opts}
-        wanted = {"--version"} if getattr(command, "commands", {}) else {"--verbose", "--version"}
-        assert wanted <= offered, path
+        is_group = bool(getattr(command, "commands", {}))
+        assert ({"--version"} if is_group else {"--version", "--verbose", "--log-level"}) <= offered, path
 
 
 @pytest.mark.parametrize("page", [api_pages.numerics, api_pages.devices], ids=["numerics", "devices"])
