@@ -18,7 +18,7 @@ from ronna_hw.command_line.viewers_address import (
 
 app = typer.Typer(
     name="ronna-console",
-    help="Look at a case in a browser, while it runs or afterwards; it changes nothing.",
+    help="View a case in a browser, while it runs or afterwards; read-only.",
     epilog="Example: ronna-console runs/20261121T081309-s3-72ab",
     no_args_is_help=True,
     add_completion=False,
@@ -28,8 +28,8 @@ app = typer.Typer(
 
 @app.command()
 def review(
-    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
+    folder: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder.")],
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0 picks any free port.")] = 0,
     bind: BindOption = None,
     certificate: CertificateOption = None,
     key: KeyOption = None,

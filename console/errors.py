@@ -6,16 +6,16 @@ from ronna_hw.errors import EXIT_USAGE, RonnaError
 
 
 class PortTaken(RonnaError):
-    """Another program listens at the console's port."""
+    """Another program is listening on the console's port."""
 
     code = "CON-001"
-    action = "Choose another port, or leave it out: any free one is taken."
+    action = "Choose another port, or omit it to use any free port."
     exit_code = EXIT_USAGE
 
 
 class NothingToShow(RonnaError):
-    """A folder holds no run that the console can show."""
+    """The folder contains no run that the console can show."""
 
     code = "CON-002"
-    action = "Give the folder of a run of this version; ronna-procedure list names them."
+    action = "Give the folder of a run made by this version; ronna-procedure list shows them."
     exit_code = EXIT_USAGE

@@ -105,7 +105,7 @@ class Figures:
         async def picture(request: Request) -> Response:
             name = request.path_params["name"]
             if self.latest is None or name not in (*self.latest.pictures, *self.latest.cuts):
-                return PlainTextResponse("There is no such picture.", 404)
+                return PlainTextResponse("No such picture.", 404)
             return FileResponse(self._hub.folder / "pictures" / name, media_type="image/png")
 
         async def pair(_request: Request) -> Response:

@@ -78,25 +78,25 @@ class Guard:
         headers = _headers(scope)
         host = headers.get("host", "")
         if host not in self._hosts:
-            await _refuse(send, 421, "This is not the address of the console.")
+            await _refuse(send, 421, "This is not the console's address.")
             return
         if scope["method"] not in READING and headers.get("origin") != f"{self._scheme}://{host}":
-            await _refuse(send, 403, "Not from a page of the console.")
+            await _refuse(send, 403, "The request does not come from a console page.")
             return
         if scope["path"] == "/" and scope["method"] == "GET" and (token := _token(scope)) is not None:
             await self._enter(token, send)
             return
         session = self._session(headers)
         if session is None:
-            await _refuse(send, 401, "Open the address that the command printed: it holds the key.")
+            await _refuse(send, 401, "Open the address that the command printed: it contains the key.")
             return
         if scope["path"].startswith(SOCKET_PATH):
-            await _refuse(send, 400, "Only by WebSocket.")
+            await _refuse(send, 400, "WebSocket only.")
             return
         if not headers.get("content-length", "0").isdigit() or (
             int(headers.get("content-length", "0")) > self._largest_body_bytes
         ):
-            await _refuse(send, 413, "Too much.")
+            await _refuse(send, 413, "Request too large.")
             return
         scope[SESSION] = session
         await self._app(scope, _bounded(receive, self._largest_body_bytes), _with_headers(send))
@@ -104,7 +104,7 @@ class Guard:
     async def _enter(self, token: str, send: Send) -> None:
         cookie = self._sessions.open(token, self._roles)
         if cookie is None:
-            await _refuse(send, 401, "This key is of another run, or was cut short.")
+            await _refuse(send, 401, "This key belongs to another run, or is truncated.")
             return
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
         if self._scheme == "https":

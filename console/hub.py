@@ -23,7 +23,7 @@ UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are tol
 SILENT_S = 1.0  # host time without a line from the engine, which sends one each quarter of a second
 REPLY_S = 3.0  # host time
 NO_REPLY = "no reply from the engine; the order may still be carried out"
-NOT_RUNNING = "this case is not running: it can only be looked at"
+NOT_RUNNING = "this case is not running: read-only"
 
 SendOrder = Callable[[AnyOrder], Awaitable[None]]
 
@@ -95,13 +95,16 @@ class Hub(Bell):
     def frozen(self) -> str:
         """Why what is shown does not move; empty while it does."""
         if self.broken_off:
-            return f"{self.broken_off} What is shown is the past."
+            return f"{self.broken_off} The data shown is out of date."
         if self.view.outcome:
             return ""
         if self.ended:
-            return "THE ENGINE HAS ENDED. What is shown is the past; the arm may stand anywhere on its way."
+            return (
+                "THE ENGINE HAS ENDED. The data shown is out of date; "
+                "the arm may have stopped anywhere on its path."
+            )
         if self.live and self.silent_s > SILENT_S:
-            return f"NOTHING HEARD FROM THE ENGINE FOR {self.silent_s:.0f} s. What is shown is the past."
+            return f"NO DATA FROM THE ENGINE FOR {self.silent_s:.0f} s. The data shown is out of date."
         return ""
 
     def end(self) -> None:
@@ -149,14 +152,14 @@ class Hub(Bell):
         """
         order = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
         if session.role is not Role.OPERATOR:
-            return "viewers give no orders"
+            return "viewers cannot give orders"
         if self._send is None or self.ended:
             return NOT_RUNNING if self._send is None else "the engine has ended"
         if not isinstance(order, Renew | Stop) and not session.may_order(self._now_s()):
             return "too many orders in one second"
         reply: asyncio.Future[str] = asyncio.get_running_loop().create_future()
         if order.nonce in self._replies:
-            return "this order was given before"
+            return "this order was already given"
         order = order.model_copy(update={"expires_s": self._now_s() + REPLY_S})
         self._replies[order.nonce] = reply
         try:

@@ -23,12 +23,12 @@ def add_order_routes(app: Any, hub: Hub) -> None:
     async def orders(request: Request) -> JSONResponse:
         session = request.scope[SESSION]
         if session.role is not Role.OPERATOR:
-            return JSONResponse({"refused": "viewers give no orders"}, 403)
+            return JSONResponse({"refused": "viewers cannot give orders"}, 403)
         try:
             content = json.loads(await request.body())
             refused = await hub.order(session, dict(content))
         except (ValueError, TypeError, RecursionError, ClientDisconnect):
-            return JSONResponse({"refused": "that is no order"}, 400)
+            return JSONResponse({"refused": "not a valid order"}, 400)
         return JSONResponse({"refused": refused}, 409 if refused else 200)
 
     app.add_route("/state", state, methods=["GET"])

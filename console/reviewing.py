@@ -23,12 +23,12 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
     try:
         followed = FollowedRun(folder)
     except RonnaError as error:
-        raise NothingToShow(f"{folder} holds no run that can be shown: {error.what}") from error
+        raise NothingToShow(f"{folder} contains no run that can be shown: {error.what}") from error
     batches = followed.batches(whole=True)
     recorded, hub = RecordedCase(), Hub(folder)
     recorded.extend(next(batches))
     if not len(recorded):
-        raise NothingToShow(f"nothing has happened in {folder}")
+        raise NothingToShow(f"{folder} has no events yet")
     hub.review = recorded
     hub.show(recorded.latest)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from console.panels.html import evidence_table, tag, text
 from procedures.reporting.case_figures import CaseFigures
 
-NOTE = "The residual of the fit (FRE) is not the accuracy; it only tells whether the fit holds together."
+NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether the fit is consistent."
 
 
 def accuracy(figures: CaseFigures | None) -> str:

@@ -43,11 +43,11 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
     """Who is in the operator's seat, and what this page may do."""
     holder = view.seat.holder if view.seat else ""
     if is_mine:
-        words, kind = f"You operate as {holder}", "ok"
+        words, kind = f"You are operating as {holder}", "ok"
     elif holder:
-        words, kind = f"{holder} operates; you look on", ""
+        words, kind = f"{holder} is operating; you are viewing", ""
     elif may_operate:
-        words, kind = "The operator's seat is free", "warn"
+        words, kind = "The operator's seat is empty", "warn"
     else:
-        words, kind = "You look on; nobody operates from a page", "dim"
+        words, kind = "You are viewing; no one is operating from a page", "dim"
     return tag("div", text(words), class_=f"seat {kind}", role="status")

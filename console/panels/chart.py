@@ -14,7 +14,7 @@ MARKS = {  # a sign for each state, so that nothing is said by colour alone
     "interrupted": ("■", "interrupted", "bad"),
     "superseded": ("~", "superseded", "warn"),
     "next": ("→", "next", "next"),
-    "": ("·", "to come", "dim"),
+    "": ("·", "pending", "dim"),
 }
 
 
@@ -30,7 +30,7 @@ def chart(view: CaseView) -> str:
         body = tag("summary", text(words))
         body += tag("ol", "".join(_step(view, row, told=finished or row is latest) for row in steps))
         phases.append(f"<details{'' if done and not finished else ' open'}>{body}</details>")
-    return _state(view) + ("".join(phases) or tag("p", "The theatre is being opened.", class_="dim"))
+    return _state(view) + ("".join(phases) or tag("p", "Opening the theatre.", class_="dim"))
 
 
 def chart_key(view: CaseView) -> object:
@@ -59,7 +59,7 @@ def _state(view: CaseView) -> str:
     )
     waits = ""
     if view.waiting is not None and not unmet and view.upcoming and view.question is None:
-        waits = tag("div", f"waits for the operator; next is {text(view.upcoming)}", class_="next")
+        waits = tag("div", f"waiting for the operator; next: {text(view.upcoming)}", class_="next")
     return tag("div", state + reason + waits + why, class_="state", role="status")
 
 

@@ -14,7 +14,7 @@ WHOLE = ("", "ok")  # validities that need no word
 def devices(view: CaseView) -> str:
     """A row for each device."""
     if not view.devices:
-        return tag("p", "No device is connected yet.", class_="dim")
+        return tag("p", "No device connected yet.", class_="dim")
     head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
     body = "".join(_row(name, row) for name, row in view.devices.items())
     return _link(view) + table_of(head, body)
@@ -61,7 +61,7 @@ def _age(row: DeviceRow) -> str:
 def _link(view: CaseView) -> str:
     link = view.link
     if link is None:
-        return tag("p", "The robot link has not streamed yet.", class_="dim")
+        return tag("p", "No robot link data yet.", class_="dim")
     late = "bad" if link.late or link.lost or link.rejected else ""
     counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
     return tag(

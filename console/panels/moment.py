@@ -16,13 +16,11 @@ class MomentPanel:
     def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
         self._recorded = recorded
         self._changed = changed
-        with ui.element("section").classes("moment card").props('aria-label="Moment of the case"'):
-            self._back = self._button("◀", -1, "one event back")
+        with ui.element("section").classes("moment card").props('aria-label="Playback position"'):
+            self._back = self._button("◀", -1, "previous event")
             self._slider = ui.slider(min=0, max=len(recorded), value=len(recorded), step=1)
-            self._slider.on_value_change(self._moved).props('aria-label="Moment of the case"').classes(
-                "slide"
-            )
-            self._on = self._button("▶", +1, "one event on")
+            self._slider.on_value_change(self._moved).props('aria-label="Playback position"').classes("slide")
+            self._on = self._button("▶", +1, "next event")
             self._text = ui.label("").classes("num")
 
     def view(self, latest: CaseView) -> CaseView:
@@ -35,7 +33,7 @@ class MomentPanel:
             if at_end:
                 self._slider.set_value(count)
                 chosen = count
-        goes_on = "" if self._recorded.over else ", goes on"
+        goes_on = "" if self._recorded.over else ", running"
         self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{goes_on}")
         return latest if chosen >= count else self._recorded.at(chosen)
 

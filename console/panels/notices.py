@@ -13,7 +13,7 @@ JOURNAL_LINES = LOG_LINES = 60
 def notices(view: CaseView) -> str:
     """A list."""
     if not view.notices:
-        return tag("p", "Nothing has gone wrong.", class_="dim")
+        return tag("p", "No faults or refusals.", class_="dim")
     return tag("ul", "".join(_notice(one) for one in reversed(view.notices)), class_="notices")
 
 
@@ -35,14 +35,14 @@ def problems(figures: CaseFigures | None) -> str:
         return ""
     first, *more = figures.problems
     others = f" and {len(more)} more" if more else ""
-    words = f"Not everything of this run can be relied on: {first}{others}. ronna-procedure verify lists it."
+    words = f"Parts of this run cannot be relied on: {first}{others}. ronna-procedure verify lists them."
     return tag("div", text(words), class_="said", role="alert")
 
 
 def log(lines: tuple[str, ...]) -> str:
     """The last lines, newest first; a warning or an error stands out by its word."""
     shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
-    return tag("ol", shown, class_="journal") if shown else tag("p", "Nothing is logged yet.", class_="dim")
+    return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 
 
 def _level(line: str) -> str:
@@ -53,4 +53,4 @@ def _level(line: str) -> str:
 def journal(view: CaseView) -> str:
     """The last lines, newest first."""
     lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
-    return tag("ol", lines, class_="journal") if lines else tag("p", "Nothing is written yet.", class_="dim")
+    return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")

@@ -14,7 +14,8 @@ from console.panels.question import HeldButton
 Give = Callable[[dict[str, Any]], Awaitable[None]]
 AT_PAUSE = "pause"  # topic of the question that is answered to go on: no button here does
 NOT_EMERGENCY = (
-    "Stop motion lets the driver bring the arm to rest. It is not an emergency stop: use the red button."
+    "Stop motion makes the driver bring the arm to rest. "
+    "It is not an emergency stop: for that, press the red button."
 )
 
 
@@ -140,4 +141,7 @@ def stop_button(give: Give) -> None:
         ui.button("Stop motion", on_click=stop, color=None).classes("stop").props(
             "no-caps unelevated data-do=stop"
         ).tooltip(NOT_EMERGENCY)
-        ui.html('<div class="stopnote">not an emergency stop:<br>use the red button</div>', sanitize=False)
+        ui.html(
+            '<div class="stopnote">not an emergency stop:<br>for that, press the red button</div>',
+            sanitize=False,
+        )

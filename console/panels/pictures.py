@@ -41,7 +41,7 @@ def pictures(figures: CaseFigures | None) -> str:
 
 def _picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
-    told = f"{text(what)}: both cameras, with the outline found"
+    told = f"{text(what)}: both cameras, detected outline overlaid"
     image = f'<img src="/picture/{text(name)}" alt="{told}" loading="lazy">'
     return tag("figure", image + tag("figcaption", text(what)))
 
@@ -62,7 +62,7 @@ def cuts_key(view: CaseView) -> object:
 
 
 def _cut(way: str, name: str, *, is_open: bool) -> str:
-    told = f"Planned way {text(way)} in three planes through its target"
+    told = f"Trajectory {text(way)} in three planes through its target"
     image = f'<img src="/picture/{text(name)}" alt="{told}" loading="lazy">'
     return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{image}</details>"
 
@@ -70,5 +70,5 @@ def _cut(way: str, name: str, *, is_open: bool) -> str:
 def course(figures: CaseFigures | None) -> str:
     """Where the theatre's time went, as in the report."""
     if figures is None or not figures.course:
-        return tag("p", "Shown of what has happened last.", class_="dim")
+        return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")

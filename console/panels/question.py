@@ -36,7 +36,7 @@ class HeldButton:
         self._appeared_s = time.monotonic()
         self._down_ms: float | None = None  # by the browser's clock: how long it was held, not told
         self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
-        self.button.tooltip("hold for one second; by keyboard hold the space bar")
+        self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
         self.button.on("pointerdown", self._down, args=["timeStamp"])
         self.button.on("pointerup", self._up, args=["timeStamp"])
         for gone in ("pointerleave", "pointercancel", "blur"):
@@ -111,7 +111,7 @@ class QuestionPanel:
         )
         self._left = ui.html("", sanitize=False)
         if not is_mine:
-            who = f"{view.seat.holder} answers" if view.seat else "nobody is in the operator's seat"
+            who = f"{view.seat.holder} answers" if view.seat else "the operator's seat is empty"
             ui.html(
                 tag("p", text(f"Answers: {', '.join(question.answers)}; {who}."), class_="dim"),
                 sanitize=False,
@@ -164,7 +164,7 @@ class QuestionPanel:
 
 def _left(question: Questioned, view: CaseView) -> str:
     if question.timeout_s is None:
-        return tag("p", "It waits until it is answered.", class_="dim")
+        return tag("p", "No time limit.", class_="dim")
     asked = datetime.fromisoformat(view.asked_at)
     left_s = max(0.0, question.timeout_s - (datetime.now(UTC) - asked).total_seconds())
-    return tag("p", f"{left_s:.0f} s left; silence means “{text(question.answers[-1])}”.", class_="dim num")
+    return tag("p", f"{left_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num")

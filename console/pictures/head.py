@@ -51,7 +51,7 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
     smooth = ndimage.gaussian_filter(np.pad(means, 1, constant_values=-1000.0), SMOOTHING_VOXELS)
     labels, count = ndimage.label(smooth > SKIN_HU)
     if not count:
-        raise ValueError("the CT shows nothing but air")
+        raise ValueError("the CT contains only air")
     largest = labels == 1 + int(np.bincount(labels.ravel())[1:].argmax())
     solid = ndimage.binary_fill_holes(largest)
     smooth[solid & ~largest] = 0.0  # a hollow inside

@@ -41,7 +41,7 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
 def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
     """With a new structure out of a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
-        raise PlanMistakes(f"there is a structure {name} already", action="Type another name first.")
+        raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_told():
         return _bounded(
             draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
@@ -66,10 +66,10 @@ def free_name(draft: Draft) -> str:
 
 def _bounded(draft: Draft) -> Draft:
     if len(draft.structures) > MOST_STRUCTURES:
-        raise PlanMistakes("no room for one more structure", limit=f"{MOST_STRUCTURES}")
+        raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
     points = sum(len(one.points_mm) for one in draft.structures)
     if points > MOST_POINTS_TOGETHER:
-        raise PlanMistakes("no room for so many points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
+        raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
     return draft
 
 

@@ -98,9 +98,9 @@ class PlanDesk(Bell):
             return self.problem
         name = self.file.name
         if not self._lock.take():
-            return PlanInUse(f"another planner has {name} open: it can only be looked at")
+            return PlanInUse(f"{name} is open in another planner: read-only")
         if plan_in_use(self.file):
-            return PlanInUse(f"a case runs on {name}: it can only be looked at")
+            return PlanInUse(f"a case is running on {name}: read-only")
         return None
 
     def hu_at(self, place_mm: Point) -> str:
@@ -131,7 +131,7 @@ class PlanDesk(Bell):
             plan = read_plan(self.file, sealed_only=False)
             if plan.series_instance_uid != self.volume.series_instance_uid:
                 raise WrongSeries(
-                    f"{self.file.name} belongs to another CT series and is left as it is",
+                    f"{self.file.name} belongs to another CT series and is left unchanged",
                     expected=self.volume.series_instance_uid,
                     got=plan.series_instance_uid,
                 )
@@ -153,7 +153,7 @@ class PlanDesk(Bell):
             return
         if drawn is not None and drawn != self.draft:
             self.history.change(drawn)
-            self.notice = UnsavedChanges("what was drawn and not saved the last time is taken up")
+            self.notice = UnsavedChanges("unsaved changes from the last session were restored")
 
     def keep(self) -> Path | None:
         """Keep what is not saved beside the plan; the file, or None where nothing is to be kept."""
@@ -168,7 +168,7 @@ class PlanDesk(Bell):
             if self.problem is None:
                 self._unsaved.forget()
         except OSError as error:
-            why = f"what is not saved cannot be kept beside the plan: {error.strerror}"
+            why = f"unsaved changes cannot be stored next to the plan: {error.strerror}"
             self.not_kept = PlanNotSaved(why)
         return None
 
@@ -183,13 +183,13 @@ class PlanDesk(Bell):
             raise self.read_only
         name = " ".join(author.split())
         if not name:
-            raise PlanMistakes("a plan is saved by somebody", action="Type your name beside Save.")
+            raise PlanMistakes("the plan needs an author", action="Enter your name next to Save.")
         draft = self.draft
         missing = [one.identifier for one in draft.ways if one.ends is None]
         if missing:
             raise PlanMistakes(
-                f"entry or target of {' and '.join(missing)} is not chosen",
-                action="Choose both, or take the trajectory away.",
+                f"entry or target of {' and '.join(missing)} is not set",
+                action="Set both, or remove the trajectory.",
             )
         plan = parse_plan(draft.content(self.volume.series_instance_uid), self.file.name)
         async with self._saving:
@@ -209,7 +209,7 @@ class PlanDesk(Bell):
                     f"{self.file.name} was changed by another program since it was opened",
                     action="Nothing was overwritten. Move that file away, then save again.",
                 )
-            notes = ("Saved by the planner. Coordinates are LPS mm of the series.", *spheres)
+            notes = ("Saved by the planner. Coordinates: LPS of the series, mm.", *spheres)
             write_plan(self.file, plan, notes)
             self._on_disk = _digest(self.file)
 
@@ -217,7 +217,7 @@ class PlanDesk(Bell):
         try:
             return _digest(self.file) not in ("", self._on_disk)
         except OSError as error:
-            raise PlanNotSaved(f"cannot read what is in {self.file.name}: {error.strerror}") from error
+            raise PlanNotSaved(f"cannot read {self.file.name}: {error.strerror}") from error
 
     # The draft
 
@@ -340,6 +340,6 @@ def _kept_by_a_run(plan: Path) -> PlanInUse | None:
     if run is None:
         return None
     return PlanInUse(
-        f"{plan.name} belongs to the run {run.name}, which stays as it is",
-        action="Look at it as long as you like; to change it copy it, and open the copy by --plan.",
+        f"{plan.name} belongs to run {run.name}, which must not change",
+        action="You can view it here; to edit, copy it and open the copy with --plan.",
     )

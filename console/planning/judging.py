@@ -63,7 +63,7 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
     missing: tuple[RonnaError, ...] = ()
     if draft.instrument_length_mm is None:  # all else can be judged with whatever length
         missing = (
-            PlanMistakes("the length of the instrument is missing", action="Type it, as its packing says."),
+            PlanMistakes("the instrument length is missing", action="Enter it as printed on the packaging."),
         )
         draft = replace(draft, instrument_length_mm=MOST_INSTRUMENT_MM)
     try:
@@ -159,15 +159,16 @@ def _in_words(check: PlanCheck) -> tuple[str, ...]:
     """What a check of the arm found, where it passed."""
     if check.paths is None:
         return ()
-    lines = [f"every pose is reached, {len(check.paths.reached)} of them in one branch"]
+    lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
     closest = [one.preview.closest for one in check.motions if one.preview.closest is not None]
     if closest:
         least = min(closest, key=lambda one: one.distance_mm)
-        lines.append(
-            f"every motion is clear, by {least.distance_mm:.0f} mm at least ({least.first}, {least.second})"
-        )
+        pair = f"{least.first}, {least.second}"
+        lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
-        f"{name} is turned by {_degrees(turn):+.0f}° about its axis" for name, turn in check.turns_rad if turn
+        f"{name} is rotated by {_degrees(turn):+.0f}° about its axis"
+        for name, turn in check.turns_rad
+        if turn
     ]
     return tuple(lines)
 

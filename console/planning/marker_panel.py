@@ -40,14 +40,12 @@ class MarkerPanel:
                 ui.element("div").classes("numbers wideones").props('role=group aria-label="On the patient"')
             ):
                 self._implanted = NumberField("spheres implanted", "implanted", self._set_implanted, 0)
-                self._standoff = NumberField("stand-off of the guide, mm", "stand-off", self._set_standoff)
-                self._length = NumberField(
-                    "length of the instrument, mm", "instrument length", self._set_length
-                )
+                self._standoff = NumberField("guide stand-off, mm", "stand-off", self._set_standoff)
+                self._length = NumberField("instrument length, mm", "instrument length", self._set_length)
             self._position = ui.select(
-                [one.value for one in PatientPosition], label="patient lay", on_change=self._set_position
+                [one.value for one in PatientPosition], label="patient position", on_change=self._set_position
             )
-            self._position.props('dense outlined options-dense aria-label="how the patient lay"')
+            self._position.props('dense outlined options-dense aria-label="patient position in the scanner"')
             self._position.set_enabled(may_edit and not desk.volume.patient_position)
             for one in (self._implanted, self._standoff, self._length):
                 one.enable(may_edit)
@@ -79,7 +77,7 @@ class MarkerPanel:
         others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]
         if not others:
             return
-        with ui.expansion("Other places looked at").classes("others"):
+        with ui.expansion("Other candidates").classes("others"):
             for number, one in enumerate(others, start=1):
                 with ui.element("div").classes("sphere"):
                     self._place(f"c{number}", one.centre_mm, one.reason)
@@ -115,8 +113,8 @@ class MarkerPanel:
 
 def _state(desk: PlanDesk) -> str:
     if desk.searching:
-        return tag("p", "looking for spheres…", class_="warn", id="searching")
+        return tag("p", "searching for spheres…", class_="warn", id="searching")
     found = len(desk.draft.markers)
     return tag(
-        "p", f"{found} spheres count as markers", class_="ok" if found else "bad", data_found=str(found)
+        "p", f"{found} spheres accepted as markers", class_="ok" if found else "bad", data_found=str(found)
     )

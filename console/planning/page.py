@@ -35,7 +35,7 @@ BEAT_S = 0.4  # host time between two updates when nothing happens
 RECONNECT_S = 30.0  # a page that a busy computer holds up keeps where it looks
 LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
 DOES = {
-    LOOK: "look there",
+    LOOK: "move the crosshair",
     ENTRY: "set the entry",
     TARGET: "set the target",
     SPHERE: "pick a sphere",
@@ -127,10 +127,10 @@ class PlannerPage:
     def _picture_bar(self) -> None:
         with ui.element("div").classes("orders").props('role=toolbar aria-label="Pictures"'):
             does = DOES if self._may_edit else {LOOK: DOES[LOOK]}
-            ui.label("A click is to")
-            self._mode = ui.toggle(does, value=LOOK).props('no-caps unelevated aria-label="A click is to"')
+            ui.label("Click to")
+            self._mode = ui.toggle(does, value=LOOK).props('no-caps unelevated aria-label="Click to"')
             self._mode.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
-            window = ui.select(list(WINDOWS_HU), value=self._look.window, label="grey window")
+            window = ui.select(list(WINDOWS_HU), value=self._look.window, label="CT window")
             window.props("dense outlined options-dense").classes("window")
             window.on_value_change(lambda event: self._set_window(str(event.value)))
             self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
@@ -251,7 +251,7 @@ class PlannerPage:
 
 def _case_line(desk: PlanDesk) -> str:
     shape = " × ".join(map(str, desk.volume.geometry.shape))
-    position = desk.volume.patient_position or "position not said"
+    position = desk.volume.patient_position or "patient position unknown"
     state, kind = ("saved", "ok") if desk.is_saved else ("not saved", "warn")
     file = tag("b", text(desk.file.name)) + " " + tag("span", state, class_=kind, data_saved=state)
     return tag(

@@ -26,11 +26,11 @@ class ProposalPanel:
 
     def __init__(self, desk: PlanDesk, go: Callable[[Point], None]) -> None:
         self._desk, self._go = desk, go
-        with ui.element("section").classes("card proposal").props('aria-label="Where markers would help"'):
-            ui.html("<h2>Where markers would help</h2>", sanitize=False)
+        with ui.element("section").classes("card proposal").props('aria-label="Proposed marker sites"'):
+            ui.html("<h2>Proposed marker sites</h2>", sanitize=False)
             with ui.element("div").classes("numbers"):
                 self._count = ui.select(list(COUNTS), value=USUAL_COUNT)
-                self._count.props('dense outlined options-dense aria-label="how many markers"')
+                self._count.props('dense outlined options-dense aria-label="number of markers"')
                 self._ask = ui.button("Propose", on_click=self._propose, color=None)
                 self._ask.classes("plain").props("no-caps unelevated data-do=propose")
             self._words = ui.html("", sanitize=False)
@@ -58,11 +58,11 @@ class ProposalPanel:
 
     def _show(self, found: ProposedMarkers | None) -> None:
         if found is None:
-            self._words.set_content(tag("p", "Choose entry and target first.", class_="dim"))
+            self._words.set_content(tag("p", "Set entry and target first.", class_="dim"))
             return
         rows = [(one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}") for one in found.targets]
-        told = f"expected of markers of {found.marker_error_mm:g} mm each; the arm is not in it"
-        head = ("target", "proposed mm", "by chance mm")
+        told = f"expected with markers of {found.marker_error_mm:g} mm each; the arm's error is not included"
+        head = ("target", "proposed mm", "random mm")
         self._words.set_content(tag("div", table(head, rows, told), data_proposed=str(len(found.markers))))
         with self._sites:
             for number, centre_mm in enumerate(found.centres_mm, start=1):

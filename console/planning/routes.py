@@ -25,7 +25,7 @@ def add_pictures(app: Any, desk: PlanDesk) -> None:
         try:
             wanted, window = _read(dict(request.query_params))
         except (KeyError, ValueError):
-            return PlainTextResponse("There is no such picture.", 404)
+            return PlainTextResponse("No such picture.", 404)
         picture = await asyncio.to_thread(cut_png, desk.volume, wanted, window)
         return Response(picture, media_type="image/png")
 
@@ -49,5 +49,5 @@ def _read(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
 def _three(words: str) -> Any:
     values = [float(one) for one in words.split(",")]
     if len(values) != 3 or not all(map(math.isfinite, values)):
-        raise ValueError("three numbers are needed")
+        raise ValueError("expected three numbers")
     return np.array(values)

@@ -16,7 +16,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 @app.command()
 def open_planner(
-    request: Annotated[str, typer.Argument(help="What is to be opened, as JSON.")],
+    request: Annotated[str, typer.Argument(help="What to open, as JSON.")],
 ) -> None:
     """Read the CT and serve the planner."""
     from console.app import serve_pages
@@ -33,7 +33,7 @@ def open_planner(
     if asked.config is not None and asked.robot_from_ct is not None:
         strategy = strategy_named(asked.strategy)
         theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
-    with console.progress_bar("reading the series") as advance:
+    with console.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
     desk = PlanDesk(volume, asked.plan, theatre)
     try:
@@ -46,7 +46,7 @@ def open_planner(
         )
     finally:
         if (kept := desk.close()) is not None:
-            console.tell(f"not saved; kept in {kept}: open the plan again to go on")
+            console.tell(f"unsaved changes kept in {kept}: open the plan again to continue")
 
 
 if __name__ == "__main__":

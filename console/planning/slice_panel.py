@@ -82,7 +82,7 @@ class SlicePanel:
         self._cut = cut = look.cut(self._plane, way)
         if cut is None:
             shown = "", ""
-            self._where.set_text("choose entry and target")
+            self._where.set_text("set entry and target")
         else:
             shown = _address(cut, look.window), overlay(cut, draft, look.way, look.place_mm)
             self._where.set_text(self._words(cut))

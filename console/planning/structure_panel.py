@@ -35,7 +35,7 @@ class StructurePanel:
         self._names: tuple[str, ...] | None = None
         self._margins: dict[str, NumberField] = {}
         with ui.element("section").classes("card structures").props('aria-label="Structures"'):
-            ui.html("<h2>Keep away from</h2>", sanitize=False)
+            ui.html("<h2>Structures to avoid</h2>", sanitize=False)
             if may_edit:
                 self._build_tools()
             self._list = ui.element("div").classes("rows")
@@ -83,7 +83,7 @@ class StructurePanel:
             self._margins[name] = NumberField("margin mm", f"margin of {name}", partial(self._set, name))
             self._margins[name].enable(self._may_edit)
             if self._may_edit:
-                self._button("−", partial(self._remove, name), f"take {name} away")
+                self._button("−", partial(self._remove, name), f"remove {name}")
 
     def _button(self, words: str, act: Callable[[], object], name: str) -> None:
         ui.button(words, on_click=act, color=None).classes("plain small").props(

@@ -69,7 +69,7 @@ class UnsavedFile:
         except (OSError, InputRefused, ValidationError):
             raise self._put_aside("cannot be read") from None
         if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
-            raise self._put_aside("belong to another CT, or to the plan as it stood before")
+            raise self._put_aside("belong to another CT, or to an earlier version of the plan")
         self._is_ours = True
         values = {name: getattr(kept, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         return replace(draft, **values)
@@ -83,5 +83,5 @@ class UnsavedFile:
         except OSError:
             aside = self.path
         return UnsavedChanges(
-            f"unsaved changes {why}; they are kept in {aside.name}", action="Draw on the plan as it stands."
+            f"unsaved changes {why}; they are kept in {aside.name}", action="Continue with the plan as it is."
         )

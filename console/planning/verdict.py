@@ -35,7 +35,7 @@ def verdict(judged: Judged, draft: Draft) -> str:
 def expected(judged: Judged, draft: Draft) -> str:
     """The error to expect at each target, beside its margin."""
     if not judged.expected:
-        words = "Three markers and a whole trajectory are needed." if not judged.complete else "Not known."
+        words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")
     rows = "".join(
         _target(one.identifier, judged.expected[one.identifier], one.margin_mm)
@@ -47,21 +47,21 @@ def expected(judged: Judged, draft: Draft) -> str:
 
 def _outcome(judged: Judged) -> str:
     if not judged.complete:
-        return tag("p", "Choose entry and target of a trajectory.", class_="dim")
+        return tag("p", "Set entry and target of a trajectory.", class_="dim")
     if judged.findings:
         return tag("p", "This plan would be refused:", class_="bad")
     if judged.arm_known and not judged.thorough:
-        return tag("p", "Clearance is being checked…", class_="dim")
+        return tag("p", "Checking clearance…", class_="dim")
     words = "This plan would be accepted."
     if not judged.arm_known:
-        words += " The arm is not known: open with --config and --robot-from-ct to check reach and clearance."
+        words += " No arm given: open with --config and --robot-from-ct to check reach and clearance."
     return tag("p", words, class_="ok")
 
 
 def _to_skull(name: str, angle_deg: float | None) -> str:
     if angle_deg is None:
-        return f"{name} meets no bone that the CT shows"
-    return f"{name} meets the skull at {angle_deg:.0f}° (90° is straight)"
+        return f"{name} crosses no bone in the CT"
+    return f"{name} meets the skull at {angle_deg:.0f}° (90° is perpendicular)"
 
 
 def _target(name: str, one: Expected, margin_mm: float) -> str:
@@ -69,7 +69,7 @@ def _target(name: str, one: Expected, margin_mm: float) -> str:
     words = f"{name}: {one.rms_mm:.2f} mm rms, {one.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
     line = tag(
         "p",
-        text(words + (" — beyond the margin" if beyond else "")),
+        text(words + (" — exceeds the margin" if beyond else "")),
         class_="bad" if beyond else "big",
         data_expected=name,
         data_rms=f"{one.rms_mm:.4f}",
@@ -81,6 +81,7 @@ def _target(name: str, one: Expected, margin_mm: float) -> str:
 def _basis(expected: Iterable[Expected]) -> str:
     if all(one.with_arm for one in expected):
         return (
-            "With the arm at the poses that were found; without the stereo measurement, which the case makes."
+            "Includes the arm at the poses found; "
+            "excludes the stereo measurement, which is made during the case."
         )
-    return "Of the markers alone: the arm's own errors are not in it."
+    return "From the markers alone; the arm's own errors are not included."

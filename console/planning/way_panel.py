@@ -39,7 +39,7 @@ class WayPanel:
                             partial(self._at_crosshair, end),
                             f"{end} at the crosshair",
                         )
-                    self._button("look there", partial(self._go, end), f"crosshair to the {end}")
+                    self._button("show", partial(self._go, end), f"crosshair to the {end}")
             with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):
                 ui.label("Axis").classes("rowname")
                 self._field("azimuth", "az. °", self._set_azimuth)
@@ -94,8 +94,8 @@ class WayPanel:
                     "chosen" if chosen else ""
                 )
             if self._may_edit:
-                self._button("+", self._add, "one more trajectory")
-                self._button("−", self._remove, "take this trajectory away")
+                self._button("+", self._add, "add a trajectory")
+                self._button("−", self._remove, "remove this trajectory")
 
     def _choose(self, name: str) -> None:
         self._look.way = name

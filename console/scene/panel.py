@@ -12,8 +12,8 @@ from procedures.reporting.case_figures import CaseFigures
 
 MAGNIFICATIONS = {1: "as measured", 10: "differences × 10", 30: "differences × 30"}
 KEY = (
-    ("arm, as checked", ARM),
-    ("spheres by CT", CT),
+    ("arm (as checked)", ARM),
+    ("spheres from the CT", CT),
     ("tracker", TRACKER),
     ("stereo head", STEREO),
     ("plan", PATH),
@@ -73,7 +73,7 @@ class ScenePanel:
         hidden = self._scene.hidden
         if not hidden:
             return ""
-        words = f"the arm stands between the tracker and {hidden} of the spheres (red lines)"
+        words = f"the arm blocks the tracker's view of {hidden} of the spheres (red lines)"
         return tag("div", words, class_="warn")
 
     def _magnify(self) -> None:
@@ -83,8 +83,8 @@ class ScenePanel:
 def _age(view: CaseView) -> str:
     stood = view.pose
     if stood is None:
-        return tag("div", "The arm has not been seen yet.", class_="dim")
+        return tag("div", "No arm position yet.", class_="dim")
     age_s = view.theatre_time_s - stood.said_s + stood.pose.age_s
     if age_s > OLD_S:
-        return tag("div", f"POSE OF {age_s:.1f} s AGO, shown grey", class_="warn num")
-    return tag("div", f"pose of {age_s:.2f} s ago", class_="num")
+        return tag("div", f"POSE IS {age_s:.1f} s OLD, shown grey", class_="warn num")
+    return tag("div", f"pose is {age_s:.2f} s old", class_="num")

@@ -1,8 +1,8 @@
 // Says by itself when the page is no longer kept fresh: what stands still must not look as if it rested.
 (() => {
   const LOST_MS = 2000;
-  const LOST = "THE CONSOLE DOES NOT ANSWER. What is shown is the past.";
-  const CLOSED = "The case is closed, and the console with it. ronna-console shows it again.";
+  const LOST = "THE CONSOLE IS NOT RESPONDING. The data shown is out of date.";
+  const CLOSED = "The case and its console are closed. ronna-console opens it again.";
   let beat = "", changed = performance.now();
   setInterval(() => {
     const clock = document.getElementById("clock");

@@ -99,12 +99,12 @@ class CasePage:
             with ui.element("div").classes("left"):
                 if may_operate:
                     self._orders = OrderPanel(self._give, self._say)
-                self._section("Course of the case", chart, chart_key, "chart")
+                self._section("Progress", chart, chart_key, "chart")
             with ui.element("div").classes("middle"):
                 self._question = QuestionPanel(self._give, self._say)
                 self._scene = ScenePanel(low=self._low)
                 self._section(
-                    "Planned ways in the CT",
+                    "Trajectories in the CT",
                     lambda view: cuts(view, self._figures_then),
                     lambda view: (self._measured(view), cuts_key(view)),
                     "cutbox",
@@ -120,7 +120,7 @@ class CasePage:
                         "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
                     )
                     self._section(
-                        "Course of time",
+                        "Timeline",
                         lambda _view: course(self._figures_then),
                         self._measured,
                         "coursebox",
@@ -180,7 +180,7 @@ class CasePage:
             refused = await self._hub.order(self._session, order)
         except ValueError:
             refused = (
-                "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "that is no order"
+                "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "not a valid order"
             )
         words = refused if refused == NO_REPLY else f"Refused: {refused}"
         self._say(f"{words}." if refused else "")

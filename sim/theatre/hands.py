@@ -49,8 +49,8 @@ class NoSuchTask(Exception):
 
     def __init__(self, task: str, known: Iterable[str]) -> None:
         near = get_close_matches(task, tuple(known), n=1)
-        super().__init__(f"there is no task {task!r}; expected {', '.join(known)}")
-        self.advice = f"Did you mean {near[0]}?" if near else "Give the task that the question names."
+        super().__init__(f"unknown task {task!r}; expected {', '.join(known)}")
+        self.advice = f"Did you mean {near[0]}?" if near else "Use the task named in the question."
 
 
 class Hands:

@@ -37,19 +37,19 @@ class LeftArm(Strict):
     """How the robot was left: by its encoders, and by what they do not tell."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
-    flanks: Numbers6 = Field(description="Where each joint is in its backlash, -1 to 1.")
-    motion_number: Count = Field(description="Motions so far.")
+    flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
+    motion_number: Count = Field(description="Number of motions so far.")
     moved_s: Annotated[float, Field(ge=0)] = Field(description="Time in motion so far.")
 
 
 class LeftWorld(Strict):
     """What changes in a world, as it was last."""
 
-    theatre_time_ns: Count = Field(description="Since the theatre first began.")
-    mounted_tool: Count = Field(description="As the controller's inputs report it.")
-    arm: LeftArm | None = Field(description="None before the robot has started.")
+    theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
+    mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
+    arm: LeftArm | None = Field(description="None until the robot has started.")
     standing_faults: str = Field(
-        default="", description="Script of the faults whose effect stays: what was moved, bent or turned."
+        default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
     )
 
     @classmethod
@@ -114,7 +114,7 @@ def folder_held(folder: Path) -> Iterator[None]:
                 break
             except BlockingIOError:
                 if time.monotonic() > limit_s:
-                    raise TheatreRunning(f"another theatre runs in {folder}") from None
+                    raise TheatreRunning(f"another theatre is running in {folder}") from None
                 time.sleep(LOOK_AGAIN_S)  # a lock on a file cannot be awaited with a time limit
         yield
     finally:

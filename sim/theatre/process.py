@@ -27,7 +27,7 @@ from sim.theatre.scene.model import ArmResidual, Scene, read_scene
 from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
-PARENT_GONE = "stopping: the process that started this simulator has ended\n"
+PARENT_GONE = "stopping: the parent process has ended\n"
 END_LIMIT_S = 1.5  # then what hangs in a system call, or waits for a halted child, is ended hard
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
@@ -133,7 +133,7 @@ def load_scene(
         on_frame = fiducials is Carrier.XFRAME
         drawn = named_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
     elif fiducials is not Carrier.FREE:
-        raise BadScene("a scene file says itself what its spheres stand on: leave --fiducials out")
+        raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
     else:
         drawn = read_scene(Path(scene))
     if target_balls:

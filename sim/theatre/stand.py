@@ -31,7 +31,7 @@ def read_dials(world: World) -> tuple[float, float, float]:
     away = rotation_from_vector(stand.dials_turned_rad).T @ (tip[:3, 3] - zero)
     if np.abs(away).max() > stand.travel_mm:
         raise StandNotReady(
-            "the divot does not reach the tip",
+            "the tip is beyond the divot's travel",
             limit=f"{stand.travel_mm:g} mm along each axis",
             got=f"{np.abs(away).max():.1f} mm",
         )

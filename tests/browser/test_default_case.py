@@ -32,7 +32,7 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
     case = start("step", scene=DEFAULT)
     enter(page, case.addresses["url"] + "&low")
     take_seat(page)
-    page.wait_for_selector("text=next is ct_import")
+    page.wait_for_selector("text=next: ct_import")
     page.locator(".upto").click()
     page.get_by_role("option", name="relocalization:T1", exact=True).click()
     page.locator("[data-do=run_to]").click()

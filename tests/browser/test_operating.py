@@ -52,7 +52,7 @@ def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
     take_seat(page, "Ana")
     other = opened_context(browser).new_page()
     enter(other, case.addresses["url"])
-    other.wait_for_selector("text=Ana operates; you look on")
+    other.wait_for_selector("text=Ana is operating; you are viewing")
     assert other.locator("[data-do=next]").is_disabled()
     forged = other.evaluate(
         """async () => (await fetch('/orders', {method: 'POST', body: JSON.stringify(
@@ -83,7 +83,7 @@ def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next is ct_import")
+    page.wait_for_selector("text=next: ct_import")
     os.kill(case.process.pid, signal.SIGKILL)
     page.wait_for_selector("text=THE ENGINE HAS ENDED")
     assert page.locator("[data-do=next]").is_disabled()
@@ -95,7 +95,7 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases,
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
-    page.wait_for_selector("text=next is ct_import")
+    page.wait_for_selector("text=next: ct_import")
     page.locator(".upto").click()
     page.get_by_role("option", name="relocalization:T1").click()
     page.locator("[data-do=run_to]").click()

@@ -32,7 +32,7 @@ def test_a_finished_case_is_reviewed_back_to_its_first_event(
         slider = page.locator(".moment .q-slider").bounding_box()
         page.mouse.click(slider["x"] + 3, slider["y"] + slider["height"] / 2)
         page.wait_for_selector(".accuracy >> text=No registration yet")
-        page.get_by_label("one event on").click()
+        page.get_by_label("next event").click()
         assert low_contrast_by_scheme(page) == {}
         assert without_name(page) == []
         assert not_reached_by_tab(page) == []

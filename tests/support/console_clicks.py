@@ -14,7 +14,7 @@ PATIENT = "mini-3"  # as on the wristband of the phantom of the mini scene, seed
 def take_seat(page: Any, name: str = "Dr Test") -> None:
     page.get_by_label("Your name").fill(name)
     page.get_by_role("button", name="Take the seat").click()
-    page.wait_for_selector(f"text=You operate as {name}")
+    page.wait_for_selector(f"text=You are operating as {name}")
 
 
 def keep_seat(page: Any) -> bool:

@@ -54,4 +54,4 @@ def test_a_simulator_ends_and_says_why_when_its_parent_dies_while_it_starts(
     finally:
         if _runs(pid):
             os.kill(pid, signal.SIGKILL)
-    assert heard.read_text() == "stopping: the process that started this simulator has ended\n"
+    assert heard.read_text() == "stopping: the parent process has ended\n"

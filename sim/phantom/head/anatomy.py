@@ -144,7 +144,7 @@ def distance_to_skin(fiducial: Fiducial, head: Head) -> float:
     a, b, c = along @ along, start @ along, start @ start - 1.0
     root = b * b - a * c
     if c <= 0.0 or b >= 0.0 or root < 0.0:
-        raise BadScene(f"the post of fiducial {fiducial.number} does not stand on the head")
+        raise BadScene(f"the post of fiducial {fiducial.number} is not on the head")
     return float((-b - np.sqrt(root)) / a)
 
 

@@ -52,7 +52,7 @@ def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> t
                 Fiducial(number=k + 1, centre_ct_mm=_three(centre), post_ct=_three(normal))
                 for k, centre in enumerate(centres)
             )
-    raise BadScene("the x-shaped frame does not stand clear of the head")
+    raise BadScene("the x-shaped frame is not clear of the head")
 
 
 def frame_markers(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:

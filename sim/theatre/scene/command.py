@@ -16,11 +16,13 @@ def scene(
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
     fiducials: Annotated[
-        Carrier, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+        Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
     ] = Carrier.FREE,
     template: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Implant the spheres by this template of `ronna-plan template`."),
+        typer.Option(
+            metavar="FILE", help="Implant the spheres with this template from `ronna-plan template`."
+        ),
     ] = None,
 ) -> None:
     """Print the whole truth of a scene as TOML: a starting point for a scene of your own."""
@@ -35,7 +37,7 @@ def scene(
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
     else:
         if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
-            raise BadScene("a template belongs to a named scene, and has its own number of markers")
+            raise BadScene("a template belongs to a named scene and fixes the number of markers")
         implanted = read_marker_template(template)
         truth = named_scene(scene, seed=seed, targets=targets, template=implanted)
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

@@ -74,7 +74,7 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
             ),
             np.vstack([centres, on_bars, on_foot]),
         )
-    raise BadScene("the x-shaped frame does not stand clear of the head")
+    raise BadScene("the x-shaped frame is not clear of the head")
 
 
 def _clear(points_mm: Vector) -> bool:

@@ -9,28 +9,37 @@ from sim.theatre.scene.quantities import NotNegative, Positive
 
 
 class Guide(Strict):
-    """The guide as it really is, beside what was measured when its records were made, and its instrument.
+    """The true guide, as opposed to what its records state, and its instrument.
 
-    Its tip frame is that of the mandrel with which the tip was calibrated; z leads down the bore.
+    Its tip frame is that of the mandrel with which the tip was calibrated; z points down the bore.
     """
 
-    reach_mm: Positive = Field(default=85.0, description="Of the mandrel, beyond the guide's lower end.")
-    bore_mm: Positive = Field(default=85.0, description="From the upper end to the lower one.")
-    play_mm: NotNegative = Field(default=0.04, description="Diameter of the bore less the instrument's.")
+    reach_mm: Positive = Field(
+        default=85.0, description="Length of the mandrel beyond the guide's lower end."
+    )
+    bore_mm: Positive = Field(
+        default=85.0, description="Length of the guide from its upper to its lower end."
+    )
+    play_mm: NotNegative = Field(
+        default=0.04, description="Diameter of the bore minus that of the instrument."
+    )
     depth_stop_mm: NotNegative = Field(
-        default=0.03, description="How exactly hands set a depth stop, one standard deviation."
+        default=0.03, description="Error of a depth stop set by hand, one standard deviation."
     )
     seat_mm: NotNegative = Field(
-        default=0.008, description="How alike the changer seats, per axis, one standard deviation."
+        default=0.008, description="Repeatability of the changer, per axis, one standard deviation."
     )
-    bent_mm: Numbers3 = Field(default=(0.0, 0.0, 0.0), description="Its mandrel's end beside its place.")
+    bent_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="Offset of the mandrel's end from its nominal position."
+    )
     tilt_deg: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="Its bore beside its direction, about x and y of the tip frame."
+        default=(0.0, 0.0),
+        description="Tilt of the bore from its nominal direction, about x and y of the tip frame.",
     )
-    mass_kg: Positive = Field(default=1.4, description="Of all that hangs below the changer.")
+    mass_kg: Positive = Field(default=1.4, description="Mass of everything below the changer.")
     tip_from_frame: PoseRecord | None = Field(
         default=None,
-        description="Pose of the spheres on the guide, the tracker's tool `guide_frame`; none without.",
+        description="Pose of the spheres on the guide (tracker tool `guide_frame`); without it, none.",
     )
 
 
@@ -38,5 +47,5 @@ class Hands(Strict):
     """What the room's hands do, and how exactly."""
 
     gauge_mm: NotNegative = Field(
-        default=0.005, description="How exactly a dial on the gauge is read, one standard deviation."
+        default=0.005, description="Error of a dial reading on the gauge, one standard deviation."
     )

@@ -99,7 +99,7 @@ def _implanted(generator: np.random.Generator, template: MarkerTemplate) -> tupl
         fiducial = Fiducial(number=number, centre_ct_mm=_three(centre), post_ct=marker.post)
         height = centre - CENTRE_CT_MM
         if np.linalg.norm(height / np.array(SEMI_AXES_MM)) <= 1.0 or np.dot(height, marker.post) <= 0.0:
-            raise BadScene(f"marker {number} of the template does not stand on this head")
+            raise BadScene(f"marker {number} of the template is not on this head")
         found.append(fiducial)
     return tuple(found)
 
@@ -147,7 +147,7 @@ def _draw_targets(
         )
         if len(targets) == count:
             return tuple(targets)
-    raise BadScene(f"{count} trajectories do not fit between the markers and within the arm's reach")
+    raise BadScene(f"{count} trajectories do not fit between the markers within the arm's reach")
 
 
 def _three(vector: Vector) -> Any:

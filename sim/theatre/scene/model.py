@@ -38,37 +38,37 @@ SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 class Fiducial(Strict):
     """A sphere on a bone screw, or on the x-shaped frame."""
 
-    number: Count = Field(description="Name of the sphere in messages and truth.")
-    centre_ct_mm: Numbers3 = Field(description="Its centre.")
+    number: Count = Field(description="Number that names the sphere in messages and in the ground truth.")
+    centre_ct_mm: Numbers3 = Field(description="Centre, CT frame.")
     post_ct: Numbers3 = Field(description="Unit vector from the skull to the sphere.")
     radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
-        default=SPHERE_RADIUS_MM, description="Of the sphere."
+        default=SPHERE_RADIUS_MM, description="Radius of the sphere."
     )
     base_mm: Positive = Field(
-        default=BASE_MM, description="Length of the base that it had in the CT, from the screw to its centre."
+        default=BASE_MM, description="Length of the sphere's base at the CT, from the screw to its centre."
     )
     base_in_theatre: Count | None = Field(
         default=None,
-        description="Number of the sphere whose base is on its screw since; its own when not given.",
+        description="Number of the sphere whose base is now on this screw; default: its own.",
     )
     displaced_mm: Numbers3 = Field(
         default=(0.0, 0.0, 0.0),
-        description="Way of its place since the CT, CT axes: a screw that loosened, a base that was bent.",
+        description="Displacement since the CT, CT axes: a loosened screw or a bent base.",
     )
     worn_percent: Annotated[float, Field(ge=0, le=MOST_WORN_PERCENT)] = Field(
-        default=0.0, description="Share of its film that is rubbed off since the CT, in spots."
+        default=0.0, description="Share of the retro-reflective film worn off since the CT, in spots."
     )
-    missing: bool = Field(default=False, description="Whether it was not put back after the CT.")
+    missing: bool = Field(default=False, description="True: not refitted after the CT.")
 
 
 class Target(Strict):
     """A planned trajectory in the CT frame."""
 
     identifier: Name = Field(description="Name of the trajectory.")
-    entry_ct_mm: Numbers3 = Field(description="Where it enters the head.")
-    target_ct_mm: Numbers3 = Field(description="Where it ends.")
-    free_angle_deg: float = Field(default=0.0, description="Of the guide about the trajectory.")
-    margin_mm: NotNegative = Field(default=2.0, description="As the plan states it.")
+    entry_ct_mm: Numbers3 = Field(description="Entry point, CT frame.")
+    target_ct_mm: Numbers3 = Field(description="Target point, CT frame.")
+    free_angle_deg: float = Field(default=0.0, description="Rotation of the guide about the trajectory.")
+    margin_mm: NotNegative = Field(default=2.0, description="Margin stated in the plan.")
 
     @property
     def outwards_ct(self) -> Numbers3:
@@ -79,32 +79,34 @@ class Target(Strict):
 
 
 class Head(Strict):
-    """The patient: where the CT frame really lies in the room, and the head's ellipsoid in it."""
+    """The patient: the true position of the CT frame in the room, and the head's ellipsoid in it."""
 
-    robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient lies.")
-    centre_ct_mm: Numbers3 = Field(description="Middle of the ellipsoid.")
-    semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(description="Left, posterior, superior.")
+    robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient is.")
+    centre_ct_mm: Numbers3 = Field(description="Centre of the head ellipsoid, CT frame.")
+    semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(
+        description="Semi-axes of the ellipsoid: left, posterior, superior."
+    )
     fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
-        description="Spheres on bone screws or on the frame."
+        description="Spheres on bone screws or on the x-shaped frame."
     )
     seating_error_mm: NotNegative = Field(
         default=SEATING_ERROR_MM,
-        description="By how much a sphere that was put back after the CT stands beside its place there, per "
-        "axis, one standard deviation.",
+        description="Displacement of a refitted sphere from its CT position, per axis, one standard "
+        "deviation.",
     )
     x_frame: bool = Field(
-        default=False, description="Whether its spheres are the four of the x-shaped frame, in its order."
+        default=False, description="True if the spheres are the four of the x-shaped frame, in its order."
     )
     template_mm: tuple[Numbers3, ...] | None = Field(
-        default=None, description="Where the template by which they were implanted would have them."
+        default=None, description="Sphere positions of the implantation template, CT frame."
     )
     targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
         description="Trajectories of the plan."
     )
     target_balls: bool = Field(
         default=False,
-        description="Whether a ball stands at each target, as on a phantom; put there after the CT, and not "
-        "bright enough for the tracker.",
+        description="True: a ball at each target, as on a phantom, placed after the CT, too dim for the "
+        "tracker.",
     )
 
     @model_validator(mode="after")
@@ -129,7 +131,7 @@ class Head(Strict):
                 combinations(SPHERE_CENTRES_MM, 2), combinations(centres, 2), strict=True
             ):
                 if abs(dist(one, other) - dist(here, there)) > FRAME_TOLERANCE_MM:
-                    raise ValueError("the spheres do not lie as the x-shaped frame has them, in its order")
+                    raise ValueError("the spheres do not match the x-shaped frame, in its order")
         return self
 
     @model_validator(mode="after")
@@ -138,23 +140,23 @@ class Head(Strict):
         bases = [one.base_in_theatre or one.number for one in there]
         unknown = sorted(set(bases) - {one.number for one in self.fiducials})
         if not there:
-            raise ValueError("at least one sphere must be there in the theatre")
+            raise ValueError("at least one sphere must be present in the theatre")
         if unknown:
-            raise ValueError(f"base_in_theatre names no sphere: {unknown}")
+            raise ValueError(f"base_in_theatre names unknown spheres: {unknown}")
         if len(set(bases)) < len(bases):
-            raise ValueError(f"a base is on one screw only, got those of {bases}")
+            raise ValueError(f"a base can be on one screw only, got bases {bases}")
         return self
 
 
 class CtProtocol(Strict):
     """How the CT is scanned: voxel size, grid and noise."""
 
-    pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Within a slice.")
-    slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="From slice to slice.")
-    columns: SlicePixels = Field(default=512, description="Of a slice.")
-    rows: SlicePixels = Field(default=512, description="Of a slice.")
-    slices: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="Of the series.")
-    noise_HU: NotNegative = Field(default=20.0, description="One standard deviation.")
+    pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Pixel spacing.")
+    slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="Slice spacing.")
+    columns: SlicePixels = Field(default=512, description="Columns of a slice.")
+    rows: SlicePixels = Field(default=512, description="Rows of a slice.")
+    slices: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="Slices of the series.")
+    noise_HU: NotNegative = Field(default=20.0, description="Noise, one standard deviation.")
 
 
 class LinkError(Strict):
@@ -167,90 +169,101 @@ class LinkError(Strict):
 class ArmTruth(Strict):
     """The true arm: nominal geometry plus these errors, in the order A1..A6.
 
-    The joint angle that really acts is the encoder's plus offset, first and second harmonic, sag, and
+    The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and
     backlash with the sign of the last motion; at rest a repeatability error is added.
     """
 
-    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(
-        default="kr6_r900_sixx", description="Which arm stands there."
-    )
-    home_deg: Numbers6 = Field(description="Axes at the start.")
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(default="kr6_r900_sixx", description="Arm model.")
+    home_deg: Numbers6 = Field(description="Joint angles at the start.")
     links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError] = Field(
-        description="Errors of the links."
+        description="Geometric errors of the links, A1 to A6."
     )
     joint_offset_rad: Numbers6 = Field(description="Constant error of each encoder.")
-    harmonic_1_rad: Numbers6 = Field(description="Once per turn: amplitude.")
-    harmonic_1_phase_rad: Numbers6 = Field(description="Once per turn: phase.")
-    harmonic_2_rad: Numbers6 = Field(description="Twice per turn: amplitude.")
-    harmonic_2_phase_rad: Numbers6 = Field(description="Twice per turn: phase.")
-    sag_rad: tuple[float, float] = Field(description="Of A2 and A3 when stretched out horizontally.")
-    backlash_rad: Numbers6 = Field(description="Dead way of each joint; it lies half of it to either side.")
-    repeatability_mm: NotNegative = Field(description="Per axis at the tool, one standard deviation.")
+    harmonic_1_rad: Numbers6 = Field(description="First harmonic of the encoder error: amplitude.")
+    harmonic_1_phase_rad: Numbers6 = Field(description="First harmonic of the encoder error: phase.")
+    harmonic_2_rad: Numbers6 = Field(description="Second harmonic of the encoder error: amplitude.")
+    harmonic_2_phase_rad: Numbers6 = Field(description="Second harmonic of the encoder error: phase.")
+    sag_rad: tuple[float, float] = Field(description="Sag of A2 and A3, arm stretched out horizontally.")
+    backlash_rad: Numbers6 = Field(description="Backlash, half of it to either side.")
+    repeatability_mm: NotNegative = Field(
+        description="Repeatability per axis at the tool, one standard deviation."
+    )
     stiffness_N_mm: Positive = Field(
-        default=80.0, description="At the tool: a hand's load displaces what hangs there."
+        default=80.0, description="Stiffness at the tool: a hand's force displaces the mounted tool."
     )
     sag_mm_kg: NotNegative = Field(
-        default=0.15, description="By which a load beyond the one that was told lowers the flange."
+        default=0.15,
+        description="Sag of the flange per kilogram of load above the load data in the controller.",
     )
     thermal_drift_mm: NotNegative = Field(
         default=0.0,
-        description="By which the flange has wandered when the arm is warm; by motion, not by time.",
+        description="Drift of the flange when the arm is warm; driven by motion, not by time.",
     )
     thermal_time_s: Positive = Field(
-        default=1200.0, description="Of motion until the arm is warm to two thirds."
+        default=1200.0, description="Time in motion until two thirds of the drift is reached."
     )
 
 
 class Mount(Strict):
-    """The common mount on the flange and what can hang on it."""
+    """The common mount on the flange and the tools it carries."""
 
     flange_from_tool_nominal: PoseRecord = Field(description="Pose flange <- tool centre, as designed.")
-    flange_from_tool_true: PoseRecord = Field(description="The same, as it really is, of the stereo head.")
+    flange_from_tool_true: PoseRecord = Field(description="The same for the stereo head as it really is.")
     tool_from_tip_true: PoseRecord = Field(description="Pose of the guide's tip in the head's tool centre.")
     tool_from_marker_true: PoseRecord = Field(
         description="Pose of the reference frame M, which stays on the mount."
     )
-    guide: Guide = Field(default=Guide(), description="The guide, and the instrument in it.")
-    tool_number_stereo: ToolNumber = Field(default=1, description="As the controller reports the head.")
-    tool_number_guide: ToolNumber = Field(default=2, description="As they report the guide.")
+    guide: Guide = Field(default=Guide(), description="The guide and the instrument in it.")
+    tool_number_stereo: ToolNumber = Field(
+        default=1, description="Tool number of the stereo head in the controller."
+    )
+    tool_number_guide: ToolNumber = Field(
+        default=2, description="Tool number of the guide in the controller."
+    )
 
     @model_validator(mode="after")
     def _two_tools(self) -> Self:
         if self.tool_number_stereo == self.tool_number_guide:
-            raise ValueError(f"both tools have the number {self.tool_number_guide}")
+            raise ValueError(f"both tools have number {self.tool_number_guide}")
         return self
 
 
 class CameraTruth(Strict):
     """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
 
-    serial: str = Field(description="Serial number that the camera tells.")
-    focal_px: tuple[FocalPixels, FocalPixels] = Field(description="Along columns and along rows.")
-    principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
-    distortion: tuple[float, float, float, float, float] = Field(description="k1 k2 p1 p2 k3.")
-    sensor_px: tuple[Count, Count] = Field(default=(2048, 1088), description="Columns and rows.")
+    serial: str = Field(description="Serial number reported by the camera.")
+    focal_px: tuple[FocalPixels, FocalPixels] = Field(
+        description="Focal length along columns and along rows."
+    )
+    principal_point_px: tuple[float, float] = Field(description="Principal point on the sensor.")
+    distortion: tuple[float, float, float, float, float] = Field(
+        description="Distortion coefficients k1 k2 p1 p2 k3."
+    )
+    sensor_px: tuple[Count, Count] = Field(default=(2048, 1088), description="Sensor size, columns and rows.")
     camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
-    read_noise_electrons: NotNegative = Field(default=13.5, description="One standard deviation per pixel.")
-    full_well_electrons: Positive = Field(default=11900.0, description="At which a pixel saturates.")
+    read_noise_electrons: NotNegative = Field(
+        default=13.5, description="Read noise per pixel, one standard deviation."
+    )
+    full_well_electrons: Positive = Field(default=11900.0, description="Charge at which a pixel saturates.")
 
 
 class TrackerTool(Strict):
     """A passive tool: markers and their common normal in the tool's own frame."""
 
-    name: str = Field(description="Of the tool.")
-    part_number: str = Field(description="As its definition says it.")
+    name: str = Field(description="Name of the tool.")
+    part_number: str = Field(description="Part number in the tool definition.")
     markers_mm: tuple[Numbers3, ...] = Field(description="Centres of the spheres.")
-    normal: Numbers3 = Field(default=(0.0, 0.0, 1.0), description="Into which the markers face.")
+    normal: Numbers3 = Field(default=(0.0, 0.0, 1.0), description="Direction that the markers face.")
 
 
 class TrackerTruth(Strict):
-    """The tracker: where it stands, how well it sees a single marker, and what it takes for one.
+    """The tracker: where it is, how well it measures a single marker, and what it takes for one.
 
     Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
-    volume: what makers state as its accuracy.
+    volume: what manufacturers state as its accuracy.
     """
 
-    robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit stands.")
+    robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit is.")
     tools: Annotated[tuple[TrackerTool, ...], Field(min_length=1)] = Field(
         description="Passive tools; the first is the reference frame M on the mount."
     )
@@ -258,68 +271,76 @@ class TrackerTruth(Strict):
         default=(), description="Poses tracker <- tool for other loaded definitions, in the order of loading."
     )
     fiducials_visible: bool = Field(
-        default=True, description="Whether the tracker sees the spheres; the bench has no head."
+        default=True, description="True if the tracker sees the spheres; the bench has no head."
     )
-    noise_xy_mm: NotNegative = Field(default=0.04, description="Of one marker across, at mid volume.")
-    noise_z_mm: NotNegative = Field(default=0.14, description="The same in depth.")
-    bias_mm: NotNegative = Field(default=0.25, description="Over the pyramid, or the unit's only volume.")
-    bias_extended_mm: NotNegative = Field(default=0.30, description="Over the extended pyramid.")
+    noise_xy_mm: NotNegative = Field(
+        default=0.04, description="Noise of one marker across the line of sight."
+    )
+    noise_z_mm: NotNegative = Field(default=0.14, description="The same along the line of sight.")
+    bias_mm: NotNegative = Field(default=0.25, description="Bias over the pyramid, or the only volume.")
+    bias_extended_mm: NotNegative = Field(default=0.30, description="Bias over the extended pyramid.")
     strays_mm: tuple[Numbers3, ...] = Field(
-        default=(), description="Further stray markers, fixed in the tracker frame."
+        default=(), description="More stray markers, fixed in the tracker frame."
     )
     line_separation_mm: NotNegative = Field(
-        default=0.5, description="Rays that pass this near are one marker: phantoms; 0 makes none."
+        default=0.5, description="Rays closer than this are taken for one marker (phantom markers); 0: none."
     )
-    reflections: Annotated[int, Field(ge=0)] = Field(default=0, description="How many glints come and go.")
+    reflections: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Number of intermittent reflections."
+    )
 
 
 class Stand(Strict):
     """The calibration stand on the table, empty until ball or divot are put on it.
 
-    Divot and ball take the same place to within the stand's own tolerance.
+    Divot and ball share one position to within the stand's own tolerance.
     """
 
-    ball_mm: Numbers3 = Field(default=(563.0, -325.0, 230.0), description="Centre of its ball, robot frame.")
+    ball_mm: Numbers3 = Field(default=(563.0, -325.0, 230.0), description="Centre of the ball, robot frame.")
     divot_from_ball_mm: Numbers3 = Field(
-        default=(0.0, 0.0, 0.0), description="By which the divot at zero lies beside that, robot frame."
+        default=(0.0, 0.0, 0.0), description="Offset of the divot at zero from the ball centre, robot frame."
     )
     dials_turned_rad: Numbers3 = Field(
         default=(0.0, 0.0, 0.0), description="Rotation vector of the dials' axes in the robot frame."
     )
-    travel_mm: Positive = Field(default=6.0, description="Of the divot along each axis, either way.")
-    reading_mm: NotNegative = Field(default=0.003, description="Of one reading, one standard deviation.")
-    scale_mm: Positive = Field(default=0.01, description="Step of the dials.")
+    travel_mm: Positive = Field(default=6.0, description="Travel of the divot along each axis, either way.")
+    reading_mm: NotNegative = Field(default=0.003, description="Noise of a reading, one standard deviation.")
+    scale_mm: Positive = Field(default=0.01, description="Resolution of the dials.")
 
 
 class ArmResidual(Strict):
-    """What a calibration of the arm leaves over in its record, one standard deviation each."""
+    """Residual errors of a calibration of the arm in its record, one standard deviation each."""
 
-    link_mm: NotNegative = Field(default=0.06, description="Of each link's length, per axis.")
+    link_mm: NotNegative = Field(default=0.06, description="Error of each link's length, per axis.")
     angle_rad: NotNegative = Field(
-        default=1.4e-4, description="Of each link's rotation per axis, and of each joint's offset."
+        default=1.4e-4, description="Error of each link's rotation per axis, and of each joint's offset."
     )
-    tool_mm: NotNegative = Field(default=0.1, description="Of the head on the flange, per axis.")
+    tool_mm: NotNegative = Field(default=0.1, description="Error of the stereo head on the flange, per axis.")
 
 
 class CalibrationError(Strict):
-    """Stated errors of the calibration records that the theatre hands out, one standard deviation."""
+    """Stated errors of the calibration records that the theatre supplies, one standard deviation."""
 
-    camera_rotation_rad: NotNegative = Field(default=4e-5, description="Of each camera, per axis.")
-    camera_translation_mm: NotNegative = Field(default=0.01, description="Of each camera, per axis.")
-    focal_relative: NotNegative = Field(default=1e-4, description="Of the focal lengths.")
-    tip_mm: NotNegative = Field(default=0.03, description="Of the guide's tip per axis: 0.05 mm in space.")
+    camera_rotation_rad: NotNegative = Field(default=4e-5, description="Rotation of each camera, per axis.")
+    camera_translation_mm: NotNegative = Field(default=0.01, description="Position of each camera, per axis.")
+    focal_relative: NotNegative = Field(default=1e-4, description="Error of the focal lengths.")
+    tip_mm: NotNegative = Field(default=0.03, description="Guide tip, per axis: 0.05 mm in space.")
     tip_direction_rad: NotNegative = Field(
-        default=2e-4, description="Of the guide's bore, about either axis: 0.01 mm in 60 mm."
+        default=2e-4, description="Direction of the guide's bore, about either axis: 0.01 mm in 60 mm."
     )
-    marker_translation_mm: NotNegative = Field(default=0.2, description="Of the reference frame, per axis.")
-    marker_rotation_rad: NotNegative = Field(default=1e-3, description="Of the reference frame, per axis.")
+    marker_translation_mm: NotNegative = Field(
+        default=0.2, description="Position of the reference frame, per axis."
+    )
+    marker_rotation_rad: NotNegative = Field(
+        default=1e-3, description="Rotation of the reference frame, per axis."
+    )
     first_day: bool = Field(
         default=False,
-        description="Whether frame and tip were never measured: their records hold the drawing, and are no "
-        "longer valid.",
+        description="True: frame and tip never measured; their records hold design values and have expired.",
     )
     arm: ArmResidual | None = Field(
-        default=None, description="Of the arm's own record; without, there is none and the head is nominal."
+        default=None,
+        description="Errors of the arm's calibration record; without it the head is nominal.",
     )
 
 
@@ -327,26 +348,26 @@ class Scene(Strict):
     """Everything that is true in the theatre."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
-        default=1, description="Version of this form."
+        default=1, description="Version of this file format."
     )
-    name: str = Field(description="Of the scene.")
+    name: str = Field(description="Name of the scene.")
     seed: Annotated[int, Field(ge=0)] = Field(
-        default=0, description="Of everything that is drawn at random later on."
+        default=0, description="Seed of everything drawn at random later."
     )
     head: Head = Field(description="The patient.")
     ct: CtProtocol = Field(default=CtProtocol(), description="How the CT is scanned.")
     arm: ArmTruth = Field(description="The true arm.")
-    mount: Mount = Field(description="What hangs on the flange.")
+    mount: Mount = Field(description="The mount on the flange and its tools.")
     tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")
-    hands: Hands = Field(default=Hands(), description="What the room's hands do.")
+    hands: Hands = Field(default=Hands(), description="What the room's hands do by themselves.")
     servo_area_px: tuple[Count, Count] = Field(
-        default=(1024, 1024), description="Area of interest that holds a sphere with room to move."
+        default=(1024, 1024), description="Area of interest that contains a sphere with room to move."
     )
     calibration_error: CalibrationError = Field(
-        default=CalibrationError(), description="How well the theatre's calibration records are known."
+        default=CalibrationError(), description="Errors of the theatre's calibration records."
     )
 
 

@@ -57,7 +57,7 @@ def waiting(console: Console, tmp_path: Path) -> Iterator[Console]:
 def test_a_viewer_gives_no_order(console: Console, order: dict[str, object]) -> None:
     answer = console.order(console.viewer(), **order)
     assert answer.status == 403
-    assert answer.refused == "viewers give no orders"
+    assert answer.refused == "viewers cannot give orders"
 
 
 @pytest.mark.parametrize("order", ORDERS[2:], ids=lambda order: order["kind"])
@@ -83,7 +83,7 @@ def test_next_is_carried_out_once_and_quotes_what_was_shown(waiting: Console) ->
     stale = waiting.order(cookie, kind="next", upcoming="fit:T1", nonce="nonce-01")
     assert (stale.status, stale.refused) == (409, "that is past: the next step is image")
     repeated = waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-01")
-    assert repeated.refused == "this order was given before"
+    assert repeated.refused == "this order was already given"
     assert waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-02").status == 200
     eventually(lambda: waiting.wishes == [Wish("next", by="Ana")])  # type: ignore[attr-defined]  # of this fixture alone
 

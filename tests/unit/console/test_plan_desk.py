@@ -51,7 +51,7 @@ def test_a_plan_that_was_saved_is_opened_as_it_stood(desk: PlanDesk, file: Path)
 @pytest.mark.parametrize("author", ["", "   "])
 def test_a_plan_without_an_author_is_not_saved(desk: PlanDesk, file: Path, author: str) -> None:
     draw(desk)
-    with pytest.raises(PlanMistakes, match=r"PLAN-002.*somebody"):
+    with pytest.raises(PlanMistakes, match=r"PLAN-002: the plan needs an author"):
         save(desk, author)
     assert not file.exists()
 
@@ -117,7 +117,7 @@ def test_a_plan_that_can_no_longer_be_read_is_not_overwritten(desk: PlanDesk, fi
     save(desk)
     file.unlink()
     file.mkdir()
-    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read what is in .*Is a directory"):
+    with pytest.raises(PlanNotSaved, match=r"PLAN-025: cannot read .*Is a directory"):
         save(desk)
 
 
@@ -247,5 +247,5 @@ def test_a_place_outside_the_scan_is_said(desk: PlanDesk) -> None:
 def test_the_length_of_the_instrument_is_asked_for_and_all_else_is_judged(desk: PlanDesk) -> None:
     draw(desk)
     judged = judge(replace(desk.draft, instrument_length_mm=None), scan(), None, thorough=True)
-    assert "length of the instrument" in judged.findings[0].what
+    assert "instrument length" in judged.findings[0].what
     assert [one.code for one in judged.findings] == ["PLAN-002", "PLAN-008"]

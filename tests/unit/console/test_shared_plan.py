@@ -108,7 +108,7 @@ def test_the_plan_of_a_run_is_looked_at_and_nothing_is_written_beside_it(
     kept = desk.file.rename(case / "plan.toml")
     looked = PlanDesk(scan(), kept, None)
     assert looked.draft.ways == desk.draft.ways
-    assert "the run run, which stays" in str(looked.read_only)
+    assert "run run, which must not change" in str(looked.read_only)
     draw(looked, standoff_mm=31.0)
     assert looked.close() is None
     assert looked.is_saved

@@ -86,7 +86,7 @@ def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> No
     assert room.answer({"do": "work", "task": SKIN})["readings"] == []
     for request, reason in (
         ({"do": "work", "task": INSERT}, "bad request"),
-        ({"do": "work", "task": "tea"}, "there is no task 'tea'"),
+        ({"do": "work", "task": "tea"}, "unknown task 'tea'"),
         ({"do": "work"}, "bad request"),
     ):
         answer = room.answer(request)
