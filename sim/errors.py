@@ -22,70 +22,70 @@ class WorldUnavailable(ConnectError):
 
 
 class BadFaultScript(ConfigurationError):
-    """A line of a fault script is not of a known form."""
+    """A line of a fault script is not valid."""
 
     code = "SIM-003"
     action = "Write it like: at 12.5 s: tracker occlude marker 3 for 2 s."
 
 
 class EndpointTaken(ConnectError):
-    """The address a simulated device should listen on is in use."""
+    """The listening address of a simulated device is in use."""
 
     code = "SIM-004"
     action = "Choose another endpoint, or end the program that uses it."
 
 
 class NothingToVerify(DataError):
-    """A run folder holds nothing to compare with the truth."""
+    """A run folder contains nothing to compare with the ground truth."""
 
     code = "SIM-006"
-    action = "Give the folder of a run that was made with --sim and reached a target."
+    action = "Give the folder of a run made with --sim that reached a target."
 
 
 class BadTruth(DataError):
     """The truth samples in a run folder cannot be read."""
 
     code = "SIM-007"
-    action = "The file was changed or cut off after the run; repeat the run."
+    action = "The file was changed or truncated after the run; repeat the run."
 
 
 class BadDeviceParameter(ConfigurationError):
-    """A parameter for a device of the theatre is not of a known form."""
+    """A device parameter of the theatre is not valid."""
 
     code = "SIM-010"
     action = "Write --set robot.NAME=VALUE or --set tracker.NAME=VALUE."
 
 
 class FolderNotEmpty(ConfigurationError):
-    """The folder for a phantom case already holds files."""
+    """The folder for a phantom case is not empty."""
 
     code = "SIM-011"
     action = "Give a new or empty folder, or delete this one."
 
 
 class BadLeftWorld(DataError):
-    """How the last theatre left its world cannot be read."""
+    """The world left by the last theatre cannot be read."""
 
     code = "SIM-012"
     action = "The file was changed; start a new run, or a theatre without --continue."
 
 
 class BadCalibrationFile(DataError):
-    """A file of calibration records for a theatre cannot be read, or has none."""
+    """A file of calibration records for a theatre cannot be read or contains none."""
 
     code = "SIM-014"
     action = "Give the folder that a calibration command wrote, or its calibration.toml."
 
 
 class StandNotReady(RefusedError):
-    """The dials of the calibration stand cannot be read as it stands now."""
+    """The dials of the calibration stand cannot be read in its current state."""
 
     code = "SIM-015"
-    action = "Put the divot on the stand, mount the guide and bring its tip there."
+    action = "Put the divot on the stand, mount the guide and bring its tip to the divot."
 
 
 class TheatreRunning(ConnectError):
-    """Another theatre runs in that folder."""
+    """Another theatre is running in that folder."""
 
     code = "SIM-013"
-    action = "End the other theatre, or give another folder."
+    action = "Stop the other theatre, or give another folder."

@@ -39,7 +39,7 @@ def changed(
         name, _, text = assignment.partition("=")
         if name not in kinds:
             alike = " or ".join(get_close_matches(name, kinds)) or None
-            raise refusal(f"there is no parameter {name!r}", expected=alike)
+            raise refusal(f"unknown parameter {name!r}", expected=alike)
         kind, _, *most = kinds[name]
         value, expected = _value(kind, text, getattr(defaults, name), most)
         if value is None:

@@ -18,9 +18,7 @@ def basler(
     ] = None,
     scene: Annotated[str, typer.Option(help="bench, default, mini, or a scene file.")] = "bench",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    world: Annotated[
-        str | None, typer.Option(hidden=True, help="Address of the theatre that starts it.")
-    ] = None,
+    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
 ) -> None:
     """Simulate a pair of GigE Vision cameras, for any client, until terminated."""
     from ipaddress import IPv4Address

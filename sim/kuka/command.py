@@ -61,13 +61,11 @@ def kuka(
         typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
     list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set takes, and exit.")
+        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
     ] = False,
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    world: Annotated[
-        str | None, typer.Option(hidden=True, help="Address of the theatre that starts it.")
-    ] = None,
+    world: Annotated[str | None, typer.Option(hidden=True, help="Address of the parent theatre.")] = None,
 ) -> None:
     """Simulate a KUKA controller and its arm, for any client, until terminated.
 

@@ -17,23 +17,23 @@ from sim.named_parameters import Most, changed
 
 @dataclass(frozen=True)
 class ControllerParameters:
-    """How this controller behaves where public sources are silent or disagree. Degrees, seconds, cycles.
+    """Behaviour of this controller for which public sources are silent or disagree. Degrees, seconds, cycles.
 
-    A number that is 0 by default may be 0; every other one is above it.
+    A number with default 0 may be 0; every other number is positive.
     """
 
     # drives
     dead_time_cycles: Annotated[
-        int, "From a reply to the first movement; 2 to 3 were observed on a robot."
+        int, "Cycles from a reply to the first movement; 2 to 3 were observed on a robot."
     ] = 2
-    lag_s: Annotated[float, "Of the drives, first order; 10 to 30 ms are published."] = 0.015
+    lag_s: Annotated[float, "Time constant of the drives, first order; 10 to 30 ms are published."] = 0.015
     ipo_filter_s: Annotated[
-        float, "First-order filter of corrections in a 12 ms run (#IPO); 0 is none. #IPO_FAST has none."
+        float, "First-order filter of corrections in a 12 ms run (#IPO); 0: none. #IPO_FAST has none."
     ] = 0.012
     readout_step_deg: Annotated[
         float, "Resolution of the measured axes; 0: finer than the reported digits."
     ] = 0.0
-    rest_error_deg: Annotated[float, "The servo has arrived when it is this close to its command."] = 0.0005
+    rest_error_deg: Annotated[float, "The servo is in position within this distance of its command."] = 0.0005
     # One held value after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
     step_share: Annotated[
         float, "Fraction of the axis's full-speed step above which a commanded step trips the drives."
@@ -42,16 +42,17 @@ class ControllerParameters:
     # Over a time and not from cycle to cycle, so that one held value and the step after it pass.
     acceleration_window_s: Annotated[float, "Time over which an acceleration is judged."] = 0.040
     acceleration_share: Annotated[
-        float, "Multiple of a planner's accelerations that may be commanded; the drives' limit is not public."
+        float,
+        "Largest commanded acceleration, as a multiple of a planner's; the drives' limit is not public.",
     ] = 1.5
     acceleration_cycles: Annotated[
         int, "Consecutive cycles of excessive acceleration that trip the drives."
     ] = 3
     held_cycles: Annotated[int, "Values held over this many lost replies do not split a motion in two."] = 3
     at_end_switch: Annotated[
-        Literal["stop", "clamp"], "A command beyond a software end switch stops the arm, or is clamped there."
+        Literal["stop", "clamp"], "A command beyond a software end switch stops the arm, or is clamped to it."
     ] = "stop"
-    path_stop_share: Annotated[float, "Fraction of the axis accelerations that a stop uses."] = 1.0
+    path_stop_share: Annotated[float, "Fraction of the axis accelerations used by a stop."] = 1.0
     fast_stop_share: Annotated[float, "The same for STOP FAST."] = 2.0
     # A joint reverses its flank when the command comes back by more than this from its extreme.
     reversal_deg: Annotated[float, "Reversal after which a joint rests on its other flank."] = 0.0005
@@ -66,18 +67,22 @@ class ControllerParameters:
     ipoc_start: Annotated[int, "Time stamp from which those of the runs are derived.", Most(2**64 - 1)] = (
         4_208_163_632
     )
-    ipoc_bits: Annotated[int, "Width of the time stamp: 32 wraps after 49 days.", Most(64)] = 32
+    ipoc_bits: Annotated[int, "Bits of the time stamp: 32 wraps after 49 days.", Most(64)] = 32
     delay_tells: Annotated[
         Literal["total", "in_a_row", "nothing"],
         "D: late replies since RSI_ON, consecutive late replies up to now, or always 0.",
     ] = "total"
     delay_lag_cycles: Annotated[int, "Number of telegrams by which D lags behind."] = 0
-    stat_tells_limits: Annotated[bool, "Stat has bits for limits besides bit 0, correction active."] = True
+    stat_tells_limits: Annotated[
+        bool, "Stat has bits for limits in addition to bit 0, correction active."
+    ] = True
     reply_window: Annotated[
-        float, "Fraction of the cycle within which a reply is in time; lock-step waits for it.", Most(1.0)
+        float,
+        "Fraction of the cycle within which a reply is in time; lock-step mode waits for it.",
+        Most(1.0),
     ] = 1.0
     second_reply: Annotated[
-        Literal["ignored", "taken"], "A second reply to the same telegram, while its cycle lasts."
+        Literal["ignored", "taken"], "A second reply to the same telegram, in the same cycle."
     ] = "ignored"
     missing_element: Annotated[
         Literal["holdon", "kept", "zero"],
@@ -94,14 +99,14 @@ class ControllerParameters:
 
     # RSI: the run
     streams_from: Annotated[
-        Literal["rsi_on", "movecorr"], "When telegrams begin: at RSI_ON, or with RSI_MOVECORR."
+        Literal["rsi_on", "movecorr"], "Telegrams start at RSI_ON, or with RSI_MOVECORR."
     ] = "rsi_on"
     corrections_act: Annotated[
-        Literal["movecorr", "rsi_on"], "When corrections act: in RSI_MOVECORR only, or from RSI_ON."
+        Literal["movecorr", "rsi_on"], "Corrections act in RSI_MOVECORR only, or from RSI_ON."
     ] = "movecorr"
     movecorr_after_cycles: Annotated[int, "Cycles from RSI_ON to RSI_MOVECORR."] = 3
     timeout_counting: Annotated[
-        Literal["consecutive", "total"], "What Timeout counts: consecutive late replies, or all since RSI_ON."
+        Literal["consecutive", "total"], "Timeout counts consecutive late replies, or all since RSI_ON."
     ] = "consecutive"
     streams_after_stop: Annotated[bool, "A stopped but not cancelled program keeps sending."] = True
     override_scales_corrections: Annotated[bool, "The program override at RSI_ON scales corrections too."] = (
@@ -109,20 +114,22 @@ class ControllerParameters:
     )
 
     # EKI
-    eki_loss_cancels: Annotated[bool, "An EKI connection that is lost ends the RSI program."] = False
+    eki_loss_cancels: Annotated[bool, "The loss of an EKI connection ends the RSI program."] = False
     first_request_s: Annotated[
-        float, "Host time after which a client of our EKI program is hung up on that has asked for nothing."
+        float, "Host time after which a client of our EKI program that sent no request is disconnected."
     ] = FIRST_REQUEST_LIMIT_MS / 1000.0
     longest_text: Annotated[int, "Longest KRL string in an EKI element, in characters."] = 512
     inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", Most(7)] = 0
-    line_acceleration_mm_s2: Annotated[float, "Of a LIN of the EKI program."] = 1000.0
-    line_turn_rad_s: Annotated[float, "Fastest turn of the tool on a LIN."] = 1.0
+    line_acceleration_mm_s2: Annotated[float, "Acceleration of a LIN of the EKI program."] = 1000.0
+    line_turn_rad_s: Annotated[float, "Largest angular velocity of the tool on a LIN."] = 1.0
 
     # T1
-    T1_axis_speed_share: Annotated[float, "Of the axis limits, for motions of the EKI program."] = 0.10
-    T1_tool_speed_mm_s: Annotated[float, "Above it the arm is stopped, by EKI or RSI."] = 250.0
+    T1_axis_speed_share: Annotated[
+        float, "Fraction of the axis speed limits, for motions of the EKI program."
+    ] = 0.10
+    T1_tool_speed_mm_s: Annotated[float, "The arm is stopped above this speed, by EKI or RSI."] = 250.0
 
-    # numbers of messages that no public source tells
+    # message numbers for which there is no public source
     end_switch_message: Annotated[int, "Number of the message: software end switch."] = 1205
     emergency_stop_message: Annotated[int, "Number of the message: emergency stop."] = 1
     guard_message: Annotated[int, "Number of the message: guard open."] = 6

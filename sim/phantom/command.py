@@ -43,57 +43,59 @@ def phantom(
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
     family: Annotated[
-        str | None, typer.Option(help="Draw head and surroundings of this family instead of a scene.")
+        str | None, typer.Option(help="Generate head and surroundings of this family instead of a scene.")
     ] = None,
     protocol: Annotated[
-        str | None, typer.Option(help="good, usual or poor; a family is scanned with good by default.")
+        str | None, typer.Option(help="good, usual or poor; default for a family: good.")
     ] = None,
     fiducials: Annotated[
         Fiducials,
         typer.Option(
-            help="Spheres on screws of their own; those of the x-shaped frame, or of the close one of the"
-            " studies; with a family, --markers beyond four are on screws."
+            help="Spheres on individual screws, on the x-shaped frame, or on the close-set frame of the "
+            "studies; with a family, --markers beyond four are on screws."
         ),
     ] = Fiducials.FREE,
-    tilt_deg: Annotated[float, typer.Option(help="Tilt of the gantry.", rich_help_panel=SCANNER)] = 0.0,
+    tilt_deg: Annotated[float, typer.Option(help="Gantry tilt.", rich_help_panel=SCANNER)] = 0.0,
     table_scale: Annotated[
         float,
-        typer.Option(min=-0.1, max=0.1, help="True table feed over stated, less 1.", rich_help_panel=SCANNER),
+        typer.Option(min=-0.1, max=0.1, help="Relative error of the table feed.", rich_help_panel=SCANNER),
     ] = 0.0,
     thickness_mm: Annotated[
         float | None,
         typer.Option(
             min=0.1,
             max=20.0,
-            help="Of a slice; more than the distance of slices makes them overlap. [that distance]",
+            help="Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
             rich_help_panel=SCANNER,
         ),
     ] = None,
     beam_hardening: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Strength; 1 is usual.", rich_help_panel=SCANNER)
+        float, typer.Option(min=0.0, max=10.0, help="Strength; 1 is typical.", rich_help_panel=SCANNER)
     ] = 0.0,
     motion_mm: Annotated[
         float,
-        typer.Option(min=0.0, max=20.0, help="How far the patient moves, once.", rich_help_panel=SCANNER),
+        typer.Option(
+            min=0.0, max=20.0, help="Distance of a single patient movement.", rich_help_panel=SCANNER
+        ),
     ] = 0.0,
     kernel: Annotated[
         str, typer.Option(help="standard, smooth or sharp.", rich_help_panel=SCANNER)
     ] = "standard",
     extended_range: Annotated[
-        bool, typer.Option(help="Store metal beyond 3071 HU.", rich_help_panel=SCANNER)
+        bool, typer.Option(help="Store metal above 3071 HU.", rich_help_panel=SCANNER)
     ] = False,
     postoperative: Annotated[
         Path | None,
         typer.Option(
             metavar="RUN",
-            help="Scan the head of this run after the operation instead: another pose, spheres off, and in it"
-            " what the run left there.",
+            help="Scan the head of this run after the operation instead: another pose, spheres removed, "
+            "with the instruments that the run left.",
             rich_help_panel=AFTERWARDS,
         ),
     ] = None,
     instrument: Annotated[
         Instrument,
-        typer.Option(help="What is in the head, with --postoperative.", rich_help_panel=AFTERWARDS),
+        typer.Option(help="Instrument in the head, with --postoperative.", rich_help_panel=AFTERWARDS),
     ] = Instrument.ELECTRODE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
@@ -118,7 +120,7 @@ def phantom(
     if postoperative is not None:
         if scene != DEFAULT_SCENE or family is not None or markers is not None or targets is not None:
             raise BadScene(
-                "the run has its head and trajectories; leave --scene, --family and their like out"
+                "the run defines head and trajectories; omit --scene, --family and similar options"
             )
         _scan_after(postoperative, instrument, out, seed, protocol, as_json)
         return
@@ -129,7 +131,7 @@ def phantom(
     if family is not None or carrier is None:
         if scene != DEFAULT_SCENE or targets is not None:
             raise BadScene(
-                "a family draws its own head and trajectory", action="Leave --scene and --targets out."
+                "a family generates its own head and trajectory", action="Omit --scene and --targets."
             )
         scan = family_scan(
             family or DEFAULT_FAMILY,

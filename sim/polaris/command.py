@@ -35,7 +35,7 @@ def polaris(
         typer.Option("--set", metavar="NAME=VALUE", help="Choose an unconfirmed behaviour; repeatable."),
     ] = None,
     list_parameters: Annotated[
-        bool, typer.Option("--list-parameters", help="List the parameters that --set takes, and exit.")
+        bool, typer.Option("--list-parameters", help="List the parameters that --set accepts, and exit.")
     ] = False,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
     world: Annotated[str | None, typer.Option(hidden=True, help="World of a running theatre.")] = None,

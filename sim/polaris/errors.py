@@ -16,7 +16,9 @@ class LineUnavailable(ConnectError):
     """This computer provides no pseudo-terminal, or does not allow watching one."""
 
     code = "PSU-003"
-    action = "End other simulators, raise fs.inotify.max_user_instances, or use --endpoint tcp://127.0.0.1:0."
+    action = (
+        "Stop other simulators, raise fs.inotify.max_user_instances, or use --endpoint tcp://127.0.0.1:0."
+    )
 
 
 class BadWiredTool(ConfigurationError):

@@ -44,29 +44,28 @@ def theatre(
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
     fiducials: Annotated[
-        Carrier, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+        Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
     ] = Carrier.FREE,
     calibrated: Annotated[
         bool,
         typer.Option(
             "--calibrated",
-            help="With a calibration record of the arm, and one of the stereo head made with it.",
+            help="Include a calibration record of the arm, and one of the stereo head made with it.",
         ),
     ] = False,
     first_day: Annotated[
         bool,
-        typer.Option(
-            "--first-day", help="With frame and guide as drawn: their records are to be made first."
-        ),
+        typer.Option("--first-day", help="Frame and guide as designed: their records must be made first."),
     ] = False,
     calibration: Annotated[
         list[Path] | None,
         typer.Option(
-            metavar="FOLDER", help="Records that a calibration command left, instead of its own; repeatable."
+            metavar="FOLDER",
+            help="Use the records written by a calibration command instead of its own; repeatable.",
         ),
     ] = None,
     target_balls: Annotated[
-        bool, typer.Option("--target-balls", help="With a ball at each target, as on a phantom.")
+        bool, typer.Option("--target-balls", help="Put a ball at each target, as on a phantom.")
     ] = False,
     speed: Annotated[Speed, typer.Option(help="max for as fast as possible, 1 for real time.")] = Speed.MAX,
     cycle_ms: Annotated[
@@ -77,7 +76,7 @@ def theatre(
         bool,
         typer.Option(
             "--continue",
-            help="Go on with the world left in that folder; of faults, what they moved or bent stays so.",
+            help="Continue with the world left in that folder; what faults moved or bent stays that way.",
         ),
     ] = False,
     parameter: Annotated[
@@ -174,7 +173,7 @@ def mount(
 
 
 def stand(
-    holds: Annotated[OnStand, typer.Argument(help="What the calibration stand on the table is to hold.")],
+    holds: Annotated[OnStand, typer.Argument(help="Object to put on the calibration stand.")],
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
     """Put ball or divot on the calibration stand of a running theatre, or take both off."""
@@ -185,11 +184,11 @@ def stand(
 
 
 def work(
-    task: Annotated[str, typer.Argument(help="What hands do, such as depth_stop, insert, out or gauge.")],
+    task: Annotated[str, typer.Argument(help="Manual task, such as depth_stop, insert, out or gauge.")],
     numbers: Annotated[
-        list[float] | None, typer.Argument(help="What they need for it, as the question says.")
+        list[float] | None, typer.Argument(help="Values for the task, as in the question.")
     ] = None,
-    trajectory: Annotated[str, typer.Option(help="Of the plan, where it is done for one.")] = "",
+    trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")] = "",
 ) -> None:
     """Work with guide and instrument in a running theatre, as the staff would; prints what is read off."""
@@ -206,7 +205,9 @@ def work(
 def fault(
     line: Annotated[
         str | None,
-        typer.Argument(help="Such as 'tracker occlude marker 3 for 2 s', or a whole line of a fault script."),
+        typer.Argument(
+            help="A fault such as 'tracker occlude marker 3 for 2 s', or a whole line of a fault script."
+        ),
     ] = None,
     control: Annotated[
         str | None, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")
@@ -223,19 +224,20 @@ def fault(
         return
     if control is None:
         raise UsageMistake(
-            f"no control port for the fault {line!r}" if line else "no control port to clear faults at",
+            f"no control port for the fault {line!r}" if line else "no control port to clear faults",
             expected="--control 'tcp://127.0.0.1:PORT?token=...' or the variable RONNA_CONTROL",
-            action="Copy the line that ronna-procedure run --sim, step --sim or the READY line tells.",
+            action="Copy it from the output of ronna-procedure run --sim or step --sim, or from the READY "
+            "line.",
         )
     if clear:
         ask_control_port(control, "clear_faults")
-        say("all faults are ended")
+        say("all faults cleared")
     if line is not None:
         say(ask_control_port(control, "fault", line=line)["effect"])
 
 
 def verify(
-    run: Annotated[Path, typer.Argument(help="Folder of a finished run.")],
+    run: Annotated[Path, typer.Argument(help="Folder of a completed run.")],
     as_json: JsonOption = False,
 ) -> None:
     """Compare a finished run with the truth of its theatre."""
@@ -246,7 +248,7 @@ def verify(
         print_json(outcome)
         return
     print_table(
-        "Error of the guide's tip against truth",
+        "Error of the guide's tip against ground truth",
         ("target", "depth mm", "error mm", "lateral mm", "axial mm"),
         [
             (

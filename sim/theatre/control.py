@@ -96,7 +96,7 @@ class Room:
         mount = self._world.scene.mount
         if number not in (0, mount.tool_number_stereo, mount.tool_number_guide):
             raise NoSuchTool(
-                f"there is no tool {number}: 0 takes the tool off, {mount.tool_number_stereo} is the stereo"
+                f"no tool {number}: 0 removes the tool, {mount.tool_number_stereo} is the stereo"
                 f" head, {mount.tool_number_guide} the surgical guide"
             )
         self._world.mount_tool(number)

@@ -27,7 +27,7 @@ TOKEN_BYTES = 16  # from the system's random source: not to be guessed
 MOST_CONNECTIONS = 8
 FIRST_LINE_LIMIT_S = 2.0  # host time, from the connection to the whole first line
 IDLE_LIMIT_S = 10.0  # host time, from one line to the whole of the next
-NO_TOKEN = {"ok": False, "reason": "expected the token of the READY line in the first line"}
+NO_TOKEN = {"ok": False, "reason": "expected the token from the READY line in the first line"}
 
 
 class ControlPort:

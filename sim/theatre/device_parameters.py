@@ -21,7 +21,8 @@ def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
         device, dot, assignment = setting.partition(".")
         if device not in COMMANDS or not dot or "=" not in assignment:
             raise BadDeviceParameter(
-                f"{setting!r} sets nothing", expected=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS)
+                f"{setting!r} is not DEVICE.NAME=VALUE",
+                expected=" or ".join(f"{name}.NAME=VALUE" for name in COMMANDS),
             )
         name = COMMANDS[device]
         found[name] = (*found.get(name, ()), assignment)

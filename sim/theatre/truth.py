@@ -63,7 +63,7 @@ def read_samples(folder: Path) -> list[TipSample]:
     try:
         lines = read_json_lines(path, LARGEST_TRUTH_BYTES).decode().splitlines()
     except UnicodeDecodeError as error:
-        raise BadTruth(f"{path.name} is not text in UTF-8: {error.reason}") from error
+        raise BadTruth(f"{path.name} is not UTF-8 text: {error.reason}") from error
     except OSError as error:
         raise BadTruth(f"cannot read {path.name}: {error.strerror}") from error
     samples: list[TipSample] = []
@@ -76,7 +76,7 @@ def read_samples(folder: Path) -> list[TipSample]:
             if len(mistakes) >= MOST_MISTAKES:
                 break
     if mistakes:
-        raise BadTruth(f"{path.name} has bad lines: {'; '.join(mistakes)}")
+        raise BadTruth(f"{path.name} has invalid lines: {'; '.join(mistakes)}")
     return samples
 
 

@@ -36,7 +36,7 @@ def verify_run(run: Path) -> dict[str, Any]:
     samples = {sample.target: sample for sample in read_samples(theatre)}  # the last sample of each target
     localization = _standing(found, "fiducial_localization")
     if localization is None and not samples:
-        raise NothingToVerify(f"{run} has neither located a sphere nor reached a target")
+        raise NothingToVerify(f"{run} located no sphere and reached no target")
     return {
         "ct": _verify_ct(scene, localization),
         "targets": [

@@ -96,7 +96,7 @@ class World:
         except (OSError, ValueError) as error:
             raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
         if not _MAP.is_marked(self._memory):
-            raise WorldUnavailable(f"{path} is not a world of this version")
+            raise WorldUnavailable(f"{path} is not a world file of this version")
         self._clock_path = _CLOCK.read(self._memory).path
         self.clock = SharedClock(self._clock_path)
         self.scene = scene or self._read_scene()

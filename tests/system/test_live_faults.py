@@ -47,7 +47,7 @@ def test_messages_of_the_pendant_are_heard_from_the_theatre(tmp_path: Path) -> N
     try:
         theatre.await_ready()
         answer = ask_control_port(theatre.control, "fault", line="robot emergency stop")
-        assert answer["effect"].startswith("robot emergency stop, from 0.000 s of theatre time on, until ")
+        assert answer["effect"].startswith("robot emergency stop, from theatre time 0.000 s on, until ")
         assert heard.get(timeout=5.0) == "pendant at 0.000 s: KSS00001 emergency stop"
     finally:
         theatre.end()

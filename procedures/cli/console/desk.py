@@ -128,7 +128,7 @@ class Desk:
         """Take an order; returns why it is refused, or nothing."""
         with self._changed:
             if order.nonce in self._nonces:
-                return "this order was given before"
+                return "this order was already given"
             self._nonces.append(order.nonce)
             self._notice_lapse()
             late = order.expires_s is not None and self._now_s() > order.expires_s

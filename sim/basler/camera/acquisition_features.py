@@ -32,15 +32,17 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     setting(
         "AcquisitionMode",
         CONTROL,
-        "Frames of one acquisition.",
+        "Acquisition mode.",
         "acquisition_mode",
         kind=Kind.ENUMERATION,
         entries={"SingleFrame": AcquisitionMode.SINGLE_FRAME, "Continuous": AcquisitionMode.CONTINUOUS},
         locked=True,
     ),
-    Feature("AcquisitionStart", Kind.COMMAND, CONTROL, "Start to take frames.", write=_start),
-    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Take no more frames.", write=_stop),
-    Feature("AcquisitionAbort", Kind.COMMAND, CONTROL, "Take no more frames, at once.", write=_stop),
+    Feature("AcquisitionStart", Kind.COMMAND, CONTROL, "Start the acquisition of frames.", write=_start),
+    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Stop the acquisition of frames.", write=_stop),
+    Feature(
+        "AcquisitionAbort", Kind.COMMAND, CONTROL, "Stop the acquisition of frames at once.", write=_stop
+    ),
     setting(
         "AcquisitionFrameCount",
         CONTROL,
@@ -59,7 +61,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     setting(
         "AcquisitionFrameRateAbs",
         CONTROL,
-        "Wanted rate of the free-running camera.",
+        "Requested rate of the free-running camera.",
         "frame_rate_hz",
         kind=Kind.FLOAT,
         minimum=always(FRAME_RATE_RANGE_HZ[0]),
@@ -70,14 +72,14 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         "ResultingFrameRateAbs",
         Kind.FLOAT,
         CONTROL,
-        "Rate that exposure, read-out, link and the wanted rate allow.",
+        "Rate allowed by exposure, read-out, link and requested rate.",
         read=lambda commands: 1e6 / free_running_period_us(commands.settings),
         unit="Hz",
     ),
     setting(
         "AcquisitionStatusSelector",
         CONTROL,
-        "Status that AcquisitionStatus shows.",
+        "Status shown by AcquisitionStatus.",
         "status_selector",
         kind=Kind.ENUMERATION,
         entries={"FrameTriggerWait": FRAME_TRIGGER_WAIT, "AcquisitionActive": ACQUISITION_ACTIVE},
@@ -87,7 +89,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     setting(
         "TriggerSelector",
         CONTROL,
-        "Trigger that the following features set.",
+        "Trigger to which the following features apply.",
         "trigger_selector",
         kind=Kind.ENUMERATION,
         entries={"AcquisitionStart": Trigger.ACQUISITION_START, "FrameStart": Trigger.FRAME_START},
@@ -98,7 +100,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
     ),
     trigger_setting(
         "TriggerSource",
-        "Where the selected trigger comes from.",
+        "Source of the selected trigger.",
         "source",
         Kind.ENUMERATION,
         entries={
@@ -134,7 +136,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         "OvertriggerCount",
         Kind.INTEGER,
         CONTROL,
-        "Frame triggers since AcquisitionStart that came while the camera was busy.",
+        "Frame triggers missed since AcquisitionStart because the camera was busy.",
         read=lambda commands: commands.acquisition.missed_triggers,
         visibility="Guru",
     ),

@@ -23,7 +23,7 @@ EVENT_FEATURES: tuple[Feature, ...] = (
     setting(
         "EventSelector",
         EVENTS,
-        "Event that EventNotification sets.",
+        "Event to which EventNotification applies.",
         "event_selector",
         kind=Kind.ENUMERATION,
         entries={kind.feature_name: int(kind) for kind in EventKind},

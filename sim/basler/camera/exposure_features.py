@@ -28,7 +28,7 @@ EXPOSURE_LIMITS: dict[str, Any] = {
 ANALOG = "AnalogControls"
 INSIDE_C = 45.0  # a camera that has warmed up on its mount; it never changes here
 EXPOSURE_FEATURES: tuple[Feature, ...] = (
-    constant("ExposureMode", CONTROL, "How the exposure ends.", 0, **only("Timed")),
+    constant("ExposureMode", CONTROL, "Exposure mode.", 0, **only("Timed")),
     constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **only("Off")),
     Feature(
         "ExposureTimeAbs",
@@ -46,13 +46,15 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         "ReadoutTimeAbs",
         Kind.FLOAT,
         CONTROL,
-        "Read-out of the present area.",
+        "Read-out time of the current area.",
         read=lambda commands: readout_us(commands.settings.frame()),
         unit="us",
     ),
     constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
     constant("GainAuto", ANALOG, "Automatic gain.", 0, **only("Off")),
-    constant("GainSelector", ANALOG, "What the gain acts on.", 0, selects=("GainRaw",), **only("All")),
+    constant(
+        "GainSelector", ANALOG, "Signal to which the gain applies.", 0, selects=("GainRaw",), **only("All")
+    ),
     setting(
         "GainRaw",
         ANALOG,
@@ -64,7 +66,7 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
     constant(
         "BlackLevelSelector",
         ANALOG,
-        "What the black level acts on.",
+        "Signal to which the black level applies.",
         0,
         selects=("BlackLevelRaw",),
         **only("All"),

@@ -38,7 +38,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     setting(
         "OffsetX",
         IMAGE,
-        "Column of the area's left edge; may change while the acquisition runs.",
+        "Column of the area's left edge; may change during an acquisition.",
         "offset_x",
         minimum=always(0),
         maximum=lambda commands: SENSOR_WIDTH_PX - commands.settings.width,
@@ -48,7 +48,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     setting(
         "OffsetY",
         IMAGE,
-        "Row of the area's upper edge; may change while the acquisition runs.",
+        "Row of the area's upper edge; may change during an acquisition.",
         "offset_y",
         minimum=always(0),
         maximum=lambda commands: SENSOR_HEIGHT_PX - commands.settings.height,

@@ -44,7 +44,7 @@ def _all_data() -> Iterator[EventData]:
     for kind in EventKind:
         yield EventData(kind, "StreamChannelIndex", 4, 2, "Stream channel of the event.")
         if kind is EventKind.EXPOSURE_END:
-            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Frame that was exposed.")
+            yield EventData(kind, "FrameID", EVENT_ITEM_BYTES, 4, "Block ID of the exposed frame.")
         yield EventData(kind, "Timestamp", 8, 8, "Time of the event, ticks.")
 
 

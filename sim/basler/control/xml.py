@@ -58,19 +58,19 @@ def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> S
 
 
 STANDARD_FEATURES = (
-    _text("DeviceVendorName", Bootstrap.MANUFACTURER_NAME, "Who the camera says it is made by."),
+    _text("DeviceVendorName", Bootstrap.MANUFACTURER_NAME, "Name of the manufacturer."),
     _text("DeviceModelName", Bootstrap.MODEL_NAME, "Model."),
-    _text("DeviceManufacturerInfo", Bootstrap.MANUFACTURER_INFO, "More about the camera."),
+    _text("DeviceManufacturerInfo", Bootstrap.MANUFACTURER_INFO, "Information from the manufacturer."),
     _text("DeviceVersion", Bootstrap.DEVICE_VERSION, "Version of the camera."),
     _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
     _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
-    _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "Name given by the user.", "RW"),
+    _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
     Standard(
         "GevHeartbeatTimeout",
         "TransportLayer",
         "Integer",
         Bootstrap.HEARTBEAT_TIMEOUT_MS,
-        "Silence, in ms, after which control is lost.",
+        "Heartbeat timeout, ms.",
         "RW",
     ),
     Standard("GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"),
@@ -87,7 +87,7 @@ STANDARD_FEATURES = (
         "TransportLayer",
         "Command",
         Bootstrap.TIMESTAMP_CONTROL,
-        "Keep the present time stamp for reading.",
+        "Latch the current time stamp.",
         "WO",
         command=TIMESTAMP_LATCH,
     ),
@@ -96,7 +96,7 @@ STANDARD_FEATURES = (
         "TransportLayer",
         "Command",
         Bootstrap.TIMESTAMP_CONTROL,
-        "Count from zero again.",
+        "Reset the time stamp to zero.",
         "WO",
         command=TIMESTAMP_RESET,
     ),
@@ -110,9 +110,9 @@ STANDARD_FEATURES = (
     ),
     _message("GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."),
     _message("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
-    _message("GevMCTT", Bootstrap.MCTT_MS, "How long an acknowledge of a message is awaited, ms."),
-    _message("GevMCRC", Bootstrap.MCRC, "How often a message is repeated."),
-    _message("GevMCSP", Bootstrap.MCSP, "UDP port that messages come from.", "RO"),
+    _message("GevMCTT", Bootstrap.MCTT_MS, "Timeout of a message acknowledge, ms."),
+    _message("GevMCRC", Bootstrap.MCRC, "Number of retransmissions of a message."),
+    _message("GevMCSP", Bootstrap.MCSP, "UDP source port of messages.", "RO"),
 )
 
 

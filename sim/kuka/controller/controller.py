@@ -91,7 +91,7 @@ class Controller:
         if self.run is not None:
             return Acknowledgement(AckCode.BUSY, "RSI is running")
         if self.motion is not None:
-            return Acknowledgement(AckCode.BUSY, "a motion is under way")
+            return Acknowledgement(AckCode.BUSY, "a motion is in progress")
         forbidden = self.interlocks.forbids_program
         if forbidden:
             return Acknowledgement(AckCode.REFUSED, forbidden)

@@ -38,7 +38,7 @@ class Interlocks:
     def forbids_program(self) -> str:
         """Why no program may run in this mode now; empty when one may."""
         if self.mode is OperationMode.AUT:
-            return "mode AUT: the program is started at the pendant only"
+            return "mode AUT: the program can only be started at the pendant"
         if self.manual and not self.start_key:
             return f"mode {self.mode}: the start key is not held"
         return ""

@@ -63,7 +63,7 @@ class EkiMoves:
         arm, parameters = controller.arm, controller.parameters
         goal = arm.base @ pose
         if arm.joints_on_the_way(goal) is None:
-            return Acknowledgement(AckCode.LIMIT, "no straight path leads there")
+            return Acknowledgement(AckCode.LIMIT, "no straight path to that pose")
         speed_mm_s = speed_m_s * 1000.0 * controller.override_percent / FULL_OVERRIDE
         if controller.interlocks.mode is OperationMode.T1:
             speed_mm_s = min(speed_mm_s, T1_MARGIN * parameters.T1_tool_speed_mm_s)

@@ -29,7 +29,7 @@ READ_BYTES = 65536
 GARBAGE = b"\xff\x00 what? />\r\n"
 PADDING = b"\0" * 64
 ANOTHER_PORT = (
-    "End that program, or take free ports: --eki tcp://127.0.0.1:0 --eki-project tcp://127.0.0.1:0."
+    "Stop that program, or use free ports: --eki tcp://127.0.0.1:0 --eki-project tcp://127.0.0.1:0."
 )
 
 # Nothing is given back that was matched (*+): a tag without an end must not cost the square of its length.

@@ -45,4 +45,4 @@ class RejectedReplies:
             return "no IPOC"
         if int(stamp[1]) != expected:
             return f"IPOC {int(stamp[1])}, expected {expected}, that of the telegram it answers"
-        return "no well-formed XML, or a value that is no number"
+        return "not well-formed XML, or a value that is not a number"

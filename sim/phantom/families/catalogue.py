@@ -65,7 +65,7 @@ class Family:
     distractors: int = 0  # balls and cylinders of polymer, so many each
     look_alikes: tuple[Draw, ...] = ()  # objects that are no spheres, two of each kind
     bare: bool = False  # spheres without film and post
-    edge: bool = False  # the field ends beside one sphere and cuts another
+    edge: bool = False  # the field of view ends next to one sphere and cuts another
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,13 @@ def _beside_objects(name: str, purpose: Purpose, shows: str, look_alikes: tuple[
 FAMILIES: dict[str, Family] = {
     family.name: family
     for family in (
-        Family("plain", Purpose.TUNING, "an ordinary head in a trough, with fillings and a cable"),
+        Family(
+            "plain", Purpose.TUNING, "an ordinary head in a head holder, with dental fillings and a cable"
+        ),
         Family(
             "posts",
             Purpose.TUNING,
-            "streaks of two lobes around every metal post",
+            "two-lobed streaks around every metal post",
             post_streaks=PostStreaks((250.0, 250.0), (2.0, 2.0), (2,)),
         ),
         Family(
@@ -112,17 +114,17 @@ FAMILIES: dict[str, Family] = {
         Family(
             "dressing",
             Purpose.TUNING,
-            "a moist bandage that buries spheres up to the middle",
+            "a moist bandage that covers spheres up to the middle",
             bandage_mm=(6.0, 14.0),
             bandage_hu=(20.0, 60.0),
         ),
         _beside_objects("rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED),
-        _beside_objects("caps", Purpose.TUNING, "domes on the skin, mushrooms, barrels, buttons", CAPS),
+        _beside_objects("caps", Purpose.TUNING, "domes on the skin, mushroom shapes, barrels, buttons", CAPS),
         _beside_objects("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
         Family(
             "narrow",
             Purpose.JUDGING,
-            "a small long head on a cushion, many fillings",
+            "a small, long head on a cushion, many dental fillings",
             half_width_mm=(60.0, 66.0),
             half_depth_mm=(84.0, 92.0),
             half_height_mm=(76.0, 84.0),
@@ -163,18 +165,20 @@ FAMILIES: dict[str, Family] = {
             pairs=2,
             distractors=4,
         ),
-        Family("edge", Purpose.JUDGING, "the field ends beside one sphere and cuts another", edge=True),
+        Family(
+            "edge", Purpose.JUDGING, "the field of view ends next to one sphere and cuts another", edge=True
+        ),
         Family(
             "streaks",
             Purpose.JUDGING,
-            "streaks of three to five lobes around every metal post",
+            "three- to five-lobed streaks around every metal post",
             post_streaks=PostStreaks((200.0, 250.0), (2.0, 2.5), (3, 4, 5)),
             fillings=(6, 12),
         ),
         Family(
             "rays",
             Purpose.JUDGING,
-            "three to six bright and dark rays from the foot of every post, in the slices about it",
+            "three to six bright and dark rays from the foot of every post, in adjacent slices",
             bands=MarkerBands(
                 (3, 6), (200.0, 500.0), (0.8, 2.5), (1.5, 4.0), (-2.0, 2.0), (3.0, 9.0), from_metal=True
             ),
@@ -183,14 +187,14 @@ FAMILIES: dict[str, Family] = {
         Family(
             "bare",
             Purpose.JUDGING,
-            "spheres without film and post, which no head has: what noise alone leaves",
+            "spheres without film and post, which do not exist: the error due to noise alone",
             headrest=Headrest.NONE,
             cable=False,
             bare=True,
         ),
         _beside_objects("ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS),
         _beside_objects(
-            "plates", Purpose.JUDGING, "domes on plates and over metal discs, balls grown into one", PLATES
+            "plates", Purpose.JUDGING, "domes on plates and over metal discs, merged balls", PLATES
         ),
         _beside_objects(
             "hollow", Purpose.JUDGING, "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW

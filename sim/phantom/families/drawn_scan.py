@@ -70,7 +70,7 @@ def family_scan(
 ) -> Scan:
     """Draw a scan; raises SIM-001 for unknown names or when the markers do not fit."""
     if name not in FAMILIES:
-        raise BadScene(f"there is no family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
+        raise BadScene(f"unknown family {name!r}", expected=", ".join(FAMILIES), action=SEE_PHANTOM)
     if fiducials in FRAMES and markers is not None and not SPHERES <= markers <= LARGEST_MARKERS:
         raise BadScene(f"the x-shaped frame has {SPHERES} spheres: {SPHERES} to {LARGEST_MARKERS} markers")
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
@@ -109,7 +109,7 @@ def family_scan(
 def protocol_named(name: str) -> CtProtocol:
     """A protocol by name; raises SIM-001."""
     if name not in PROTOCOLS:
-        raise BadScene(f"there is no protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
+        raise BadScene(f"unknown protocol {name!r}", expected=", ".join(PROTOCOLS), action=SEE_PHANTOM)
     return PROTOCOLS[name]
 
 
@@ -193,7 +193,7 @@ def _with_frame(
         ):
             centres.append(centre)
             found.append(Fiducial(number=len(found) + 1, centre_ct_mm=_three(centre), post_ct=_three(normal)))
-    raise BadScene(f"{count - SPHERES} markers do not fit beside the frame")
+    raise BadScene(f"{count - SPHERES} markers do not fit next to the frame")
 
 
 def _from_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
@@ -271,7 +271,7 @@ def _look_alikes(
             if all((first < place).all() and (place < last).all() for place in drawn_one.places):
                 break
         else:
-            raise BadScene("the objects of this family do not fit into the field of the CT")
+            raise BadScene("the objects of this family do not fit in the CT's field of view")
         drawn.append(drawn_one)
         taken.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
     return drawn
@@ -354,7 +354,7 @@ def _free_direction(
         place = skin + standoff_mm * normal
         if all(np.linalg.norm(place - other) > clearance_mm for other in taken):
             return direction
-    raise BadScene("there is no room left on the head")
+    raise BadScene("no room left on the head")
 
 
 def _three(vector: Vector) -> tuple[float, float, float]:

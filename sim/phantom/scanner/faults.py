@@ -52,12 +52,10 @@ class ScannerFaults:
 
     def __post_init__(self) -> None:
         if self.kernel not in KERNELS:
-            raise BadScene(
-                f"there is no kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM
-            )
+            raise BadScene(f"unknown kernel {self.kernel!r}", expected=", ".join(KERNELS), action=SEE_PHANTOM)
         if abs(self.tilt_deg) > MOST_TILT_DEG:
             raise BadScene(
-                f"a gantry does not tilt by {self.tilt_deg:g} degrees",
+                f"no gantry tilts by {self.tilt_deg:g} degrees",
                 limit=f"{MOST_TILT_DEG:g}",
                 action=SEE_PHANTOM,
             )

@@ -72,7 +72,7 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     field = counts * spacing
     if (high - low > field).any():
         raise BadScene(
-            "markers and trajectories do not fit into the field of the CT",
+            "markers and trajectories do not fit in the CT's field of view",
             expected=f"a field of {_three(high - low)} mm",
             got=f"{_three(field)} mm",
         )

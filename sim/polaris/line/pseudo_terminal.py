@@ -44,7 +44,7 @@ class PseudoTerminal:
             self._path = os.ttyname(self._host_end)
             self._watch = HostSideWatch(self._path)
         except OSError as error:
-            raise LineUnavailable(f"cannot make a serial line: {error.strerror or error}") from error
+            raise LineUnavailable(f"cannot create a pseudo-terminal: {error.strerror or error}") from error
         tty.setraw(self._host_end)
         settings = termios.tcgetattr(self._host_end)
         settings[_TERMIOS_INPUT_SPEED] = settings[_TERMIOS_OUTPUT_SPEED] = termios.B9600

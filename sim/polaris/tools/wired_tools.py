@@ -46,7 +46,7 @@ class WiredPorts:
         """Plug a tool into the next free socket; raises PSU-002 when there is none."""
         number = len(self.tools) + 1
         if number > self.count:
-            raise BadWiredTool(f"there is no port for wired tool {number}", limit=f"{self.count} ports")
+            raise BadWiredTool(f"no port left for wired tool {number}", limit=f"{self.count} ports")
         self.tools[number] = tool
         self.plugged.add(number)
 

@@ -17,41 +17,41 @@ from sim.polaris.unit.refusal import ErrorCode
 
 @dataclass(frozen=True, kw_only=True)
 class UnitBehaviour:
-    """How the unit behaves where public sources are silent or disagree."""
+    """Behaviour of the unit for which public sources are silent or disagree."""
 
     # line
     enforces_line: Annotated[
-        bool, "A serial host with another baud rate or odd parity than the unit is not understood."
+        bool, "A serial host with another baud rate or with odd parity is not understood."
     ] = True
-    wrong_line: Annotated[Literal["silence", "garbage"], "What a host with wrong line settings receives."] = (
-        "silence"
-    )
+    wrong_line: Annotated[
+        Literal["silence", "garbage"], "Bytes received by a host with wrong line settings."
+    ] = "silence"
     line_after_close: Annotated[
-        Literal["default", "kept"], "Line settings after the last host has closed a pseudo-terminal."
+        Literal["default", "kept"], "Line settings after the last host closed a pseudo-terminal."
     ] = "default"
     power_up_reset: Annotated[bool, "The unit sends RESET on a serial line at power-up."] = True
     break_from_flush: Annotated[
-        bool, "A pseudo-terminal carries no break: flushing both directions stands for one."
+        bool, "A pseudo-terminal has no break condition: a flush of both directions acts as one."
     ] = True
     break_silence_s: Annotated[
-        float, "Silence after such a flush that makes it a break; a host that only flushes goes on to send."
+        float, "Silence after which such a flush is a break; a host that only flushes keeps sending."
     ] = 0.1
     break_deaf_s: Annotated[float, "Time after an open during which such a flush is not a break."] = 0.05
     silent_host_s: Annotated[
         float,
-        "A network host that has given no command for so long that was not refused gives way to one that "
-        "waits; one that takes no reply for so long, or for 5 s, is hung up on. How many a unit serves at a "
-        "time, and for how long, is not public.",
+        "A network host without an accepted command for this long yields to a waiting one; a host that "
+        "reads no reply for this long, or for 5 s, is disconnected. How many hosts a unit serves, and for "
+        "how long, is not public.",
     ] = 10.0
     reset_s: Annotated[
         float,
-        "Time from a break, a power-up in mid-run or a watchdog reset to RESET; seconds on a real unit.",
+        "Time from a break, a power cycle or a watchdog reset to RESET; seconds on a real unit.",
     ] = 0.1
     malformed_line_settings: Annotated[ErrorCode, "Error of COMM with an unknown code: 23 or 07."] = (
         ErrorCode.OUT_OF_RANGE
     )
     accepts_lower_case: Annotated[bool, "Command names in lower case are accepted."] = False
-    strips_eighth_bit: Annotated[bool, "On a line of 7 data bits a BX reply loses the eighth."] = True
+    strips_eighth_bit: Annotated[bool, "With 7 data bits, a BX reply loses its eighth bits."] = True
 
     # state machine
     answers_before_init: Annotated[
@@ -73,13 +73,13 @@ class UnitBehaviour:
     )
     most_tracked: Annotated[int, "TSTART with more enabled tools returns 28."] = 15
     hardware_fault_at_init: Annotated[
-        Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Answer of INIT with a hardware alert."
+        Literal["WARNING01", "ERROR15", "ERROR1A", "OKAY"], "Reply to INIT with a hardware alert."
     ] = "WARNING01"
     starts_with_hardware_fault: Annotated[
         bool, "TSTART with a hardware alert is OKAY, not refused with 12."
     ] = False
     watch_dog: Annotated[
-        Literal["stop", "reset"], "What the watchdog does: stops tracking, or resets the unit."
+        Literal["stop", "reset"], "Effect of the watchdog: stop tracking, or reset the unit."
     ] = "stop"
     beep_s: Annotated[float, "Length of a beep; BEEP returns 0 while the previous one lasts."] = 0.0
     absent_command: Annotated[ErrorCode, "GETIO, SETIO, GX and others without a public format: 33 or 01."] = (
@@ -99,15 +99,18 @@ class UnitBehaviour:
     ] = ErrorCode.BAD_DEFINITION
     warns_with_code: Annotated[bool, "WARNING carries two digits; older firmware sends WARNING alone."] = True
     segment_tolerance_mm: Annotated[
-        float, "Segments of one tool closer than this break unique geometry; NDI's steps are 5 mm."
+        float,
+        "Segments of one tool within this length difference violate unique geometry; NDI uses 5 mm steps.",
     ] = 3.0
     conflict: Annotated[
         Literal["segment", "triangle"],
-        "What two tools must share to conflict: one segment, or three of a triangle.",
+        "Two tools conflict if they share one segment, or the three of a triangle.",
     ] = "triangle"
-    conflict_tolerance_mm: Annotated[float, "Segments of two tools closer than this count as shared."] = 2.0
+    conflict_tolerance_mm: Annotated[
+        float, "Segments of two tools within this length difference count as shared."
+    ] = 2.0
     judges_only_flagged: Annotated[
-        bool, "Only definitions with the unique-geometry flag are judged by these rules."
+        bool, "These rules apply only to definitions with the unique-geometry flag."
     ] = False
     supported_wavelengths: Annotated[
         str, "Wavelength codes of markers that the volumes support; others make TSTART return 22."
@@ -132,7 +135,7 @@ class UnitBehaviour:
     poses_partially_out: Annotated[
         bool, "A pose is reported when some markers, but fewer than the minimum, are inside the volume."
     ] = True
-    lists_disabled_handles: Annotated[bool, "Handles initialised but not enabled are listed as DISABLED."] = (
+    lists_disabled_handles: Annotated[bool, "Initialised but not enabled handles are listed as DISABLED."] = (
         False
     )
     status_of_unseen_handles: Annotated[
@@ -150,19 +153,17 @@ class UnitBehaviour:
     text_active_stray: Annotated[
         Literal["status", "words"], "TX option 0004: two digits of status before a position, or words."
     ] = "status"
-    binary_active_stray_always: Annotated[
-        bool, "BX option 0004 sends 12 bytes of position whatever the status."
-    ] = True
+    binary_active_stray_always: Annotated[bool, "BX option 0004 always sends 12 bytes of position."] = True
 
     # identity and the rest
     freeze_tag_with_minor: Annotated[
         bool, "The freeze tag ends in 007.000; without the minor some clients use TX."
     ] = True
     saved_illuminator_rate: Annotated[
-        int, "Illuminator rate at power-up, as saved: 0 is 20 Hz, 1 30 Hz, 2 60 Hz."
+        int, "Saved illuminator rate at power-up: 0 = 20 Hz, 1 = 30 Hz, 2 = 60 Hz."
     ] = 0
     user_memory_bytes: Annotated[int, "Size of the user area of a wired tool's memory."] = 1024
-    line_separation_mm: Annotated[float, "Line separation that 3D reports for every marker."] = 0.05
+    line_separation_mm: Annotated[float, "Line separation reported by 3D for every marker."] = 0.05
 
 
 def changed_behaviour(assignments: Iterable[str]) -> UnitBehaviour:

@@ -35,7 +35,7 @@ def _path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
 TWIST = SIGHT.lasting(
     "twist",
     "twist NAME SIGNED deg",
-    "The left or right camera turns by that angle in its mount, in the plane of both.",
+    "The left or right camera is rotated by that angle in its mount, in the plane of both cameras.",
     _side,
 )
 SIGHT_FAULTS = (
@@ -61,7 +61,7 @@ SIGHT_FAULTS = (
     SIGHT.lasting(
         "creep",
         "creep NAME SIGNED deg per min",
-        "The left or right camera keeps turning in its mount at that rate, in the plane of both.",
+        "The left or right camera keeps rotating in its mount at that rate, in the plane of both cameras.",
         _side,
     ),
 )
@@ -76,8 +76,8 @@ STREAM_FAULTS = (
     lasting("omit_frames", "omit frames NAME", "Every packet of every image is lost; they can be resent."),
     lasting("shuffle", "shuffle NAME", "The packets of an image arrive out of order."),
     share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
-    lasting("shift_area", "shift area NAME", "The leader reports an area 16 px beside the configured one."),
-    lasting("truncate", "truncate NAME", "Images carry only half their data."),
+    lasting("shift_area", "shift area NAME", "The leader reports an area 16 px off the configured one."),
+    lasting("truncate", "truncate NAME", "Images contain only half of their data."),
     lasting(
         "path",
         "narrow path NAME INT bytes",
@@ -86,12 +86,14 @@ STREAM_FAULTS = (
     ),
 )
 CONTROL_FAULTS = (
-    lasting("unplug", "unplug NAME", "Nothing reaches the camera or leaves it."),
+    lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),
     lasting("deaf", "ignore heartbeat NAME", "Commands do not refresh the heartbeat: control lapses."),
     lasting("taken", "seize NAME", "Another application has control."),
     lasting("delay_answers", "delay answers NAME INT ms", "Acknowledgements are delayed by that time."),
     lasting(
-        "pend_answers", "announce answers NAME INT ms", "The same, each announced at once by a PENDING_ACK."
+        "pend_answers",
+        "announce answers NAME INT ms",
+        "Acknowledgements are delayed by that time, each announced immediately by a PENDING_ACK.",
     ),
     share("lose_answers", "lose answers NAME NUMBER %", "That share of the acknowledgements is lost."),
     share("lose_events", "lose events NAME NUMBER %", "That share of the event messages is lost."),
@@ -109,7 +111,7 @@ TRIGGER_FAULTS = (
     ),
 )
 LENS_FAULTS = (
-    lasting("saturate", "saturate NAME", "Far too much light: every pixel saturates."),
+    lasting("saturate", "saturate NAME", "Overexposure: every pixel saturates."),
     lasting("darken", "darken NAME", "No light: only noise remains."),
     lasting("defocus", "defocus NAME NUMBER px", "The whole image is blurred with that standard deviation."),
     lasting(

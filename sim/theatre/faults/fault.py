@@ -43,12 +43,12 @@ class Fault:
     @property
     def effect(self) -> str:
         """What it does, and when, for the one who has just asked for it."""
-        begins = "from now on" if self.at_s is None else f"from {self.at_s:.3f} s of theatre time on"
+        begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
-            begins = f"{'once' if self.lasts else 'whenever'} the step {self.step} begins"
+            begins = f"{'when' if self.lasts else 'whenever'} step {self.step} begins"
         if self.cycle is not None:
             begins = f"from cycle {self.cycle} on"
-        lasts = "until it is cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
+        lasts = "until cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
         if self.step is not None and not self.lasts:
             lasts = "until that step ends" if math.isinf(self.duration_s) else f"{lasts} of that step"
         return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"

@@ -100,7 +100,7 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
             fault, has_duration = _fault(statement, number)
             faults.append(fault)
             if has_duration and fault.kind.momentary:
-                got = f"got 'for {fault.duration_s:g} s': it happens only once"
+                got = f"got 'for {fault.duration_s:g} s': this fault is momentary"
                 what = f"line {number}: expected no duration, {got}"
                 mistakes.append(Mistake(what, fault.kind.example))
     _refuse(mistakes)
@@ -113,10 +113,10 @@ def parse_request(line: str) -> Fault:
     Raises SIM-003.
     """
     if "\n" in line:
-        raise BadFaultScript("expected one line", got=repr(line), action="Give each fault by itself.")
+        raise BadFaultScript("expected one line", got=repr(line), action="Give one fault at a time.")
     faults = parse_faults(line if _begins(line) or not line.strip() else f"{BEGINS_NOW}{line}")
     if not faults:
-        raise BadFaultScript(f"there is no fault in {line!r}", action=f"Write for example: {EXAMPLE}.")
+        raise BadFaultScript(f"no fault in {line!r}", action=f"Write for example: {EXAMPLE}.")
     return faults[0]
 
 
@@ -158,7 +158,7 @@ def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> s
     except OSError as error:
         raise BadFaultScript(f"cannot read the fault script {path}: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise BadFaultScript(f"{path.name} is not text in UTF-8: {error.reason}") from error
+        raise BadFaultScript(f"{path.name} is not UTF-8 text: {error.reason}") from error
     check_faults(parse_faults(text), scene, devices)
     return text
 
@@ -190,7 +190,7 @@ def _first_of(devices: Sequence[str]) -> FaultKind:
 
 def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
     if fault.kind.device not in devices:
-        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: there is no other here"
+        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: no other device here"
         return
     if fault.cycle is not None and fault.kind.device != CYCLES_OF:
         yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
@@ -235,7 +235,7 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
     typed = line.removeprefix(BEGINS_NOW)
     place = f"line {number}, column {column - len(line) + len(typed)}"
     if not _begins(line) and _reads(f"{BEGINS_NOW}{line}"):
-        what = f"{place}: expected 'at' or 'when', which say when it begins, got {got}"
+        what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
     what = f"{place}: expected {either(words)}, got {got}"
     if not advises:

@@ -44,7 +44,7 @@ LINK_FAULTS = (
         "corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams is sent corrupted."
     ),
     share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams is never sent."),
-    lasting("network_cut", "network cut", "Nothing passes on the RSI link in either direction."),
+    lasting("network_cut", "network cut", "No packets pass on the RSI link in either direction."),
     lasting("foreign_sender", "foreign sender", "Another controller sends to the same port, from its own."),
     lasting(
         "short_first",
@@ -54,29 +54,30 @@ LINK_FAULTS = (
 )
 
 CELL_FAULTS = (
-    lasting("emergency_stop", "emergency stop", "The emergency stop is pressed and released at the end."),
+    lasting("emergency_stop", "emergency stop", "The emergency stop is pressed, and released at the end."),
     lasting("guard", "guard open", "The guard is open; it stops the arm in AUT and EXT."),
     lasting(
         "mode",
         "mode NAME",
-        "The key switch is at T1, T2 or AUT, and back at EXT at the end.",
+        "The mode selector is at T1, T2 or AUT, and back at EXT at the end.",
         OneOf("operating mode", MODES),
     ),
     lasting(
         "enabling_switch",
         "enabling switch released",
-        "The enabling switch is released; matters in T1 and T2.",
+        "The enabling switch is released; effective in T1 and T2.",
     ),
     lasting(
         "start_key",
         "start key held",
-        "In T1 and T2 somebody holds enabling switch and start key: drives come on, questions are confirmed.",
+        "In T1 and T2 an operator holds enabling switch and start key: drives switch on, prompts are "
+        "confirmed.",
     ),
     once("drives_off", "drives off", "The drives are switched off."),
     once(
         "trip",
         "trip NAME",
-        f"Whatever is running ends with the message of that cause: {', '.join(TRIPS)}.",
+        f"The running program or motion ends with the message of that cause: {', '.join(TRIPS)}.",
         OneOf("trip", TRIPS),
     ),
     lasting(
@@ -90,7 +91,7 @@ CELL_FAULTS = (
         "overload",
         "The brakes close without a message: the measured axes stop following until the program is reset.",
     ),
-    lasting("stick", "stick axis INT", "That axis moves with stick-slip.", OneOf("axis", AXES)),
+    lasting("stick", "stick axis INT", "The axis moves with stick-slip.", OneOf("axis", AXES)),
     once(
         "program_restart",
         "program restart",

@@ -21,41 +21,41 @@ SHIFT = lasting(
 UNLOCKED = lasting(
     "unlocked",
     "unlocked cart SIGNED SIGNED SIGNED mm per min",
-    "The brakes of the robot's cart are open: it rolls at that rate along the robot's x, y and z, and by as "
-    "much as in a minute when somebody leans on it.",
+    "The brakes of the robot's cart are open: it rolls at that rate along the robot's x, y and z, and by "
+    "one minute's worth when someone leans on it.",
 )
 LOOSEN = lasting(
     "loosen",
     "loosen marker INT SIGNED SIGNED SIGNED mm",
-    "The screw of one sphere gives way: it stands that far beside its place, along the robot's x, y and z.",
+    "The screw of one sphere gives way: the sphere is displaced by that much, along the robot's x, y and z.",
     fiducial_number,
 )
 PUSH = lasting(
     "push",
     "push guide SIGNED SIGNED SIGNED N",
-    "A hand presses or pulls on what hangs on the arm with that force, along the robot's x, y and z; "
-    "the arm gives way as far as it is not stiff.",
+    "A hand pushes or pulls the mounted tool with that force, along the robot's x, y and z; "
+    "the arm yields according to its stiffness.",
 )
 WRONG_STOP = lasting("wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep.")
 BENT_TIP = lasting(
     "bent_tip",
     "bent tip SIGNED SIGNED SIGNED mm",
-    "The guide, or the mandrel in it, is bent: its end is that far from where it was calibrated.",
+    "The guide, or the mandrel in it, is bent: its end is that far from its calibrated position.",
 )
 WRONG_MANDREL = lasting(
     "wrong_mandrel",
     "wrong mandrel SIGNED mm",
-    "Another mandrel is in the guide, that much longer than the one of the calibration.",
+    "Another mandrel is in the guide, longer by that much than the one used for calibration.",
 )
 BAD_SEAT = lasting(
     "bad_seat",
     "bad seat SIGNED mm SIGNED deg",
-    "The changer is not closed: what hangs there stands off that far, tilted by that angle.",
+    "The changer is not closed: the mounted tool is offset by that distance and tilted by that angle.",
 )
 WRONG_LOAD = lasting(
     "wrong_load",
     "wrong load SIGNED kg",
-    "What hangs on the flange is that much heavier than the controller was told: the arm sags.",
+    "The load on the flange exceeds the load data in the controller by that much: the arm sags.",
 )
 ROOM_FAULTS = (
     SHIFT,

@@ -48,7 +48,7 @@ def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from fiducial_number(arguments, scene)
 
 
-_few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit reports")
+_few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit can report")
 _socket = OneOf("socket", SOCKETS)
 
 DISPLACED_TOOLS = (
@@ -61,7 +61,7 @@ DISPLACED_TOOLS = (
     lasting(
         "turn_tool",
         "turn tool NAME SIGNED deg",
-        "A tool is turned by that angle about its own x axis.",
+        "A tool is rotated by that angle about its own x axis.",
         _tool,
     ),
     lasting(
@@ -77,23 +77,23 @@ SIGHT_FAULTS = (
     lasting(
         "occlude_tool_marker",
         "occlude tool NAME marker INT",
-        "One marker of a tool is hidden; they count from 1.",
+        "One marker of a tool is hidden; markers count from 1.",
         _tool_marker,
     ),
     *DISPLACED_TOOLS,
     lasting("interference", "interference tool NAME", "Infrared interference on one tool.", _tool),
     lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
-    lasting("strays", "strays INT", "That many additional spheres lie in the volume.", _few),
-    lasting("reflections", "reflections INT", "That many additional surfaces glint now and then.", _few),
+    lasting("strays", "strays INT", "That many additional spheres are in the volume.", _few),
+    lasting("reflections", "reflections INT", "That many additional surfaces reflect intermittently.", _few),
     lasting(
         "phantoms",
         "phantoms NUMBER mm",
-        "Rays that pass this close to each other count as one marker: phantom markers.",
+        "Rays that pass this close to each other are taken for one marker: phantom markers.",
     ),
 )
 
 UNIT_FAULTS = (
-    once("bump", "bump", "The unit was bumped: no poses until the host has read the alert."),
+    once("bump", "bump", "The unit was bumped: no poses until the host reads the alert."),
     lasting("cold", "cold", "The unit has not warmed up: no poses."),
     lasting("hot", "hot", "The unit is too hot: no poses."),
     lasting(
@@ -111,13 +111,13 @@ UNIT_FAULTS = (
     lasting(
         "unplug",
         "unplug INT",
-        "The wired tool of that socket is unplugged, and plugged in again at the end.",
+        "The wired tool in that socket is unplugged, and plugged in again at the end.",
         _socket,
     ),
     lasting(
         "corrupt_definitions",
         "corrupt definitions",
-        "A tool definition proves corrupt when it is initialised.",
+        "A tool definition is found corrupt when it is initialised.",
     ),
     lasting("enabled_limit", "allow INT tools", "At most that many tools can be enabled."),
     lasting("handle_limit", "allow INT handles", "At most that many port handles are available."),
@@ -130,20 +130,20 @@ UNIT_FAULTS = (
         "INIT, PINIT or TSTART takes that much longer.",
         OneOf("command", SLOW_COMMANDS),
     ),
-    lasting("repeat_frames", "repeat frames", "The unit repeats the same frame."),
+    lasting("repeat_frames", "repeat frames", "The unit sends the same frame repeatedly."),
     lasting("skip_frames", "skip INT frames", "After each frame the unit skips that many."),
 )
 
 LINE_FAULTS = (
     share(
-        "garble_commands", "garble commands NUMBER %", "That share of the commands arrives with a bit wrong."
+        "garble_commands", "garble commands NUMBER %", "That share of the commands arrives with a bit error."
     ),
-    share("garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit wrong."),
+    share("garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit error."),
     share("drop_bytes", "drop bytes NUMBER %", "That share of the replies loses a byte."),
-    share("double_bytes", "double bytes NUMBER %", "That share of the replies has a byte twice."),
-    share("cut_replies", "cut replies NUMBER %", "That share of the replies breaks off."),
-    share("lose_replies", "lose replies NUMBER %", "That share of the replies never comes."),
-    lasting("late_replies", "delay replies NUMBER s", "Each reply comes so much later."),
+    share("double_bytes", "double bytes NUMBER %", "That share of the replies has a duplicated byte."),
+    share("cut_replies", "cut replies NUMBER %", "That share of the replies is truncated."),
+    share("lose_replies", "lose replies NUMBER %", "That share of the replies is never sent."),
+    lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
 )
 
 TRACKER_FAULTS = (*SIGHT_FAULTS, *UNIT_FAULTS, *LINE_FAULTS)

@@ -59,7 +59,7 @@ def named_scene(
     that frame, which the tracker is given as a tool.
     """
     if name not in SCENES:
-        raise BadScene(f"there is no scene {name!r}", expected=", ".join(SCENES))
+        raise BadScene(f"unknown scene {name!r}", expected=", ".join(SCENES))
     if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
         raise BadScene(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
     mini = name == "mini"

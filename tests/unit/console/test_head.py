@@ -47,7 +47,7 @@ def test_the_surface_is_that_of_the_head_alone_filled_and_on_the_patients_own_si
 
 def test_an_empty_scan_has_no_head() -> None:
     geometry = VoxelGeometry(SHAPE, ORIGIN_MM, AXES, SPACING_MM)
-    with pytest.raises(ValueError, match="nothing but air"):
+    with pytest.raises(ValueError, match="only air"):
         head_surface(Volume(np.full(SHAPE, -1000, np.int16), geometry, "1.2", "1.3"))
 
 

@@ -146,7 +146,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.
     with pytest.raises(NothingToShow, match="CON-002"):
         review(tmp_path, 0)
     (tmp_path / "events.jsonl").touch()
-    with pytest.raises(NothingToShow, match="nothing has happened"):
+    with pytest.raises(NothingToShow, match="has no events yet"):
         review(tmp_path, 0)
 
 

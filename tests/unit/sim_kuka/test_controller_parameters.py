@@ -23,7 +23,7 @@ def test_parameters_are_set_by_name() -> None:
 @pytest.mark.parametrize(
     ("assignment", "told"),
     [
-        ("lag=1", "no parameter 'lag'"),
+        ("lag=1", "unknown parameter 'lag'"),
         ("lag_s", "lag_s cannot be ''"),
         ("lag_s=-1", "lag_s cannot be '-1'"),
         ("lag_s=nan", "lag_s cannot be 'nan'"),
@@ -46,4 +46,4 @@ def test_all_parameters_are_told_with_best_estimate_and_meaning(capsys: pytest.C
     kuka(list_parameters=True)
     told = capsys.readouterr().out.splitlines()
     assert len(told) == len(fields(ControllerParameters))
-    assert "lag_s=0.015  Of the drives, first order; 10 to 30 ms are published." in told
+    assert "lag_s=0.015  Time constant of the drives, first order; 10 to 30 ms are published." in told

@@ -116,8 +116,8 @@ def test_more_markers_stand_on_screws_beside_the_close_frame_clear_of_its_bars()
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"name": "martian"}, "no family"),
-        ({"protocol": "perfect"}, "no protocol"),
+        ({"name": "martian"}, "unknown family"),
+        ({"protocol": "perfect"}, "unknown protocol"),
         ({"markers": 40}, "carries 1 to 8"),
         ({"name": "crowded", "markers": 3}, "carries 4 to 8"),
         ({"markers": 3, "fiducials": XFRAME}, "4 to 8 markers"),

@@ -194,7 +194,7 @@ def test_definition_files_are_plugged_in_on_the_command_line(tmp_path: Path, poi
     file.write_bytes(write_definition(pointer))
     assert plugged_in([file, file], SOCKETS, USER_BYTES).plugged == {1, 2}
     assert plugged_in([], SOCKETS, USER_BYTES).count == 0
-    with pytest.raises(BadWiredTool, match="no port for wired tool 1"):
+    with pytest.raises(BadWiredTool, match="no port left for wired tool 1"):
         plugged_in([file], 0, USER_BYTES)
     with pytest.raises(BadWiredTool, match="cannot read"):
         plugged_in([tmp_path / "nothing.rom"], SOCKETS, USER_BYTES)

@@ -164,7 +164,7 @@ def test_no_family_both_tunes_and_judges_and_the_phantom_agrees(monkeypatch: pyt
 
 def test_a_phantom_that_cannot_be_made_is_told_with_its_own_words() -> None:
     with (
-        pytest.raises(PhantomFailed, match="there is no family 'martian'"),
+        pytest.raises(PhantomFailed, match="unknown family 'martian'"),
         phantom_scan("martian", "poor", 1),
     ):
         pass

@@ -163,7 +163,7 @@ def test_each_port_has_a_token_of_its_own_and_tells_who_brings_another(port: Con
         ControlAddress.parse(port.endpoint).endpoint, ControlAddress.parse(another.endpoint).token
     )
     another.close()
-    with pytest.raises(ControlRequestRefused, match="token of the READY line"):
+    with pytest.raises(ControlRequestRefused, match="token from the READY line"):
         ControlPortClient(stale.text())
 
 
@@ -179,7 +179,7 @@ def test_the_endpoint_is_taken_from_the_environment(
     assert in_this_process(ronna_sim, "mount", GUIDE).returncode == 0
     assert world.mounted_tool() == GUIDE
     (refused,) = one_error(in_this_process(ronna_sim, "mount", 7).stderr)[:1]
-    assert f"there is no tool 7: 0 takes the tool off, 1 is the stereo head, {GUIDE} the" in refused
+    assert f"no tool 7: 0 removes the tool, 1 is the stereo head, {GUIDE} the" in refused
     monkeypatch.delenv("RONNA_CONTROL")
     assert "RONNA_CONTROL" in " ".join(one_error(in_this_process(ronna_sim, "mount", GUIDE).stderr))
 

@@ -66,7 +66,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
         (
             "robot drop 5 %",
-            "line 2, column 1: expected 'at' or 'when', which say when it begins, got 'robot'. "
+            "line 2, column 1: expected 'at' or 'when', to say when the fault begins, got 'robot'. "
             "Did you mean: at 12.5 s: robot drop 5 %",
         ),
         (
@@ -133,7 +133,7 @@ def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
         (
             "robot drop 2 %",
             ("tracker", "room"),
-            "of the tracker or room, got 'robot drop 2 %': there is no other",
+            "of the tracker or room, got 'robot drop 2 %': no other device here",
         ),
         ("camera forget left", ("robot",), "of the robot, got 'camera forget left'"),
         ("tracker occlude tool spoon", ("tracker",), "expected tool robot_frame or fork, got spoon"),
@@ -150,14 +150,13 @@ def test_a_simulator_alone_has_only_faults_of_what_is_there(
 def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
     (fault,) = parse_faults("at 3 s: robot drop 5 % for 2 s")
     assert fault.effect == (
-        "robot drop 5 %, from 3.000 s of theatre time on, for 2 s. "
-        "That share of the RSI replies never arrives."
+        "robot drop 5 %, from theatre time 3.000 s on, for 2 s. That share of the RSI replies never arrives."
     )
     assert parse_request("when step == set_up: tracker bump").effect.startswith(
-        "tracker bump, whenever the step set_up begins, once. "
+        "tracker bump, whenever step set_up begins, once. "
     )
     assert parse_request("when step == registration: room loosen marker 2 1 0 0 mm").effect.startswith(
-        "room loosen marker 2 1 0 0 mm, whenever the step registration begins, until that step ends. "
+        "room loosen marker 2 1 0 0 mm, whenever step registration begins, until that step ends. "
     )
 
 
@@ -178,7 +177,7 @@ def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
 def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "faults.txt"
     path.write_bytes(b"at 0 s: \xff\xfe")
-    with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not text"):
+    with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not UTF-8 text"):
         read_faults(path, named_scene("mini"))
     with pytest.raises(BadFaultScript, match="cannot read"):
         read_faults(tmp_path, named_scene("mini"))

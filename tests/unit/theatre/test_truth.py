@@ -26,11 +26,11 @@ def test_every_bad_line_of_the_truth_is_named(tmp_path: Path) -> None:
     append_sample(sampled(), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')
-    with pytest.raises(BadTruth, match=r"SIM-007: .* bad lines: line 2: .*line 3: "):
+    with pytest.raises(BadTruth, match=r"SIM-007: .* invalid lines: line 2: .*line 3: "):
         read_samples(tmp_path)
 
 
 def test_truth_that_is_not_text_is_refused(tmp_path: Path) -> None:
     (tmp_path / TRUTH_FILE).write_bytes(b"\xff\xfe")
-    with pytest.raises(BadTruth, match="not text"):
+    with pytest.raises(BadTruth, match="not UTF-8 text"):
         read_samples(tmp_path)

@@ -134,7 +134,7 @@ def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
 
 
 def test_a_run_that_came_nowhere_cannot_be_verified(run: Path) -> None:
-    with pytest.raises(NothingToVerify, match="neither located a sphere nor reached a target"):
+    with pytest.raises(NothingToVerify, match="located no sphere and reached no target"):
         verify_run(run)
 
 

@@ -382,7 +382,7 @@ def test_twelve_milliseconds_allow_three_times_the_step(make_bench: Callable[...
         (b'<Sen Type="KROSHU"><IPOC>7</IPOC></Sen>', "IPOC 7, expected "),
         (b'<Sen Type="KROSHU"></Sen>', "no IPOC"),
         (b"hello", "no <Sen Type=...>"),
-        (b'<Sen Type="KROSHU"><AK A1="0"><IPOC>%d</IPOC></Sen>', "no well-formed XML"),
+        (b'<Sen Type="KROSHU"><AK A1="0"><IPOC>%d</IPOC></Sen>', "not well-formed XML"),
     ],
 )
 def test_why_a_reply_is_rejected_is_told_once_a_second_with_how_many_were(

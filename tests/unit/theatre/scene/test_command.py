@@ -63,5 +63,5 @@ def test_a_template_of_another_head_is_refused(tmp_path: Path) -> None:
     template.write_text(TEMPLATE.replace("883.888579", "783.888579"))
     with pytest.raises(BadScene, match="marker 1 of the template is not on this head"):
         scene(scene="mini", seed=4, template=template)
-    with pytest.raises(BadScene, match="has its own number of markers"):
+    with pytest.raises(BadScene, match="fixes the number of markers"):
         scene(scene="mini", seed=4, markers=3, template=template)
