@@ -144,12 +144,16 @@ class Case:
 
     def trusts(self, key: StepKey) -> bool:
         """Whether that step has a standing result, and nobody need say that it is kept."""
-        return key in self._standing and self._standing[key].record.identifier not in self._doubts
+        return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
         """From now on somebody must say whether that step's standing result is kept."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
+
+    def doubt_at(self, key: StepKey) -> str | None:
+        """The fault that came after that step's own standing result."""
+        return self._doubts.get(self.record_of(key) or "")
 
     def doubt_of(self, record: Record) -> str | None:
         """The fault that came after a record, or after one that it was made from."""

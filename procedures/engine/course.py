@@ -92,6 +92,18 @@ class Course:
         done = (key for key in self.order.sequence if self.order.spec(key).finishes and self.case.stands(key))
         return tuple(key.trajectory for key in done if key.trajectory is not None)
 
+    @property
+    def checks_in_doubt(self) -> dict[StepKey, str]:
+        """The checks of the tool that must be repeated, and the fault that came after each.
+
+        None when the tool is led to no target any more.
+        """
+        gone = {*self.finished, *(one.trajectory for one in self.case.left_out)}
+        if gone.issuperset(self.order.trajectories):
+            return {}
+        doubts = {key: self.case.doubt_at(key) for key in self.order.checks_of_tool}
+        return {key: fault for key, fault in doubts.items() if fault is not None}
+
     def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
         """What a new result of that step supersedes: of the targets that are finished, only of its own."""
         return self.case.superseded_by(key, self._outlasting_again(key))

@@ -65,7 +65,16 @@ def acknowledged(devices: Mapping[str, Device], recover: Callable[[str], None]) 
 class DeviceFaults:
     """The faults in a case, and what is doubted because of them."""
 
-    def __init__(self, course: Course, workcell: Workcell, journal: Journal, clock: Clock) -> None:
+    def __init__(
+        self,
+        course: Course,
+        workcell: Workcell,
+        journal: Journal,
+        clock: Clock,
+        on_doubt: Callable[[], None] = lambda: None,
+    ) -> None:
+        """`on_doubt` is called when something is in doubt."""
+        self._on_doubt = on_doubt
         self._course = course
         self._workcell = workcell
         self._journal = journal
@@ -93,26 +102,27 @@ class DeviceFaults:
         """
         require_person(by)
         workcell, done = self._workcell, dict[str, str]()
-        self.doubt_localizations()
+        self.doubt_results()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
             if role == ARM:
-                self._doubt_localizations(fault)
+                self._doubt(fault)
             self._journal.write(Entry.ACKNOWLEDGED, self._clock.now_s(), device=role, fault=fault, by=by)
             _log.info("fault acknowledged", device=role)
             done[role] = fault
         return done
 
-    def doubt_localizations(self) -> None:
-        """Where the head is was measured before the arm was in fault: somebody may have been at it since.
+    def doubt_results(self) -> None:
+        """What was localized or checked before the arm was in fault: someone may have been at it since.
 
         In the journal before the fault can be gone, so that no restart forgets it.
         """
         if (fault := self.now.get(ARM)) is not None:
-            self._doubt_localizations(fault)
+            self._doubt(fault)
 
-    def _doubt_localizations(self, fault: str) -> None:
+    def _doubt(self, fault: str) -> None:
         order, case = self._course.order, self._course.case
-        if keys := [key for key in order.localizations if case.trusts(key)]:
+        if keys := [key for key in (*order.localizations, *order.checks_of_tool) if case.trusts(key)]:
             self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)
             for key in keys:
                 case.doubt(key, fault)
+            self._on_doubt()

@@ -14,7 +14,13 @@ from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.course import Course
 from procedures.engine.device_faults import DeviceFaults
-from procedures.engine.errors import JournalNotWritable, OperatorAborted, StepRefused, WrongResult
+from procedures.engine.errors import (
+    JournalNotWritable,
+    OperatorAborted,
+    StepRefused,
+    ToolUnchecked,
+    WrongResult,
+)
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
 from procedures.engine.inputs import unusable_inputs
@@ -65,7 +71,7 @@ class Engine:
         self.machine = ProcedureMachine(order, recovering=recovering)
         self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
         self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
-        self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock)
+        self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock, self._recheck_tool)
         self._journal = journal
         self._logged = order.without_names
         self._on_ending = on_ending
@@ -148,6 +154,7 @@ class Engine:
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
         )
+        self._recheck_tool()
         self._finish_if_over()
         return stored.record
 
@@ -237,7 +244,21 @@ class Engine:
             if self.machine.state != RECOVERY and not self.machine.ended:
                 self.machine.hold()
                 self._show_state()
+        self._recheck_tool()
         self._finish_if_over()
+
+    def _recheck_tool(self) -> None:
+        """Void a check of the tool that is in doubt, once the tool is away from entry and gauge.
+
+        Before that its result still serves the work at the target, and the way out.
+        """
+        in_use = self.setting.workcell.insertion is not None or self.instrument_in is not None
+        if in_use or self.machine.state == RECOVERY or self.machine.ended:
+            return
+        for key, fault in self.course.checks_in_doubt.items():
+            self.void(
+                key, ToolUnchecked("the mounted tool may have been touched since it was checked", got=fault)
+            )
 
     def _forget_latest(self) -> None:
         """What was done last was left, unless the one step that may follow it still may."""
@@ -268,6 +289,7 @@ class Engine:
         self.machine.accept()
         self._forget_latest()
         self._show_state()
+        self._recheck_tool()
         self._finish_if_over()
 
     @contextmanager
@@ -288,7 +310,7 @@ class Engine:
         """End the sessions and the journal; `problem` is what ended the case, where something did."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
-            self.faults.doubt_localizations()
+            self.faults.doubt_results()
         self.events.hold_time()
         self.setting.workcell.close()
         for recorder in self._recorders:  # the journal's last line speaks for every file of the run
@@ -342,7 +364,7 @@ class Engine:
         self._show_state(str(problem))
         files: dict[str, JournalValue] = {"files": sorted(attachments)} if attachments else {}
         with suppress(JournalNotWritable):  # what the step met is told
-            self.faults.doubt_localizations()
+            self.faults.doubt_results()
         with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 

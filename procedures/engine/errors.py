@@ -58,6 +58,13 @@ class GateFailed(RefusedError):
     action = "Look at the value and its limit; repeat the step or correct its inputs."
 
 
+class ToolUnchecked(RefusedError):
+    """The mounted tool may have been taken off, exchanged or hit since it was checked."""
+
+    code = "PRO-027"
+    action = "It is checked again before it goes to a target."
+
+
 class CommandRefused(RonnaError):
     """A command that this run started ended by itself; its last output is in the message."""
 

@@ -45,6 +45,11 @@ class CaseOrder:
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
     @property
+    def checks_of_tool(self) -> tuple[StepKey, ...]:
+        """The steps that check the mounted tool."""
+        return tuple(key for key in self.sequence if self.spec(key).rechecks)
+
+    @property
     def leads_to_targets(self) -> bool:
         """Whether the arm is brought to targets; a calibration leaves it where it is."""
         return any(step.finishes for step in self.steps)

@@ -17,6 +17,7 @@ from procedures.engine.hands import IN_GAUGE
 from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
 from procedures.engine.operator import YES, Question, Topic
+from procedures.engine.step import StepKey
 from procedures.recovery.calibration import leave_divot, over_divot_mm
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
@@ -32,8 +33,10 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.devices.readiness import MESSAGES
+from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
+UNATTENDED = "the program was not running"  # what leaves a check of the mounted tool in doubt
 LOOKS = (Relocalization.kind, ObservedStand.kind)  # those that the head must have done before
 
 
@@ -44,6 +47,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
     """
     comparison = Comparison()
     compare_inputs(engine, comparison, left.plan_sha256)
+    _doubt_tool(engine, comparison)
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
@@ -64,6 +68,16 @@ def recover(engine: Engine, left: LeftRun) -> None:
         if not compare_room(engine, again):
             again.differs("patient", "at least three spheres in sight", "fewer, with the arm home")
         _conclude(engine, again)
+
+
+def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
+    """The controller reports a tool's number, and not whether it is the same tool, seated as it was."""
+    for key in engine.order.checks_of_tool:
+        engine.case.doubt(key, UNATTENDED)
+    for key in engine.course.checks_in_doubt:
+        comparison.note(
+            f"the mounted tool may have been touched meanwhile: {key} is repeated before it is used"
+        )
 
 
 def bring_home(engine: Engine, left: LeftRun) -> bool:
@@ -175,9 +189,16 @@ def _first(engine: Engine) -> tuple[str, ...]:
 
 
 def _then(engine: Engine) -> str:
-    course = engine.course
-    steps = [] if course.over else [str(key) for key in engine.order.sequence if not course.settled(key)]
+    course, order = engine.course, engine.order
+    again = {_step_of(gone) for key in course.checks_in_doubt for gone in course.voided_with(key)}
+    steps = (
+        [] if course.over else [str(key) for key in order.sequence if key in again or not course.settled(key)]
+    )
     return f"then to do: {', '.join(steps) or 'nothing'}"
+
+
+def _step_of(record: Record) -> StepKey:
+    return StepKey(record.kind, record.trajectory)
 
 
 def _way_out(engine: Engine) -> bool:

@@ -267,7 +267,8 @@ ARM_FAULT = Branch(
     "the arm is in fault: late packets, protective stop, following error, controller",
     "driver and monitor, every cycle",
     (),
-    "safe stop; nothing begins before it is acknowledged",
+    "safe stop; nothing begins before it is acknowledged. A mounted guide is checked at the gauge again "
+    "before the next target",
     Ending.HOLD,
 )
 KEPT_REGISTRATION = Branch(

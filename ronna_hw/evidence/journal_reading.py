@@ -43,7 +43,7 @@ class Entry(StrEnum):
     FINDING = "finding"  # something the operator should know that stops nothing
     RESTED = "rested"  # paused, or suspended by a guard; with the reason
     RESUMED = "resumed"  # goes on after a rest
-    DOUBTED = "doubted"  # the arm was in fault: where the head is must be confirmed before it is used
+    DOUBTED = "doubted"  # the arm was in fault: registrations must be confirmed, the tool checked again
     SEAT = "seat"  # somebody took the operator's seat at a console, or it became free
     ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
     HOME = "home"  # the intent to leave the head and park, outside the steps

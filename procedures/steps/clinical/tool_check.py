@@ -132,5 +132,6 @@ STEP = StepSpec(
     run,
     reads=(MountedGuide, *ROOM_READS, *READS),
     moves=True,
+    rechecks=True,
     preconditions=carries(MountedTool.GUIDE),
 )

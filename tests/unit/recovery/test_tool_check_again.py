@@ -1,0 +1,205 @@
+"""Hazard 47: after a restart or a fault of the arm the guide goes to the gauge again before the head.
+
+The controller reports a number, which the same guide bent, or another one, has too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from clinical_case import FIRST, LAST, ClinicalCell, done_later, given
+from prepared_results import (
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    correspondence,
+    global_localization,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+)
+from run_again import broken_off, opened_again
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import StepRefused
+from procedures.engine.operator import Question, Topic
+from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.step import Scope
+from procedures.recovery import inputs, recover, taking_up
+from procedures.steps.clinical import at_target, positioning, retreat, tool_check
+from procedures.steps.clinical.set_up import DeviceIdentity
+from procedures.steps.errors import ToolBesideGauge
+from procedures.workcell import MountedTool
+from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.wire.room_tasks import GAUGE
+
+pytestmark = pytest.mark.hazard(47)
+
+
+@pytest.fixture(autouse=True)
+def a_room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Tracker and plan have their own tests."""
+    monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
+    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
+    monkeypatch.setattr(at_target, "DWELL_S", 0.0)
+    for step in (positioning, retreat, tool_check):
+        monkeypatch.setattr(step, "check_room", lambda _context, _where: None)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path / "run").carrying(MountedTool.GUIDE)
+
+
+def operation(cell: ClinicalCell, *trajectories: str) -> CaseOrder:
+    """From the tool check on, with everything before it given."""
+    identities = {
+        role: DeviceIdentity.of(Identity("Test", f"a {role}", "1", "0")) for role in cell.workcell.devices
+    }
+    set_up = checked_set_up(cell).model_copy(update={"identities": identities})
+    before = (localized_fiducials(), checked_plan(), set_up, global_localization(), correspondence())
+    steps = [
+        *map(given, before),
+        given(checked_paths(cell)),
+        replace(given(registered_robot()), scope=Scope.LOCALIZATION),
+        done_later(mounted_guide()),
+        *(tool_check.STEP, positioning.STEP, at_target.STEP, retreat.STEP),
+    ]
+    return order_of(steps, trajectories or (FIRST, LAST))
+
+
+def restarted(cell: ClinicalCell, order: CaseOrder, last: str) -> tuple[ClinicalCell, Engine]:
+    """Killed after that step, and taken up again."""
+    cell.engine(order).run_to(order.find(last))
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    return again, engine
+
+
+def gauge_readings(cell: ClinicalCell) -> int:
+    return [task.name for task in cell.room.worked].count(GAUGE)
+
+
+def steps_done(cell: ClinicalCell) -> list[str]:
+    return [step for kind, step in cell.entries() if kind == "result"]
+
+
+@pytest.mark.hazard(2)
+def test_after_a_restart_the_guide_is_checked_again_before_it_goes_to_the_head(cell: ClinicalCell) -> None:
+    again, engine = restarted(cell, operation(cell), "tool_check")
+    assert str(engine.upcoming) == "tool_check"
+    engine.run_to(engine.order.find(f"positioning:{FIRST}"))
+    assert gauge_readings(again) == tool_check.APPROACHES
+
+
+@pytest.mark.hazard(2)
+def test_a_guide_that_was_bent_while_the_program_was_down_does_not_go_to_the_head(cell: ClinicalCell) -> None:
+    again, engine = restarted(cell, operation(cell), "tool_check")
+    again.room.dials_mm = (2.0, 2.0, 0.0, 2.0, 2.0)
+    with pytest.raises(ToolBesideGauge):
+        engine.run_to()
+    assert again.motions("insert") == []
+
+
+def test_without_the_new_check_no_positioning_may_begin(cell: ClinicalCell) -> None:
+    _, engine = restarted(cell, operation(cell), "tool_check")
+    with pytest.raises(StepRefused, match="tool_check comes first"):
+        engine.run_step(engine.order.find(f"positioning:{FIRST}"))
+
+
+def test_who_accepts_the_restart_reads_that_the_guide_is_checked_again(cell: ClinicalCell) -> None:
+    again, _ = restarted(cell, operation(cell, FIRST), f"positioning:{FIRST}")
+    told = again.operator.asked[0].value.split("\n")
+    assert f"then to do: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in told
+    assert any("tool_check is repeated" in line for line in told)
+
+
+def test_with_an_instrument_in_the_guide_the_way_out_comes_first(cell: ClinicalCell) -> None:
+    order, ask = operation(cell), cell.operator.ask
+
+    def killed(question: Question) -> str:
+        if question.topic is Topic.DURA:
+            raise MemoryError
+        return ask(question)
+
+    cell.operator.ask = killed  # type: ignore[method-assign]
+    with pytest.raises(MemoryError):
+        cell.engine(order).run_to()
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    assert again.operator.asked[1].topic is Topic.INSTRUMENT_OUT
+    assert gauge_readings(again) == 0
+    assert again.workcell.at_home
+    assert str(engine.upcoming) == "tool_check"
+
+
+def test_a_finished_target_is_left_first_and_not_done_again(cell: ClinicalCell) -> None:
+    again, engine = restarted(cell, operation(cell), f"at_target:{FIRST}")
+    engine.run_to()
+    since = steps_done(again)[steps_done(again).index(f"at_target:{FIRST}") + 1 :]
+    assert since == [
+        *(f"retreat:{FIRST}", "tool_check"),
+        *(f"{step}:{LAST}" for step in ("positioning", "at_target", "retreat")),
+    ]
+    assert engine.over
+
+
+def test_when_every_target_is_finished_nothing_is_checked_any_more(cell: ClinicalCell) -> None:
+    again, engine = restarted(cell, operation(cell, FIRST), f"at_target:{FIRST}")
+    engine.run_to()
+    assert engine.over
+    assert gauge_readings(again) == 0
+
+
+def fault(cell: ClinicalCell, engine: Engine) -> None:
+    """A fault of the arm in a case that stays open, acknowledged by a person."""
+    cell.arm.state = Lifecycle.FAULT
+    engine.faults.acknowledge("A. Nurse")
+    cell.arm.state = Lifecycle.CONFIGURED
+
+
+@pytest.mark.hazard(12)
+def test_after_a_fault_of_the_arm_the_guide_is_checked_again(cell: ClinicalCell) -> None:
+    engine = cell.engine(operation(cell))
+    engine.run_to(engine.order.find("tool_check"))
+    fault(cell, engine)
+    assert str(engine.upcoming) == "tool_check"
+    ((_, step),) = cell.entries("voided")
+    assert step == "tool_check"
+
+
+@pytest.mark.hazard(12)
+def test_after_a_fault_before_an_entry_the_work_there_is_ended_first(cell: ClinicalCell) -> None:
+    engine = cell.engine(operation(cell))
+    engine.run_to(engine.order.find(f"positioning:{FIRST}"))
+    fault(cell, engine)
+    assert str(engine.upcoming) == f"at_target:{FIRST}"
+    engine.run_to(engine.order.find(f"retreat:{FIRST}"))
+    assert str(engine.upcoming) == "tool_check"
+    engine.run_to()
+    assert steps_done(cell).count(f"at_target:{FIRST}") == 1
+    assert engine.over
+
+
+@pytest.mark.hazard(12)
+def test_after_a_fault_before_an_entry_the_way_home_leads_to_the_gauge(cell: ClinicalCell) -> None:
+    engine = cell.engine(operation(cell))
+    engine.run_to(engine.order.find(f"positioning:{FIRST}"))
+    fault(cell, engine)
+    engine.retreat_home()
+    assert str(engine.upcoming) == "tool_check"
+
+
+@pytest.mark.hazard(12)
+def test_the_doubt_about_the_guide_outlasts_the_program(cell: ClinicalCell) -> None:
+    order = operation(cell)
+    engine = cell.engine(order)
+    engine.run_to(order.find(f"positioning:{FIRST}"))
+    cell.arm.state = Lifecycle.FAULT
+    engine.close("left")
+    _, engine, _ = opened_again(cell, order)
+    assert engine.case.doubt_at(order.find("tool_check")) is not None
