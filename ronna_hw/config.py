@@ -165,7 +165,7 @@ class ProcedureSettings(Strict):
         default=None,
         description="Where the ball of the calibration stand is, within 10 mm, in the robot's frame.",
     )
-    watch_patient: WatchPatient = Field(
+    watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,
         description="In which motions the tracker watches the spheres on the head: a shift stops the arm.",
     )

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+
+from pydantic import BaseModel
 
 from ronna_hw.text.counting import counted
 
@@ -38,7 +40,39 @@ class Comparison:
         """That is not as it was recorded."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
+    def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
+        """The same, or which of its fields differ."""
+        if recorded == found:
+            self.same(what)
+        elif recorded is None or found is None:
+            self.differs(what, "none" if recorded is None else "one", "none" if found is None else "one")
+        else:
+            unlike = list(_unlike(recorded, found))
+            self.differs(
+                what,
+                ", ".join(f"{name} {then}" for name, then, _ in unlike),
+                ", ".join(f"{name} {now}" for name, _, now in unlike),
+            )
+
     def in_lines(self, order: Sequence[str]) -> str:
         """What can hurt, what will be done in `order`, what was found; what is as it was in one line."""
         as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
+
+
+def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
+    """Dotted names of the fields that differ, with both values; of a sequence how many it has."""
+    for name in type(recorded).model_fields:
+        then, now = getattr(recorded, name), getattr(found, name, None)
+        if then == now:
+            continue
+        if isinstance(then, BaseModel) and isinstance(now, BaseModel):
+            yield from _unlike(then, now, f"{within}{name}.")
+        else:
+            yield f"{within}{name}", _in_short(then), _in_short(now)
+
+
+def _in_short(value: object) -> object:
+    if value and isinstance(value, tuple) and all(isinstance(one, int | float) for one in value):
+        return value
+    return counted(len(value), "entry", "entries") if isinstance(value, list | tuple | dict) else value

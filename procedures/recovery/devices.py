@@ -28,6 +28,8 @@ def compare_devices(
     that is needed, and no record's age matters. Raises what a needed device raises that does not answer.
     """
     _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
+    if not only_leaving:
+        _compare_theatre_file(engine, recorded, comparison)
     workcell = engine.setting.workcell
     for role, device in workcell.devices.items():
         try:
@@ -76,6 +78,17 @@ def _compare_calibrations(
                 comparison.differs(f"calibration {record.identifier}", "one that is valid", problem)
         else:
             comparison.same(f"calibration {record.identifier}")
+
+
+def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
+    """Tools, flange, cell and settings: depths, clearances and predictions were computed from them."""
+    setting, tools = engine.setting, engine.setting.workcell.tools
+    for name in sorted({*recorded.tools, *tools.records}):
+        comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
+    if tools.flange != recorded.flange:
+        comparison.differs("flange", repr(recorded.flange), repr(tools.flange))
+    comparison.compare("the cell", recorded.cell, setting.surroundings)
+    comparison.compare("settings of the procedure", recorded.settings, setting.settings)
 
 
 def _compare_cameras(engine: Engine, comparison: Comparison) -> None:

@@ -20,6 +20,7 @@ from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_sea
 from ronna_hw.evidence.truth_so_far import unlike_truth
 from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
+from ronna_hw.text.printable import printable
 
 REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
@@ -41,7 +42,7 @@ class Problem:
     unfinished: bool = False
 
     def __str__(self) -> str:
-        return f"{self.file}: {self.what}"
+        return f"{printable(self.file)}: {self.what}"
 
 
 class Parent(NamedTuple):

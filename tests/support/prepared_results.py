@@ -128,6 +128,9 @@ def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
         notices=(),
         calibrations=cell.calibrations,
         tools=cell.theatre.tools,
+        flange=cell.theatre.flange,
+        cell=cell.theatre.cell_with_tools,
+        settings=ProcedureSettings(),
         home_rad=cell.arm.joints_rad,
     )
 

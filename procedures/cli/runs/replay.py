@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,11 @@ from procedures.engine.order import order_of
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict
 from procedures.engine.replay.recorded_answers import RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
-from procedures.engine.run_folder import run_of
+from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.planning.plan.file import read_plan
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
+from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.command_line.console import print_json, print_table, progress_bar
 from ronna_hw.config import Calibrations, read_theatre_file
@@ -33,7 +34,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     # Of readings that were edited a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
-    given = _given(run_folder, answers)
+    given = _as_set_up(run, _given(run_folder, answers))
     with progress_bar(f"computing {len(run.records)} results again") as show:
         results = replay(run, given, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
@@ -65,6 +66,17 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     )
     clinical = ClinicalInput(placed("series"), plan, strategy, measure_targets)
     return ReplayInput(order, clinical, read_theatre_file(placed("theatre_file")))
+
+
+def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
+    """With what the set-up recorded in place of what the theatre file says today."""
+    recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
+    if recorded is None:
+        return given
+    then = typed(recorded, CheckedSetUp)
+    tables = {"calibration": then.calibrations, "tools": then.tools, "flange": then.flange}
+    tables |= {"cell": then.cell, "procedure": then.settings}
+    return replace(given, theatre=given.theatre.model_copy(update=tables))
 
 
 def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:

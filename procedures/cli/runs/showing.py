@@ -14,6 +14,7 @@ from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from ronna_hw.command_line.console import print_json, print_table, say
 from ronna_hw.text.counting import counted
+from ronna_hw.text.printable import printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
@@ -27,7 +28,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
         ("run", "began", "strategy", "ended", "steps", "largest error mm"),
         [
             (
-                row["run"],
+                printable(row["run"]),
                 str(row["began"] or "")[:16],
                 row["strategy"] or "",
                 row["ended"],

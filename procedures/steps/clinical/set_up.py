@@ -10,7 +10,8 @@ from procedures.engine.result import Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell import MountedTool
-from ronna_hw.config import Calibrations
+from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.config import Calibrations, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.tool_record import ToolRecord
 
@@ -34,13 +35,16 @@ class DeviceIdentity(Values):
         )
 
 
-class CheckedSetUp(StepResult, kind="set_up"):
-    """The devices and calibrations that the case works with."""
+class CheckedSetUp(StepResult, kind="set_up", version=2):
+    """What the case works with: devices, and what the theatre file says of calibrations, tools and cell."""
 
     identities: dict[str, DeviceIdentity] = Field(description="By role: tracker, arm, stereo.")
     notices: tuple[str, ...] = Field(description="What the drivers say the operator should know.")
     calibrations: Calibrations = Field(description="The calibration records in use.")
     tools: dict[str, ToolRecord] = Field(description="The records of the tools, by name.")
+    flange: str = Field(description="Name of the flange that the tools are mounted on.")
+    cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
+    settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
     home_rad: Numbers6 = Field(description="Where the arm stood, and parks: measured joints.")
 
 
@@ -70,6 +74,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
             notices=notices,
             calibrations=calibrations,
             tools=dict(workcell.tools.records),
+            flange=workcell.tools.flange,
+            cell=context.setting.surroundings,
+            settings=context.setting.settings,
             home_rad=workcell.set_home(),
         ),
         summary="; ".join([", ".join(identity.model for identity in identities.values()), *notices]),

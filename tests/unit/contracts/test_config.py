@@ -4,10 +4,18 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import tomli_w
 
 from ronna_hw.calibration import Dated
 from ronna_hw.clock import HostClock
-from ronna_hw.config import BadTheatreFile, DeviceConfig, parse_theatre, read_theatre_file
+from ronna_hw.config import (
+    BadTheatreFile,
+    DeviceConfig,
+    ProcedureSettings,
+    WatchPatient,
+    parse_theatre,
+    read_theatre_file,
+)
 from ronna_hw.devices.errors import UnknownDriver
 from ronna_hw.registry import driver_names, make_device
 
@@ -21,6 +29,15 @@ def test_a_small_theatre_file_is_read(tmp_path: Path) -> None:
     theatre = read_theatre_file(path)
     assert theatre.robot["master"].address("rsi").port == 59152
     assert theatre.clock.endpoint == "host:"
+
+
+@pytest.mark.parametrize("watched", list(WatchPatient))
+def test_what_the_page_says_of_a_setting_is_accepted(tmp_path: Path, watched: WatchPatient) -> None:
+    settings = ProcedureSettings(watch_patient=watched, stand_mm=(500.0, 0.0, 300.0))
+    path = tmp_path / "theatre.toml"
+    tables = {"schema": 1, "theatre": "lab", "procedure": settings.model_dump(mode="json")}
+    path.write_text(tomli_w.dumps(tables))
+    assert read_theatre_file(path).procedure == settings
 
 
 def test_all_mistakes_of_a_theatre_file_are_reported_at_once() -> None:

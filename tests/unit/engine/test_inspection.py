@@ -133,6 +133,13 @@ def test_any_file_that_came_is_named(run: Path, name: str) -> None:
     assert changed_files(run) == {name}
 
 
+def test_a_file_whose_name_has_a_line_break_forges_no_line(run: Path) -> None:
+    (run / "note\nwhole.json").write_text("from elsewhere")
+    assert [str(problem) for problem in inspected(run).problems] == [
+        "note whole.json: added: no part of the run"
+    ]
+
+
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("count", [1, 2, 5])
 def test_last_lines_that_are_gone_are_missed_by_the_seal(run: Path, count: int) -> None:

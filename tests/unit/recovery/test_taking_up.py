@@ -379,6 +379,52 @@ def test_what_was_swapped_meanwhile_is_refused_and_nothing_is_asked(
     assert again.arm.motions == []
 
 
+def longer_guide(engine: Engine) -> None:
+    workcell = engine.setting.workcell
+    guide = workcell.tools.guide
+    bore = guide.bore.model_copy(update={"length_mm": guide.bore.length_mm + 20.0})
+    records = {
+        **workcell.tools.records,
+        "guide": workcell.tools.records["guide"].model_copy(update={"bore": bore}),
+    }
+    workcell.tools = replace(workcell.tools, records=records)
+
+
+def other_flange(engine: Engine) -> None:
+    engine.setting.workcell.tools = replace(engine.setting.workcell.tools, flange="another flange")
+
+
+def no_bodies(engine: Engine) -> None:
+    cell = engine.setting.surroundings.model_copy(update={"bodies": ()})
+    engine.setting = replace(engine.setting, surroundings=cell)
+
+
+def other_settings(engine: Engine) -> None:
+    settings = engine.setting.settings.model_copy(update={"standoff_mm": 12.0})
+    engine.setting = replace(engine.setting, settings=settings)
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (longer_guide, r"tool record guide: recorded bore\.length_mm 8.*, found bore\.length_mm 10"),
+        (other_flange, "flange: recorded '.*', found 'another flange'"),
+        (no_bodies, "cell: recorded bodies 12 entries, found bodies 0 entries"),
+        (other_settings, r"settings of the procedure: recorded standoff_mm 60\.0, found standoff_mm 12\.0"),
+    ],
+)
+def test_another_theatre_file_is_refused_with_what_differs_and_nothing_is_asked(
+    cell: ClinicalCell, change: Callable[[Engine], None], told: str
+) -> None:
+    again, engine, left = left_after(cell, "tool_check")
+    change(engine)
+    with pytest.raises(RecoveryRefused, match=told):
+        recover(engine, left)
+    assert again.operator.asked == []
+    assert again.arm.motions == []
+
+
 @pytest.mark.hazard(2)
 def test_an_arm_that_was_moved_with_the_guide_before_an_entry_is_refused(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
