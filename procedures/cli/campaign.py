@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -10,6 +11,7 @@ import typer
 
 from ronna_hw.command_line import console
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.option_records import with_option_records
 from ronna_hw.text.counting import counted
 
 if TYPE_CHECKING:
@@ -25,19 +27,23 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 
-OutOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder of the study [campaigns/<name>].")
-]
-SeedOption = Annotated[int, typer.Option("--seed", min=0, help="Seed of all random numbers.")]
-WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, help="Processes on this computer [one per core].")
-]
-SchedulerOption = Annotated[
-    str | None,
-    typer.Option(
-        "--scheduler", metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://127.0.0.1:8786."
-    ),
-]
+
+@dataclass(frozen=True)
+class StudyOptions:
+    """Where a study runs, and where its results go."""
+
+    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes on this computer [one per core].")] = (
+        None
+    )
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler to run on, such as tcp://127.0.0.1:8786."),
+    ] = None
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder of the study [campaigns/<name>].")
+    ] = None
+    as_json: console.JsonOption = False
 
 
 OwnOption = Annotated[
@@ -55,6 +61,7 @@ Plots = Callable[[Mapping[str, "Sums"]], dict[str, bytes]]
 
 
 @app.command()
+@with_option_records
 def correspondence(
     runs: Annotated[
         int | None,
@@ -91,11 +98,8 @@ def correspondence(
         bool,
         typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker."),
     ] = False,
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    out: OutOption = None,
-    as_json: console.JsonOption = False,
+    *,
+    asked: StudyOptions,
 ) -> None:
     """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
 
@@ -117,63 +121,58 @@ def correspondence(
             "--method and --e do not go with --sweep, --xframe or --template: they have their own"
         )
     if xframe:
-        _clinical(runs, seed, workers, scheduler, out, as_json)
+        _clinical(runs, asked)
         return
     runs = runs or THESIS_RUNS
     if template:
         from procedures.studies.correspondence import template as by_template
 
-        implanted = by_template.TemplateStudy(runs, seed)
-        _run(implanted, by_template.tables, by_template.plots, workers, scheduler, out, as_json)
+        implanted = by_template.TemplateStudy(runs, asked.seed)
+        _run(implanted, by_template.tables, by_template.plots, asked)
         return
     chosen, own = chosen_methods(methods or (), console.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
-    study = CorrespondenceStudy(runs, seed, chosen, values_mm, own=own)
+    study = CorrespondenceStudy(runs, asked.seed, chosen, values_mm, own=own)
     if sweep:
         study = CorrespondenceStudy(
-            runs, seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
+            runs, asked.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
         )
     plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
-    _run(study, correspondence_tables.tables, plots, workers, scheduler, out, as_json)
+    _run(study, correspondence_tables.tables, plots, asked)
 
 
 def _clinical(
     readings: int | None,
-    seed: int,
-    workers: int | None,
-    scheduler: str | None,
-    out: Path | None,
-    as_json: bool,
+    asked: StudyOptions,
 ) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from procedures.studies.correspondence import clinical
     from procedures.studies.correspondence.frame_readings import recorded_readings
 
-    folder = out or Path("campaigns") / clinical.ClinicalStudy.name
+    folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with console.progress_bar("readings of the tracker") as progress:
-        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, seed, progress)
-    study = clinical.ClinicalStudy(taken, seed)
-    _run(study, clinical.tables, clinical.plots, workers, scheduler, folder, as_json)
+        taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
+    study = clinical.ClinicalStudy(taken, asked.seed)
+    _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
 
 
 @app.command()
+@with_option_records
 def registration(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Runs per cell.")] = 6_000,
     methods: OwnOption = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    out: OutOption = None,
-    as_json: console.JsonOption = False,
+    *,
+    asked: StudyOptions,
 ) -> None:
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from procedures.studies.registration import RegistrationStudy, plots, tables
 
     own = _own("REGISTRATION", methods)
-    _run(RegistrationStudy(runs, seed, own=own), tables, plots, workers, scheduler, out, as_json)
+    _run(RegistrationStudy(runs, asked.seed, own=own), tables, plots, asked)
 
 
 @app.command()
+@with_option_records
 def localization(
     volumes: Annotated[
         int, typer.Option("--volumes", min=1, help="Phantom scans per family and protocol.")
@@ -202,11 +201,8 @@ def localization(
         ),
     ] = None,
     methods: OwnOption = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    out: OutOption = None,
-    as_json: console.JsonOption = False,
+    *,
+    asked: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
     from procedures.studies.localization.goals import tables_and_goals
@@ -229,22 +225,23 @@ def localization(
         from procedures.studies.localization import thesis_protocol_tables as thesis_localization_tables
         from procedures.studies.localization.thesis_protocol import ThesisLocalizationStudy
 
-        protocol = ThesisLocalizationStudy(seed)
+        protocol = ThesisLocalizationStudy(asked.seed)
         told = thesis_localization_tables
-        _run(protocol, told.tables, told.plots, workers, scheduler, out, as_json)
+        _run(protocol, told.tables, told.plots, asked)
         return
-    study = LocalizationStudy(volumes, sets, seed, own=own)
+    study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:
-        study = LocalizationStudy(volumes, sets, seed, TUNING, name="localization-tuning", own=own)
+        study = LocalizationStudy(volumes, sets, asked.seed, TUNING, name="localization-tuning", own=own)
     if frames:
-        study = LocalizationStudy(0, sets, seed, (), name="localization-frames", own=own)
+        study = LocalizationStudy(0, sets, asked.seed, (), name="localization-frames", own=own)
     if families:
         only = tuple(dict.fromkeys(families))
-        study = LocalizationStudy(volumes, 0, seed, only, name="localization-families", own=own)
-    _run(study, tables_and_goals, plots, workers, scheduler, out, as_json)
+        study = LocalizationStudy(volumes, 0, asked.seed, only, name="localization-families", own=own)
+    _run(study, tables_and_goals, plots, asked)
 
 
 @app.command()
+@with_option_records
 def strategies(
     arms: Annotated[
         int, typer.Option("--arms", min=2, max=500, help="Random arms of parameter set S.")
@@ -254,11 +251,8 @@ def strategies(
         typer.Option("--identified", help="Only arms as `ronna-arm calibrate` identifies them, a fine CT."),
     ] = False,
     methods: OwnOption = None,
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    out: OutOption = None,
-    as_json: console.JsonOption = False,
+    *,
+    asked: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
     if identified and methods:
@@ -266,32 +260,30 @@ def strategies(
     if identified:
         from procedures.studies.strategies import identified as by_looks
 
-        study = by_looks.IdentifiedStudy(arms, seed)
-        _run(study, by_looks.tables, by_looks.plots, workers, scheduler, out, as_json)
+        study = by_looks.IdentifiedStudy(arms, asked.seed)
+        _run(study, by_looks.tables, by_looks.plots, asked)
         return
     from procedures.studies.strategies.study import StrategiesStudy
     from procedures.studies.strategies.tables import plots, tables
 
     own = _own("STRATEGY", methods)
-    trials = StrategiesStudy(arms, seed, "strategies-own" if own else "strategies", own)
-    _run(trials, tables, plots, workers, scheduler, out, as_json)
+    trials = StrategiesStudy(arms, asked.seed, "strategies-own" if own else "strategies", own)
+    _run(trials, tables, plots, asked)
 
 
 @app.command(name="application-error")
+@with_option_records
 def application_error(
     arms: Annotated[
         int, typer.Option("--arms", min=1, max=500, help="Random arms of parameter set S.")
     ] = 200,
-    seed: SeedOption = 0,
-    workers: WorkersOption = None,
-    scheduler: SchedulerOption = None,
-    out: OutOption = None,
-    as_json: console.JsonOption = False,
+    *,
+    asked: StudyOptions,
 ) -> None:
     """Error at superficial and deep targets on random arms, beside RONNA G3."""
     from procedures.studies.application_error import ApplicationErrorStudy, plots, tables
 
-    _run(ApplicationErrorStudy(arms, seed), tables, plots, workers, scheduler, out, as_json)
+    _run(ApplicationErrorStudy(arms, asked.seed), tables, plots, asked)
 
 
 def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
@@ -308,17 +300,14 @@ def _run(
     study: Study,
     tables: Tables,
     plots: Plots,
-    workers: int | None,
-    scheduler: str | None,
-    out: Path | None,
-    as_json: bool,
+    asked: StudyOptions,
 ) -> None:
     from procedures.studies.campaign.ledger import Ledger
     from procedures.studies.campaign.publish import publish
     from procedures.studies.campaign.unit import add_up
     from procedures.studies.campaign.workers import run_study
 
-    folder = out or Path("campaigns") / study.name
+    folder = asked.out or Path("campaigns") / study.name
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
         console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
@@ -328,7 +317,12 @@ def _run(
     try:
         with console.progress_bar(study.name) as progress:
             run_study(
-                study, ledger, workers=workers, scheduler=scheduler, progress=progress, tell=console.tell
+                study,
+                ledger,
+                workers=asked.workers,
+                scheduler=asked.scheduler,
+                progress=progress,
+                tell=console.tell,
             )
     except KeyboardInterrupt:
         units = counted(len(ledger.finished), "unit")
@@ -337,7 +331,7 @@ def _run(
     sums = add_up(ledger.results())
     found = tables(sums)
     report = publish(folder, study.name, study.parameters(), found, plots(sums))
-    if as_json:
+    if asked.as_json:
         console.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
         )

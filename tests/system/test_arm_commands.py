@@ -93,18 +93,6 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
     assert json.loads(checked.stdout)["passed"]
 
 
-@pytest.mark.slow
-def test_a_calibration_that_the_answers_do_not_agree_to_moves_nothing(tmp_path: Path) -> None:
-    answers = tmp_path / "answers.toml"
-    answers.write_text('[answers]\ncalibration = "no"\n')
-    out = tmp_path / "out"
-    sim = ("--sim", "--scene", "mini", "--seed", "3", "--out", out, "--answers", answers)
-    done = in_this_process(app, "calibrate", *sim)
-    assert "PRO-002" in " ".join(one_error(done.stderr))
-    assert done.returncode == 7
-    assert not list(out.rglob("calibration.toml"))
-
-
 @pytest.mark.parametrize(
     "content", ['[answers]\ncalibrate = "yes"\n', '[answers]\ncalibration = "perhaps"\n']
 )

@@ -3,11 +3,14 @@
 import json
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
 from user_commands import Commands, in_this_process, one_error
 
+from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.request_file import read_request
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
 
@@ -43,6 +46,18 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
     assert "done ct_import: " in done.stdout
     assert "positioning:T1: refused: fiducial_localization comes first" in done.stdout
     assert "PRO-001" in done.stderr
+
+
+def test_a_case_by_hand_has_every_option_of_a_case(commands: Commands, tmp_path: Path) -> None:
+    options = ("--calibrated", "--measure-targets", "--keep-raw")
+    done = _step(commands, tmp_path, "list", "quit", options=options)
+    assert done.returncode == 0, done.stderr
+    assert "target_measurement:T1" in done.stdout
+    (run,) = tmp_path.iterdir()
+    asked = read_request(run)
+    assert isinstance(asked, CaseRequest)
+    assert asked.keep_raw
+    assert "arm" in tomllib.loads((run / "theatre" / "theatre.toml").read_text())["calibration"]
 
 
 @pytest.mark.slow

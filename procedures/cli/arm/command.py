@@ -2,25 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import (
-    AnswersOption,
-    ConfigOption,
-    DaysOption,
-    OutOption,
-    RecordedOption,
-    SceneOption,
-    SeedOption,
-    SimOption,
-    WriteOption,
-    calibration_request,
-    theatre_request,
-)
+from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions
 from ronna_hw.command_line import console
+from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
     from procedures.calibration.arm.check import ArmCheck
@@ -42,21 +31,13 @@ def arm() -> None:
 
 
 @app.command("calibrate")
+@with_option_records
 def calibrate_arm(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    config: ConfigOption = None,
-    recorded: RecordedOption = None,
+    asked: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Looks to identify the arm with.")] = 90,
     validation: Annotated[
         int, typer.Option(min=12, max=100, help="More looks, kept apart to judge the result by.")
     ] = 24,
-    days: DaysOption = 30,
-    write: WriteOption = None,
-    answers: AnswersOption = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Identify links, joints, gravity, backlash and the head on the flange from looks at spheres at rest.
 
@@ -64,18 +45,7 @@ def calibrate_arm(
     looks do not give a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not
     confirmed, 130 interrupted.
     """
-    request = calibration_request(
-        sim=sim,
-        scene=scene,
-        seed=seed,
-        config=config,
-        recorded=recorded,
-        write=write,
-        days=days,
-        out=out,
-        as_json=as_json,
-        answers=answers,
-    )
+    request = asked.request()
     from procedures.cli.arm.files import KIND
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -84,15 +54,10 @@ def calibrate_arm(
 
 
 @app.command()
+@with_option_records
 def check(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    config: ConfigOption = None,
+    asked: MeasuringOptions,
     looks: Annotated[int, typer.Option(min=12, max=100, help="Looks to judge by.")] = 24,
-    answers: AnswersOption = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Look at spheres from a few poses: is the arm still as its calibration record says?
 
@@ -115,15 +80,15 @@ def check(
         write_payload(files.check_payload(results[0]), folder)
         results[0].require()
 
-    request = theatre_request(sim, scene, seed, config, calibrated=True, answers=answers)
-    folder = new_folder(out, "check")
+    theatre = replace(asked, calibrated=True).theatre()
+    folder = new_folder(asked.out, "check")
     try:
         with leaving_report(folder, with_truth=False):
             recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
-            observe(files.CHECK, recipe, request, folder, conclude)
+            observe(files.CHECK, recipe, theatre, folder, conclude)
     finally:
         for result in results:
-            if as_json:
+            if asked.as_json:
                 console.print_json(files.check_payload(result))
             else:
                 print_check(result)

@@ -63,21 +63,29 @@ class CalibrationRun(TheatreRequest):
     write: Path | None = None  # the theatre file with the new records
 
 
-def check_request(request: CaseRequest) -> None:
-    """Raise what can be known to be wrong before a run folder is made."""
+def check_theatre(request: TheatreRequest) -> None:
+    """Raise what can be known to be wrong of its file and its records: CFG-001, CAL-001, CAL-005."""
     from procedures.calibration.arm.check import require_record
     from procedures.cli.calibrating.files import require_records
+    from ronna_hw.config import read_theatre_file
+
+    require_records(request.choice.records)
+    if request.config is not None:
+        theatre = read_theatre_file(request.config)
+        if request.choice.calibrated:
+            require_record(theatre.calibration.arm if theatre.calibration else None)
+
+
+def check_request(request: CaseRequest) -> None:
+    """Raise what can be known to be wrong before a run folder is made."""
     from procedures.strategies.catalogue import strategy_named
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import require_one_kind
 
     strategy_named(request.strategy)
-    require_records(request.choice.records)
+    check_theatre(request)
     if request.config is not None:
-        theatre = read_theatre_file(request.config)
-        require_one_kind(theatre)
-        if request.choice.calibrated:
-            require_record(theatre.calibration.arm if theatre.calibration else None)
+        require_one_kind(read_theatre_file(request.config))
         for part in ("ct", "plan.toml"):
             path = (request.case or Path()) / part
             if not path.exists():

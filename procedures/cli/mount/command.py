@@ -2,26 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import (
-    ConfigOption,
-    DaysOption,
-    FirstDayOption,
-    OutOption,
-    RecordedOption,
-    RecordsOption,
-    SceneOption,
-    SeedOption,
-    SimOption,
-    WriteOption,
-    calibration_request,
-    finite_ball,
-)
-from ronna_hw.command_line import console
+from procedures.cli.calibrating.options import CalibrationOptions, finite_ball
+from ronna_hw.command_line.option_records import with_option_records
 
 app = typer.Typer(
     name="calibrate",
@@ -31,9 +17,6 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
 )
-CalibratedOption = Annotated[
-    bool, typer.Option("--calibrated", help="With --sim: a theatre with a calibrated arm.")
-]
 
 
 @app.callback()
@@ -42,43 +25,20 @@ def mount() -> None:
 
 
 @app.command("tracker-frame")
+@with_option_records
 def tracker_frame(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    calibrated: CalibratedOption = False,
-    first_day: FirstDayOption = False,
-    calibration: RecordsOption = None,
-    config: ConfigOption = None,
-    recorded: RecordedOption = None,
+    asked: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses to find the frame with.")] = 30,
     validation: Annotated[
         int, typer.Option(min=5, max=50, help="More poses, kept apart to judge the result by.")
     ] = 10,
-    days: DaysOption = 30,
-    write: WriteOption = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Find the tracked frame on the mount: the arm turns it before the tracker, which looks at each pose.
 
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the looks do not give a calibration, 2 usage,
     3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    request = calibration_request(
-        sim=sim,
-        scene=scene,
-        seed=seed,
-        config=config,
-        recorded=recorded,
-        write=write,
-        days=days,
-        out=out,
-        as_json=as_json,
-        calibrated=calibrated,
-        first_day=first_day,
-        records=calibration or (),
-    )
+    request = asked.request()
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tracker_frame import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -87,15 +47,9 @@ def tracker_frame(
 
 
 @app.command("tool-tip")
+@with_option_records
 def tool_tip(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    calibrated: CalibratedOption = False,
-    first_day: FirstDayOption = False,
-    calibration: RecordsOption = None,
-    config: ConfigOption = None,
-    recorded: RecordedOption = None,
+    asked: CalibrationOptions,
     ball: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -107,30 +61,13 @@ def tool_tip(
     validation: Annotated[
         int, typer.Option(min=2, max=20, help="More orientations, kept apart to judge the result by.")
     ] = 3,
-    days: DaysOption = 30,
-    write: WriteOption = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Find the guide's tip beside the stereo head: the head looks at a ball, the tip pivots in its place.
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
     finite_ball(ball)
-    request = calibration_request(
-        sim=sim,
-        scene=scene,
-        seed=seed,
-        config=config,
-        recorded=recorded,
-        write=write,
-        days=days,
-        out=out,
-        as_json=as_json,
-        calibrated=calibrated,
-        first_day=first_day,
-        records=calibration or (),
-    )
+    request = asked.request()
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.mount.tool_tip import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe

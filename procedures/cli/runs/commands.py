@@ -9,16 +9,10 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.console.options import (
-    BindOption,
-    CertificateOption,
-    ConsoleOption,
-    ConsolePortOption,
-    KeyOption,
-    console_request,
-)
+from procedures.cli.console.options import ConsoleOptions
 from ronna_hw.command_line.console import JsonOption
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.option_records import with_option_records
 
 
 def _run_folder(folder: Path) -> Path:
@@ -42,15 +36,13 @@ AcceptOption = Annotated[
 AnswersOption = Annotated[Path | None, typer.Option(help="TOML file that answers the questions of the case.")]
 
 
+@with_option_records
 def resume_command(
     run_folder: RunArgument,
     accept: AcceptOption = False,
     answers: AnswersOption = None,
-    console: ConsoleOption = False,
-    console_port: ConsolePortOption = 0,
-    bind: BindOption = None,
-    certificate: CertificateOption = None,
-    key: KeyOption = None,
+    *,
+    console: ConsoleOptions,
     as_json: JsonOption = False,
 ) -> None:
     """Go on with a run that was killed, left or interrupted.
@@ -61,8 +53,7 @@ def resume_command(
     """
     from procedures.cli.runs.resume import resume
 
-    request = console_request(wanted=console, port=console_port, bind=bind, certificate=certificate, key=key)
-    resume(run_folder, accept=accept, answers=answers, as_json=as_json, console=request)
+    resume(run_folder, accept=accept, answers=answers, as_json=as_json, console=console.request())
 
 
 def home_command(

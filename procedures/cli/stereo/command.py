@@ -7,20 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import (
-    ConfigOption,
-    DaysOption,
-    OutOption,
-    RecordedOption,
-    SceneOption,
-    SeedOption,
-    SimOption,
-    WriteOption,
-    calibration_request,
-    finite_ball,
-    theatre_request,
-)
+from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, finite_ball
 from ronna_hw.command_line import console
+from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
     from procedures.calibration import CheckResult
@@ -52,21 +41,14 @@ def stereo() -> None:
 
 
 @app.command("calibrate")
+@with_option_records
 def calibrate_head(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    config: ConfigOption = None,
-    recorded: RecordedOption = None,
+    asked: CalibrationOptions,
     ball: BallOption = None,
     poses: Annotated[
         int, typer.Option(min=60, max=400, help="Poses to look from, besides the check's.")
     ] = 60,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation of the check.")] = 3,
-    days: DaysOption = 30,
-    write: WriteOption = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Calibrate both cameras and the head's tool frame by one ball, looked at from 60 or more poses.
 
@@ -74,17 +56,7 @@ def calibrate_head(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     finite_ball(ball)
-    request = calibration_request(
-        sim=sim,
-        scene=scene,
-        seed=seed,
-        config=config,
-        recorded=recorded,
-        write=write,
-        days=days,
-        out=out,
-        as_json=as_json,
-    )
+    request = asked.request()
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.cli.stereo.files import KIND
     from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -93,24 +65,20 @@ def calibrate_head(
 
 
 @app.command()
+@with_option_records
 def check(
     baseline: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Folder that `calibrate` wrote, or its baseline.json.")
     ],
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    config: ConfigOption = None,
+    asked: MeasuringOptions,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Look at the ball from the eight orientations of the calibration again: has a camera or mount moved?
 
     A camera turned by 0.01 degrees is found. Exit codes: 0 the head is as it was, 3 it has changed or its
     calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
     """
-    request = theatre_request(sim, scene, seed, config)
+    theatre = asked.theatre()
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
@@ -123,7 +91,7 @@ def check(
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
     from procedures.steps.calibration.procedures import head_check
 
-    folder = new_folder(out, "check")
+    folder = new_folder(asked.out, "check")
     found: list[CheckResult] = []
 
     def judge(engine: Engine) -> None:
@@ -136,10 +104,10 @@ def check(
         title = "Check of the stereo head"
         try:
             with console.progress_bar("looking at the ball") as bar:
-                run_steps(request, folder, head_check(then, visits), bar, title=title, judge=judge)
+                run_steps(theatre, folder, head_check(then, visits), bar, title=title, judge=judge)
         finally:
             for result in found:
-                if as_json:
+                if asked.as_json:
                     console.print_json(files.check_payload(result, then))
                 else:
                     from procedures.cli.stereo.display import print_check
@@ -148,11 +116,9 @@ def check(
 
 
 @app.command()
+@with_option_records
 def measure(
-    sim: SimOption = False,
-    scene: SceneOption = "default",
-    seed: SeedOption = 0,
-    config: ConfigOption = None,
+    asked: MeasuringOptions,
     find: Annotated[
         bool, typer.Option("--find", help="First bring the head over the ball; always with --sim.")
     ] = False,
@@ -160,25 +126,23 @@ def measure(
     picture: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Write the pair with the fitted outlines as PNG.")
     ] = None,
-    out: OutOption = Path("calibrations"),
-    as_json: console.JsonOption = False,
 ) -> None:
     """Take a pair and show the ball's fit: pixels, quality, position in the tool frame.
 
     Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
     `calibrate`.
     """
-    request = theatre_request(sim, scene, seed, config)
+    theatre = asked.theatre()
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.cli.case.leaving_report import leaving_report
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
-    steps = head_look(finite_ball(ball)) if find or sim or ball is not None else look_where_it_stands()
-    folder = new_folder(out, "measure")
+    steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
+    folder = new_folder(asked.out, "measure")
     with leaving_report(folder, with_truth=False):
         with console.progress_bar("looking with the stereo head") as bar:
-            engine = run_steps(request, folder, steps, bar, title="A look of the stereo head")
+            engine = run_steps(theatre, folder, steps, bar, title="A look of the stereo head")
         seen = engine.setting.workspace.find(Look)
         assert seen is not None, "the last step keeps what it saw"
         if picture is not None:
@@ -189,7 +153,7 @@ def measure(
         from procedures.cli.calibrating.files import write_payload
         from procedures.cli.stereo.display import show_look
 
-        write_payload(show_look(seen, as_json=as_json), folder)
+        write_payload(show_look(seen, as_json=asked.as_json), folder)
 
 
 def main() -> None:

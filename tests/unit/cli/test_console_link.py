@@ -13,7 +13,7 @@ import pytest
 
 from procedures.cli.console import link
 from procedures.cli.console.desk import Desk
-from procedures.cli.console.options import console_request
+from procedures.cli.console.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
 
 
@@ -77,4 +77,4 @@ def test_a_port_that_is_taken_is_told_before_a_theatre_is_opened() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageMistake, match=rf"CLI-001: --console-port {port} cannot be used: .*in use"):
-            console_request(wanted=True, port=port, bind=None, certificate=None, key=None)
+            ConsoleOptions(console=True, console_port=port).request()

@@ -1,0 +1,199 @@
+"""The options of a case, and of the theatre that a case or a calibration is run in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from procedures.cli.case.answers import Answers
+    from procedures.cli.case.request import CaseRequest, TheatreRequest
+
+DRAWN = ("seed", "markers", "targets", "fiducials")  # which a scene file holds
+SIMULATED = (*DRAWN, "scene", "first_day", "calibration", "speed", "faults")
+
+ConfigOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="Theatre file with the endpoints to use.")
+]
+
+
+class FiducialChoice(StrEnum):
+    """Kind of markers on the patient."""
+
+    FREE = "free"
+    XFRAME = "xframe"
+
+
+class SpeedChoice(StrEnum):
+    """Pace of the simulated theatre."""
+
+    MAX = "max"
+    REAL = "1"
+
+
+@dataclass(frozen=True)
+class TheatreOptions:
+    """A theatre, simulated for this command or of configured endpoints, and a scripted operator in it."""
+
+    sim: Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")] = False
+    config: ConfigOption = None
+    scene: Annotated[str, typer.Option(help="default, mini, or a scene file; with --sim.")] = "default"
+    seed: Annotated[
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of everything drawn at random.")
+    ] = 0
+    calibrated: Annotated[
+        bool,
+        typer.Option(
+            "--calibrated", help="With a calibrated arm: --sim brings its record, --config must name one."
+        ),
+    ] = False
+    first_day: Annotated[
+        bool,
+        typer.Option(
+            "--first-day",
+            help="With --sim: frame and guide are as drawn, without records that are valid.",
+        ),
+    ] = False
+    calibration: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="With --sim: records that a calibration left, instead of the theatre's own; repeatable.",
+        ),
+    ] = None
+    answers: Annotated[
+        Path | None, typer.Option(help="TOML file that answers the questions: a scripted operator.")
+    ] = None
+
+    @property
+    def choice(self) -> SceneChoice:
+        """What a simulated theatre is drawn from."""
+        return SceneChoice(
+            self.scene,
+            self.seed,
+            calibrated=self.calibrated,
+            first_day=self.first_day,
+            records=tuple(self.calibration or ()),
+        )
+
+    def scripted_operator(self) -> Answers | None:
+        """Whoever answers by a file. Raises PRO-026."""
+        if self.answers is None:
+            return None
+        from procedures.cli.case.answers import read_answers
+
+        return read_answers(self.answers)
+
+    def theatre(self) -> TheatreRequest:
+        """The theatre of a calibration. Raises CLI-001 for what does not go together, CFG-001, CAL-005."""
+        from procedures.cli.case.request import TheatreRequest, check_theatre
+
+        self.check()
+        request = TheatreRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
+        check_theatre(request)
+        return request
+
+    def check(self) -> None:
+        """Raise CLI-001 unless they name one theatre, and nothing that it does not have."""
+        if self.sim and self.config is not None:
+            raise UsageMistake("--sim and --config do not go together")
+        if not self.sim and self.config is None:
+            raise UsageMistake("choose one: --sim, or --config FILE")
+        if self.config is not None and (given := self._given(SIMULATED)):
+            raise UsageMistake(
+                f"{given} and --config do not go together",
+                action="Leave it out: the theatre file names the devices of the theatre.",
+            )
+        if Path(self.scene).suffix and (given := self._given(DRAWN)):
+            raise UsageMistake(
+                f"{given} and a scene file do not go together", action="The file holds its own."
+            )
+        if self.sim:
+            self.choice.check()
+
+    def _given(self, names: Sequence[str]) -> str:
+        """Those of the options that are not as they are by default, as they are typed."""
+        changed = (
+            one.name for one in fields(self) if one.name in names and getattr(self, one.name) != one.default
+        )
+        return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
+
+
+@dataclass(frozen=True)
+class CaseOptions(TheatreOptions):
+    """A case: `run` does it at a stretch, `step` by hand."""
+
+    case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
+    plan: Annotated[
+        Path | None,
+        typer.Option(help="With --sim: follow this plan on the simulated patient, not its own."),
+    ] = None
+    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")] = None
+    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")] = None
+    fiducials: Annotated[
+        FiducialChoice, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+    ] = FiducialChoice.FREE
+    strategy: Annotated[
+        str,
+        typer.Option(
+            metavar="ocs|thesis-ocs|nos|jdms|improved|best",
+            help="How the tool is held while the spheres are localized.",
+        ),
+    ] = "ocs"
+    measure_targets: Annotated[
+        bool,
+        typer.Option(
+            "--measure-targets", help="On a phantom: measure a ball at each target, before the guide."
+        ),
+    ] = False
+    speed: Annotated[SpeedChoice, typer.Option(help="max: as fast as the devices go; 1: real time.")] = (
+        SpeedChoice.MAX
+    )
+    faults: Annotated[Path | None, typer.Option(help="Fault script for the simulated theatre.")] = None
+    keep_raw: Annotated[
+        bool,
+        typer.Option(
+            "--keep-raw", help="Pictures, tracker frames and arm states as files in RUN/raw, at most 2 GB."
+        ),
+    ] = False
+    out: Annotated[Path, typer.Option(help="Folder for runs; each run makes one subfolder.")] = Path("runs")
+
+    @property
+    def choice(self) -> SceneChoice:
+        """What the theatre and the phantom are drawn from."""
+        return replace(
+            super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
+        )
+
+    def request(self) -> CaseRequest:
+        """What they ask for. Raises CLI-001 for what does not go together, PRO-026 for the answers."""
+        from procedures.cli.case.request import CaseRequest
+
+        if self.config is not None and not self.sim and self.case is None:
+            raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
+        self.check()
+        if self.config is None and self.case is not None:
+            raise UsageMistake("--case goes with --config", action="A simulated case brings its own patient.")
+        if self.config is not None and self.plan is not None:
+            raise UsageMistake("--plan goes with --sim", action="With --config the plan is in --case DIR.")
+        return CaseRequest(
+            answers=self.scripted_operator(),
+            out=self.out,
+            choice=self.choice,
+            strategy=self.strategy,
+            measure_targets=self.measure_targets,
+            keep_raw=self.keep_raw,
+            speed=self.speed.value,
+            faults=self.faults,
+            config=self.config,
+            case=self.case,
+            plan=self.plan,
+        )
