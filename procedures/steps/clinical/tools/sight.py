@@ -17,7 +17,9 @@ from ronna_hw.frames import Frame, Transform
 from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
 
-SEEN_LIMIT_MM = 1.0  # issue 15; of any sphere on the tool
+SEEN_LIMIT_MM = (
+    1.0  # of any sphere on the tool: a gross check, above the tracker's error; the gauge sees the rest
+)
 FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 

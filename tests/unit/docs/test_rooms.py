@@ -1,0 +1,32 @@
+"""`docs/explanation/rooms.md` lists every room, and its safety limits are where it says."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+PAGE = (ROOT / "docs/explanation/rooms.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("package", ["ronna_hw", "drivers", "sim", "procedures", "console"])
+def test_every_room_of_a_package_is_listed_once(package: str) -> None:
+    section = PAGE.partition(f"\n## `{package}`\n")[2].partition("\n## ")[0]
+    listed = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
+    there = sorted(one.parent.name for one in (ROOT / package).glob("*/__init__.py"))
+    assert sorted(listed) == there
+
+
+def test_every_safety_limit_is_in_its_module() -> None:
+    table = PAGE.partition("\n## Safety limits\n")[2]
+    places = re.findall(r"`([\w/]+\.py)`: ((?:`\w+`(?:, )?)+)", table)
+    assert len(places) > 15
+    missing = [
+        f"{path}: {name}"
+        for path, names in places
+        for name in re.findall(r"\w+", names)
+        if not re.search(rf"^\s*(?:\w+, )*{name}\b[^\n]*=", (ROOT / path).read_text("utf-8"), re.MULTILINE)
+    ]
+    assert missing == []
