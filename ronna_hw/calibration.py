@@ -99,9 +99,9 @@ class PoseRecord(Strict):
     """A rigid pose `target <- source`; the field that holds it names the frames."""
 
     translation_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
-        description="Origin of the source in the target."
+        description="Origin of the source frame in the target frame."
     )
-    quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
+    quaternion_wxyz: Numbers4 = Field(description="Rotation as a unit quaternion, scalar first.")
 
     @model_validator(mode="after")
     def _plausible(self) -> Self:
@@ -127,12 +127,14 @@ class CameraCalibration(Strict):
     """
 
     serial: str = Field(description="Serial number, as read from the camera.")
-    focal_px: tuple[FocalPixels, FocalPixels] = Field(description="Along columns and along rows.")
-    principal_point_px: tuple[float, float] = Field(description="Where the optical axis meets the sensor.")
-    distortion: tuple[float, float, float, float, float] = Field(
-        default=(0.0, 0.0, 0.0, 0.0, 0.0), description="k1 k2 p1 p2 k3."
+    focal_px: tuple[FocalPixels, FocalPixels] = Field(
+        description="Focal length along columns and along rows."
     )
-    sensor_px: tuple[int, int] = Field(default=(2048, 1088), description="Columns and rows.")
+    principal_point_px: tuple[float, float] = Field(description="Principal point on the sensor.")
+    distortion: tuple[float, float, float, float, float] = Field(
+        default=(0.0, 0.0, 0.0, 0.0, 0.0), description="Distortion coefficients k1 k2 p1 p2 k3."
+    )
+    sensor_px: tuple[int, int] = Field(default=(2048, 1088), description="Sensor size, columns and rows.")
     camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
 
 
@@ -142,9 +144,9 @@ class Dated(Strict):
     what: ClassVar[str] = "calibration"  # what it is, in messages
 
     identifier: str = Field(description="Name of the record.")
-    created: Moment = Field(description="When it was measured, with the time zone.")
-    expires: Moment = Field(description="When it expires, with the time zone.")
-    made_by: str = Field(description="Who or what measured it.")
+    created: Moment = Field(description="Time of measurement, with time zone.")
+    expires: Moment = Field(description="Time of expiry, with time zone.")
+    made_by: str = Field(description="Person or program that measured it.")
 
     def check_valid_at(self, moment: datetime) -> None:
         """Raise CAL-001 when the record has expired at `moment`, or is dated after it.
@@ -153,7 +155,7 @@ class Dated(Strict):
         """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
-                f"{self.what} {self.identifier} is dated {_readable(self.created)}, which is still to come",
+                f"{self.what} {self.identifier} is dated {_readable(self.created)}, which is in the future",
                 got=f"now {_readable(moment)}",
                 action="Set this computer's clock, or correct the record's date.",
             )
@@ -169,7 +171,7 @@ class DatedRecord(Dated):
     """Fields that all calibration records have in common."""
 
     stated_error_mm: Annotated[float, Field(ge=0)] = Field(
-        description="One standard deviation, as stated by who made it."
+        description="Stated error, one standard deviation."
     )
 
 
@@ -185,12 +187,12 @@ class ToolTipCalibration(DatedRecord):
     """A surgical guide: the nominal pose of its tip on the flange, z along the axis of the guide."""
 
     tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
-        description="As the controller's inputs report it."
+        description="Tool number reported by the controller's inputs."
     )
     flange_from_tool: PoseRecord = Field(description="Pose flange <- tip, z along the guide.")
     stated_direction_error_rad: Annotated[float, Field(ge=0, lt=0.1)] = Field(
         default=AS_MACHINED_RAD,
-        description="Angle between z and the bore, one standard deviation; without, as machined.",
+        description="Angle between z and the bore, one standard deviation; default: as machined.",
     )
 
 
@@ -204,26 +206,30 @@ class TrackerFrameCalibration(DatedRecord):
 class ArmCalibration(DatedRecord):
     """How one arm differs from its nominal kinematics; joints are listed from the base outwards."""
 
-    arm: str = Field(description="Name of the kinematic model that it corrects.")
+    arm: str = Field(description="Name of the kinematic model to correct.")
     scatter_mm: Annotated[float, Field(gt=0)] = Field(
         description="Random error per axis from pose to pose, one standard deviation."
     )
     link_translation_mm: tuple[Numbers3, ...] = Field(
-        description="Displacement of each link's far end, in the frame that turns with its joint."
+        description="Displacement of each link's far end, in the frame that rotates with its joint."
     )
-    link_rotation_rad: tuple[Numbers3, ...] = Field(description="Rotation vector there.")
+    link_rotation_rad: tuple[Numbers3, ...] = Field(
+        description="Rotation vector of each link's far end, same frame."
+    )
     joint_offset_rad: tuple[float, ...] = Field(description="Constant error of each joint.")
-    sine_rad: tuple[Numbers2, ...] = Field(description="Error by the sine of the angle and of its double.")
-    cosine_rad: tuple[Numbers2, ...] = Field(description="The same by their cosines.")
-    sag_rad: tuple[float, ...] = Field(description="Under gravity, stretched out horizontally.")
-    backlash_rad: tuple[float, ...] = Field(description="Dead way; a joint rests half of it to either side.")
+    sine_rad: tuple[Numbers2, ...] = Field(
+        description="Error coefficients of the sine of the joint angle and of twice the angle."
+    )
+    cosine_rad: tuple[Numbers2, ...] = Field(description="The same for the cosines.")
+    sag_rad: tuple[float, ...] = Field(description="Sag under gravity, arm stretched out horizontally.")
+    backlash_rad: tuple[float, ...] = Field(description="Backlash; a joint rests half of it to either side.")
 
     @model_validator(mode="after")
     def _of_one_arm(self) -> Self:
         counts = {name: len(getattr(self, name)) for name in ARM_DEVIATIONS}
         if len(set(counts.values())) != 1:
             listed = ", ".join(f"{name} {count}" for name, count in counts.items())
-            raise ValueError(f"every deviation needs one entry for each joint: {listed}")
+            raise ValueError(f"every deviation needs one entry per joint: {listed}")
         return self
 
 

@@ -28,7 +28,7 @@ class ClockUnavailable(ConnectError):
     """The shared clock named by the theatre file cannot be opened."""
 
     code = "CLK-001"
-    action = "Start the theatre again and use the file that it writes; a clock ends with its theatre."
+    action = "Start the theatre again and use the file it writes; a clock ends with its theatre."
 
 
 class Clock(Protocol):
@@ -80,12 +80,12 @@ class SharedClock:
             raise ClockUnavailable(f"cannot open the clock at {path}: {error.strerror}") from error
         except ValueError as error:
             os.close(self._file)
-            raise ClockUnavailable(f"{path} is too short for a clock") from error
+            raise ClockUnavailable(f"{path} is too short for a clock file") from error
         self._close_file = weakref.finalize(self, os.close, self._file)
         memory = self._memory
         if not layout.CLOCK.is_marked(memory) or layout.VERSION.read(memory) != layout.LAYOUT_VERSION:
             self.close()
-            raise ClockUnavailable(f"{path} is not a clock of this version")
+            raise ClockUnavailable(f"{path} is not a clock file of this version")
         self._thread_lock = threading.Lock()
         self._paced = bool(layout.PACED.read(self._memory))
 

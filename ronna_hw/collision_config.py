@@ -40,9 +40,9 @@ class BodyConfig(Strict):
     """A capsule: its axis from one point to another, and its radius."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
-    start_mm: Numbers3 = Field(description="One end of the axis.")
-    end_mm: Numbers3 = Field(description="The other end.")
-    radius_mm: Millimetres = Field(description="Of the cylinder and of its rounded ends.")
+    start_mm: Numbers3 = Field(description="Start of the axis.")
+    end_mm: Numbers3 = Field(description="End of the axis.")
+    radius_mm: Millimetres = Field(description="Radius of the cylinder and of its rounded ends.")
 
     @property
     def capsule(self) -> Capsule:
@@ -53,39 +53,41 @@ class BodyConfig(Strict):
 class ToolBody(BodyConfig):
     """A body of a tool, in the tool frame. Only what is meant to go into the head may say `enters_head`."""
 
-    enters_head: bool = Field(default=False, description="Whether it is meant to go into the head.")
+    enters_head: bool = Field(default=False, description="True if the body is meant to enter the head.")
 
 
 class RoomBody(BodyConfig):
     """A body around the arm, in the head frame or in the robot's."""
 
     frame: Annotated[BodyFrame, Field(strict=False)] = Field(
-        default=BodyFrame.HEAD, description="What its coordinates are relative to."
+        default=BodyFrame.HEAD, description="Reference frame of the coordinates."
     )
 
 
 class ArmThickness(Strict):
     """Radii of the arm's bodies about their axes: estimates on the safe side."""
 
-    column_mm: Millimetres = Field(default=150.0, description="From the base to A2.")
-    upper_arm_mm: Millimetres = Field(default=85.0, description="From A2 to A3.")
-    forearm_mm: Millimetres = Field(default=70.0, description="From A3 to A5.")
-    wrist_mm: Millimetres = Field(default=45.0, description="About A5.")
-    hand_mm: Millimetres = Field(default=45.0, description="From A5 to the flange.")
+    column_mm: Millimetres = Field(default=150.0, description="Radius from the base to A2.")
+    upper_arm_mm: Millimetres = Field(default=85.0, description="Radius from A2 to A3.")
+    forearm_mm: Millimetres = Field(default=70.0, description="Radius from A3 to A5.")
+    wrist_mm: Millimetres = Field(default=45.0, description="Radius about A5.")
+    hand_mm: Millimetres = Field(default=45.0, description="Radius from A5 to the flange.")
 
 
 class HeadZone(Strict):
     """Speed limit of all moving parts by their distance to the head, linear between two points."""
 
-    near_mm: NotNegative = Field(default=20.0, description="At this distance and nearer ...")
-    near_speed_mm_s: Speed = Field(default=60.0, description="... this is the largest speed.")
-    far_mm: Millimetres = Field(default=400.0, description="At this distance and farther ...")
-    far_speed_mm_s: Speed = Field(default=1000.0, description="... this is the largest speed.")
+    near_mm: NotNegative = Field(default=20.0, description="Up to this distance, near_speed_mm_s applies.")
+    near_speed_mm_s: Speed = Field(default=60.0, description="Largest speed up to near_mm.")
+    far_mm: Millimetres = Field(default=400.0, description="From this distance on, far_speed_mm_s applies.")
+    far_speed_mm_s: Speed = Field(default=1000.0, description="Largest speed from far_mm on.")
 
     @model_validator(mode="after")
     def _rises(self) -> Self:
         if self.far_mm <= self.near_mm or self.far_speed_mm_s < self.near_speed_mm_s:
-            raise ValueError("far must be farther than near, and not slower")
+            raise ValueError(
+                "far_mm must exceed near_mm, and far_speed_mm_s must not be below near_speed_mm_s"
+            )
         return self
 
 
@@ -131,10 +133,10 @@ class CollisionConfig(Strict):
 
     margin_mm: Millimetres = Field(default=10.0, description="Smallest clearance along a planned path.")
     live_margin_mm: NotNegative = Field(
-        default=5.0, description="Smallest clearance of a set-point; below it, the arm stops."
+        default=5.0, description="Smallest clearance of a set-point; below it the arm stops."
     )
     corridor_mm: Millimetres = Field(
-        default=2.5, description="Radius of the corridor of the needle about a trajectory."
+        default=2.5, description="Radius of the needle corridor about a trajectory."
     )
     arm: ArmThickness = Field(default=ArmThickness(), description="Radii of the links of the arm.")
     zone: HeadZone = Field(default=HeadZone(), description="Speed limit near the head.")
@@ -147,7 +149,7 @@ class CollisionConfig(Strict):
     @model_validator(mode="after")
     def _live_is_less(self) -> Self:
         if self.live_margin_mm >= self.margin_mm:
-            raise ValueError("live_margin_mm must be less than margin_mm, the clearance that planning keeps")
+            raise ValueError("live_margin_mm must be less than margin_mm, the clearance of planned paths")
         return self
 
     def surroundings(

@@ -42,7 +42,7 @@ class BadTheatreFile(ConfigurationError):
     """The theatre file is missing, not TOML, or has mistakes; all of them are listed."""
 
     code = "CFG-001"
-    action = "Correct the file; the reference lists every key."
+    action = "Correct the file; the reference page lists every key."
 
 
 class ClockConfig(Strict):
@@ -63,11 +63,12 @@ class ClockConfig(Strict):
 class DeviceConfig(Strict):
     """One device: its driver by name, its endpoint or endpoints, and the driver's own options."""
 
-    driver: str = Field(description="Name of the driver, as its package registers it.")
-    endpoint: str | None = Field(default=None, description="Its address, when it has one.")
+    driver: str = Field(description="Name of the driver, as registered by its package.")
+    endpoint: str | None = Field(default=None, description="Address of a device with one endpoint.")
     endpoints: dict[str, str] = Field(
         default_factory=dict,
-        description="Role = address, when it has several: `rsi` and `eki`, `left` and `right`.",
+        description="Role = address, for a device with several endpoints: `rsi` and `eki`, `left` and "
+        "`right`.",
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="Options of the driver; see its reference page."
@@ -114,10 +115,10 @@ class Calibrations(Strict):
     stereo_head: StereoHeadCalibration = Field(description="Cameras and tool centre of the stereo head.")
     tool_tip: ToolTipCalibration = Field(description="Tip of the surgical guide.")
     tracker_frame: TrackerFrameCalibration = Field(
-        description="Reference frame that the tracker sees on the mount."
+        description="Reference frame on the mount, seen by the tracker."
     )
     arm: ArmCalibration | None = Field(
-        default=None, description="Deviations of the arm; without, it is taken for nominal."
+        default=None, description="Deviations of the arm; without it the arm is taken as nominal."
     )
 
     @property
@@ -143,31 +144,31 @@ class ProcedureSettings(Strict):
     )
     tool_error_mm: Annotated[float, Field(ge=0)] = Field(
         default=2.0,
-        description="Error of the mount on the flange per axis, one standard deviation; the default is that "
-        "of a mount as drawn.",
+        description="Error of the mount on the flange per axis, one standard deviation; the default is "
+        "for a mount as designed.",
     )
     seating_error_mm: Annotated[float, Field(ge=0)] = Field(
         default=0.05,
-        description="By how much a sphere that was put back after the CT stands beside its place there, per "
-        "axis, one standard deviation.",
+        description="Displacement of a sphere refitted after the CT from its CT position, per axis, one "
+        "standard deviation.",
     )
     servo_area_px: tuple[int, int] = Field(
-        default=(1024, 1024), description="Columns and rows of each sensor that the visual servo reads."
+        default=(1024, 1024), description="Columns and rows of each sensor read by the visual servo."
     )
     standoff_mm: Annotated[float, Field(gt=0), Length] = Field(
-        default=60.0, description="Distance outside the entry where approach begins and retreat ends."
+        default=60.0, description="Distance outside the entry at which approach begins and retreat ends."
     )
     coarse_fine_limit_mm: Annotated[float, Field(gt=0)] = Field(
         default=3.0,
-        description="Largest difference between stereo head and tracker for one and the same sphere.",
+        description="Largest difference between stereo head and tracker for the same sphere.",
     )
     stand_mm: Annotated[Numbers3, farther_than(NEAREST_PLACE_MM)] | None = Field(
         default=None,
-        description="Where the ball of the calibration stand is, within 10 mm, in the robot's frame.",
+        description="Position of the calibration stand's ball, within 10 mm, robot frame.",
     )
     watch_patient: Annotated[WatchPatient, Field(strict=False)] = Field(
         default=WatchPatient.INSTRUMENT,
-        description="In which motions the tracker watches the spheres on the head: a shift stops the arm.",
+        description="Motions in which the tracker watches the spheres on the head; a shift stops the arm.",
     )
 
 
@@ -178,7 +179,7 @@ class TheatreFile(Strict):
         default=1, description="Version of the file format."
     )
     theatre: str = Field(description="Name of the theatre.")
-    banner: str = Field(default="", description="Shown in terminal and report, to tell theatres apart.")
+    banner: str = Field(default="", description="Shown in terminal and report to tell theatres apart.")
     clock: ClockConfig = Field(default=ClockConfig(), description="Source of theatre time.")
     tracker: DeviceConfig | None = Field(default=None, description="The optical tracker.")
     robot: dict[str, DeviceConfig] = Field(
@@ -190,10 +191,11 @@ class TheatreFile(Strict):
     )
     calibration: Calibrations | None = Field(default=None, description="Calibration records.")
     flange: str = Field(
-        default="", description="Name of the arm's flange, or of the changer on it, as tool records have it."
+        default="", description="Name of the arm's flange, or of the changer on it, as in the tool records."
     )
     tools: dict[str, ToolRecord] = Field(
-        default_factory=dict, description="Name = tool that can hang on the arm; the procedure uses `guide`."
+        default_factory=dict,
+        description="Name = tool that can be mounted on the arm; the procedure uses `guide`.",
     )
     cell: CollisionConfig = Field(
         default=CollisionConfig(), description="Bodies around the arm, for collision checks."
@@ -209,8 +211,8 @@ class TheatreFile(Strict):
         for name, tool in tools.items():
             if (owner := owners.setdefault(tool.number, name)) != name:
                 raise ValueError(
-                    f"{name} has number {tool.number}, which is that of {owner}: expected one of its own, "
-                    "as the controller's inputs report it"
+                    f"{name} has number {tool.number}, already used by {owner}: expected a unique number, "
+                    "as reported by the controller's inputs"
                 )
         return tools
 
@@ -283,7 +285,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
             message = "is missing"
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
-            message = f"there is no such key{_meant(str(item['loc'][-1]), known)}"
+            message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
         if item["type"] in ("too_long", "too_short") and "actual_length" in item.get("ctx", {}):
             message = _count_wrong(item["ctx"])
         value = item.get("input")

@@ -58,7 +58,7 @@ def _check_host(text: str, host: str) -> None:
         IPv4Address(host)
     except ValueError as error:
         raise BadEndpoint(
-            f"{text!r}: {host} is no IPv4 address", expected="four numbers from 0 to 255"
+            f"{text!r}: {host} is not an IPv4 address", expected="four numbers from 0 to 255"
         ) from error
 
 

@@ -38,7 +38,9 @@ class BadTemplate(ConfigurationError):
 class TemplateMarker(Strict):
     """One sphere: its centre, and which way its post stands."""
 
-    centre_mm: Point = Field(description="Of the sphere, LPS of the CT that the template was made on.")
+    centre_mm: Point = Field(
+        description="Centre of the sphere, LPS of the CT on which the template was made."
+    )
     post: Point = Field(description="Unit vector from the skull to the sphere, same axes.")
 
     @model_validator(mode="after")
@@ -52,10 +54,10 @@ class MarkerTemplate(Strict):
     """Three or four markers."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
-        default=1, description="Version of this form."
+        default=1, description="Version of this file format."
     )
     markers: Annotated[tuple[TemplateMarker, ...], Field(min_length=FEWEST, max_length=MOST)] = Field(
-        description="In no particular order."
+        description="Markers, in no particular order."
     )
 
     @property

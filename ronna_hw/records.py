@@ -77,7 +77,7 @@ def write_record(record: Record, folder: Path) -> Path:
     try:
         write_whole(path, _as_written(record), exclusive=True)
     except FileExistsError as error:
-        raise RecordExists(f"{path.name} exists already") from error
+        raise RecordExists(f"{path.name} already exists") from error
     return path
 
 
@@ -132,5 +132,5 @@ def read_record(path: Path) -> Record:
             f"{path.name} does not match its hash", got=record.sha256[:12], expected=str(claimed)[:12]
         )
     if found != written:
-        raise BadRecord(f"{path.name} is not as it was written: the same content in another form")
+        raise BadRecord(f"{path.name} was rewritten: same content, different bytes")
     return record

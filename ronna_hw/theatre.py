@@ -98,7 +98,7 @@ class Theatre:
         if missing := [name for name in names if name not in known]:
             raise NotInTheatre(
                 f"theatre {self.file.theatre} has no {', '.join(missing)}",
-                got=f"it has {', '.join(known) or 'no device at all'}",
+                got=f"it has {', '.join(known) or 'no devices'}",
             )
 
     def record_bytes(self, sink: ByteSink) -> None:
@@ -169,7 +169,7 @@ class Theatre:
         if not isinstance(device, cast("type", interface)):
             lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
             raise WrongKind(
-                f"{name}: driver {self.file.devices[name].driver} offers no {interface.__name__}",
+                f"{name}: driver {self.file.devices[name].driver} does not provide {interface.__name__}",
                 got=f"it lacks {', '.join(lacking)}" if lacking else None,
             )
         self._found_fit[name, interface] = device

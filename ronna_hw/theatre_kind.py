@@ -21,9 +21,7 @@ class MixedTheatre(RefusedError):
     """The theatre file mixes simulated and real devices, or does not say that it is a simulated one."""
 
     code = "CFG-004"
-    action = (
-        "Use the theatre file of one theatre: ronna-sim theatre writes a simulated one, you the real one."
-    )
+    action = "Use one theatre per file: ronna-sim theatre writes the simulated one, you write the real one."
 
 
 def on_this_computer(endpoint: Endpoint) -> bool | None:
@@ -58,8 +56,8 @@ def require_one_kind(theatre: TheatreFile) -> None:
         )
     if simulated and not theatre.banner:
         raise MixedTheatre(
-            "every device is on this computer, as simulated ones are, and the theatre file has no banner",
-            action="Give it a banner that says so; if they are real, give their addresses in the network.",
+            "every device is on this computer, as with simulators, and the theatre file has no banner",
+            action="Add a banner that says so; if they are real, give their network addresses.",
         )
 
 

@@ -47,31 +47,32 @@ class GuideBore(Strict):
     """
 
     reach_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
-        description="From the lower end of the guide to the end of the mandrel."
+        description="Distance from the lower end of the guide to the end of the mandrel."
     )
     length_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
-        description="From the upper end, on which a depth stop rests, to the lower one."
+        description="Length from the upper end, on which a depth stop rests, to the lower end."
     )
     play_mm: Annotated[float, Field(ge=0, le=2.0)] = Field(
-        description="Diameter of the bore less that of the instrument."
+        description="Diameter of the bore minus that of the instrument."
     )
 
 
 class Gauge(Strict):
-    """Where the tool is compared with itself, and what a gauge on the table showed when it was measured."""
+    """The pose in which the tool is checked, and the readings of the table gauge when it was measured."""
 
-    joints_deg: Angles6 = Field(description="Of the arm, with the mandrel in the gauge.")
+    joints_deg: Angles6 = Field(description="Joint angles of the arm with the mandrel in the gauge.")
     reading_mm: Numbers3 = Field(
-        default=(0.0, 0.0, 0.0), description="Of the dials at the end, along x, y and z of the tool."
+        default=(0.0, 0.0, 0.0), description="Readings of the dials at the end, along x, y and z of the tool."
     )
     upper_reading_mm: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="Of the dials higher up on the mandrel, along x and y."
+        default=(0.0, 0.0), description="Readings of the dials higher up on the mandrel, along x and y."
     )
     base_mm: Annotated[float, Field(gt=0, le=500), Length] = Field(
-        default=60.0, description="Between both heights."
+        default=60.0, description="Distance between both dial heights."
     )
     travel_mm: Annotated[float, Field(gt=0, le=100), Length] = Field(
-        default=10.0, description="Of a dial, to either side: a reading farther off was mistyped."
+        default=10.0,
+        description="Travel of a dial, to either side; a reading beyond it is taken as a typing error.",
     )
 
     @property
@@ -82,33 +83,39 @@ class Gauge(Strict):
 
 
 class ToolFrame(Strict):
-    """A frame of spheres on the tool itself, by which the tracker tells that it is this tool."""
+    """A frame of spheres on the tool itself, by which the tracker identifies it."""
 
-    tool: Annotated[str, Field(min_length=1)] = Field(description="Its name among the tracker's tools.")
-    tip_from_frame: PoseRecord = Field(description="Pose of that frame in the tool's tip frame.")
+    tool: Annotated[str, Field(min_length=1)] = Field(
+        description="Name of the frame among the tracker's tools."
+    )
+    tip_from_frame: PoseRecord = Field(description="Pose of the frame in the tool's tip frame.")
 
 
 class ToolRecord(Dated):
-    """One tool: identity, purpose, what it weighs, what it needs around it, where its tip or bore is."""
+    """One tool: identity, purpose, mass, clearance bodies, and its tip or bore."""
 
     what: ClassVar[str] = "tool record"
 
-    purpose: Annotated[ToolPurpose, Field(strict=False)] = Field(description="What it is there for.")
-    number: Annotated[int, Field(ge=1, le=16)] = Field(description="As the controller's inputs report it.")
-    flange: Annotated[str, Field(min_length=1)] = Field(
-        description="Name of the flange, or of the changer on it, that it was measured on."
+    purpose: Annotated[ToolPurpose, Field(strict=False)] = Field(description="Purpose of the tool.")
+    number: Annotated[int, Field(ge=1, le=16)] = Field(
+        description="Tool number reported by the controller's inputs."
     )
-    mass_kg: Annotated[float, Field(gt=0, le=10)] = Field(description="Of all that hangs below the changer.")
+    flange: Annotated[str, Field(min_length=1)] = Field(
+        description="Name of the flange, or of the changer on it, on which it was measured."
+    )
+    mass_kg: Annotated[float, Field(gt=0, le=10)] = Field(description="Mass of everything below the changer.")
     centre_of_gravity_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
-        description="In the frame of the flange."
+        description="Centre of gravity in the flange frame."
     )
     bodies: tuple[ToolBody, ...] = Field(
-        default=(), description="Its geometry for clearance, in its tip frame; else that of `[cell]`."
+        default=(), description="Bodies for clearance checks, in the tip frame; default: those of `[cell]`."
     )
-    tip: str | None = Field(default=None, description="Identifier of the calibration record of its tip.")
-    bore: GuideBore | None = Field(default=None, description="Of a guide.")
-    gauge: Gauge | None = Field(default=None, description="How it is checked after it was mounted.")
-    frame: ToolFrame | None = Field(default=None, description="How the tracker sees it, if it bears spheres.")
+    tip: str | None = Field(default=None, description="Identifier of the calibration record of the tip.")
+    bore: GuideBore | None = Field(default=None, description="Bore, for a guide.")
+    gauge: Gauge | None = Field(default=None, description="Check after mounting.")
+    frame: ToolFrame | None = Field(
+        default=None, description="Frame of spheres on the tool for the tracker, if it has one."
+    )
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:

@@ -40,36 +40,37 @@ class BaslerOptions(Strict):
     )
     gain_raw: Annotated[int, Field(ge=0, le=gev.GAIN_RAW_MAXIMUM)] | None = Field(
         default=None,
-        description="Gain of both, in the camera's own unit, 20 log10(raw/32) dB; none takes the smallest.",
+        description="Gain of both cameras, in the camera's own unit, 20 log10(raw/32) dB; none: the "
+        "smallest.",
     )
     pixel_format: Literal["Mono8", "Mono12", "Mono12Packed"] = Field(
         default="Mono8", description="Pixel format of the stream."
     )
     packet_bytes: Annotated[int, Field(ge=SMALLEST_PACKET_BYTES, le=LARGEST_PACKET_BYTES)] | None = Field(
         default=None,
-        description="Stream packets with IP and UDP headers; none takes the largest that arrives.",
+        description="Size of stream packets with IP and UDP headers; none: the largest that arrives.",
     )
     inter_packet_delay_ticks: Annotated[int, Field(ge=0)] = Field(
         default=0, description="Pause between stream packets, in ticks of the camera."
     )
     heartbeat_ms: Annotated[int, Field(ge=gev.HEARTBEAT_MINIMUM_MS, le=60_000)] = Field(
-        default=3000, description="Silence after which a camera drops its controller."
+        default=3000, description="Silence after which a camera releases control."
     )
     resend: bool = Field(default=True, description="Request lost packets again.")
     trigger: Literal["software", "action", "line1"] = Field(
         default="software",
-        description="software: a command to each camera; action: an action command to each; line1: a pulse "
-        "on both lines, which grab_pair waits for.",
+        description="software: a command to each camera; action: an action command to each; line1: a "
+        "pulse on both lines, for which grab_pair waits.",
     )
     action_device_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = Field(
-        default=0x524F_4E4E, description="Key of our action commands."
+        default=0x524F_4E4E, description="Device key of the action commands."
     )
     action_group_key: Annotated[int, Field(ge=0, le=0xFFFF_FFFF)] = Field(
-        default=1, description="Group of our action commands."
+        default=1, description="Group key of the action commands."
     )
     pair_skew_ms: Annotated[float, Field(gt=0, le=1000)] = Field(
         default=50.0,
-        description="How far apart the exposures of a pair may begin; beyond that it is UNPAIRED.",
+        description="Largest offset between the exposure starts of a pair; beyond it the pair is UNPAIRED.",
     )
     receive_buffer_bytes: Annotated[int, Field(ge=65_536)] = Field(
         default=16 * 1024 * 1024,

@@ -19,12 +19,12 @@ def check_pair(left: CameraIdentity, right: CameraIdentity, options: BaslerOptio
             )
     wanted = (options.left_serial, options.right_serial)
     if left.serial == right.serial:
-        raise WrongSerial(f"{left.address} and {right.address} lead to the same camera", got=left.serial)
+        raise WrongSerial(f"{left.address} and {right.address} are the same camera", got=left.serial)
     if _matches((left.serial, right.serial), wanted):
         return
     if _matches((right.serial, left.serial), wanted):
         raise CablesSwapped(
-            "left and right camera are at each other's address",
+            "left and right camera are swapped",
             expected=f"left {wanted[0]}, right {wanted[1]}",
             got=f"left {left.serial}, right {right.serial}",
         )

@@ -46,9 +46,9 @@ def reasons_against(context: RsiContext) -> Iterator[str]:
     if any(w.object == "POSCORR" for w in context.wiring):
         yield "POSCORR is wired as well: two corrections would add up"
     if not stops or context.stop is None or context.stop.mode != "ExitMoveCorr":
-        yield "no STOP object of mode ExitMoveCorr is wired: the program could not be ended from here"
+        yield "no STOP object of mode ExitMoveCorr is wired: this driver could not end the program"
     elif any(holdon[w.indx] for w in stops):
-        yield "STOP has HOLDON 1: it would stick"
+        yield "STOP has HOLDON 1: it would stay set"
     yield from _limits(context)
     said = {element.tag for element in context.send}
     for keyword in NEEDED_KEYWORDS:
@@ -65,13 +65,13 @@ def _limits(context: RsiContext) -> Iterator[str]:
     before, and what AXISCORR lets through AXISCORRMON must not stop."""
     correction, monitor = context.axis_correction, context.axis_monitor
     if correction is None:
-        yield "limits of AXISCORR are missing: its default of 5 deg would clamp in silence"
+        yield "limits of AXISCORR are missing: its default of 5 deg would clamp silently"
     if monitor is None:
-        yield "limits of AXISCORRMON are missing: its default of 6 deg would end every longer move"
+        yield "limits of AXISCORRMON are missing: its default of 6 deg would end every larger motion"
     if correction is None or monitor is None:
         return
     if correction.limits != SOFTWARE_END_SWITCHES:
-        yield "limits of AXISCORR are not the software end switches: it would clamp in silence"
+        yield "limits of AXISCORR are not the software end switches: it would clamp silently"
     if monitor.limits == SOFTWARE_END_SWITCHES:
         return
     spans = zip(correction.lower_deg, correction.upper_deg, monitor.max_deg, strict=True)

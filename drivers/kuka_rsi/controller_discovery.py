@@ -26,8 +26,10 @@ EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # where a KR C4 is as
 KNOCK_LIMIT_S = 0.5  # a controller on the same network accepts within milliseconds
 KNOCKS_AT_ONCE = 64
 MOST_ADDRESSES = 1024  # of one network; a cell's has 254
-VARIANT = "variant: see the name plate. The two arms of this name differ by 10 mm in two links."
-STREAM = "rsi: where the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."
+VARIANT = "variant: see the name plate. The two variants of this arm differ by 10 mm in two links."
+STREAM = (
+    "rsi: the address to which the controller sends its telegrams, IP_NUMBER and PORT of the Ethernet file."
+)
 
 
 def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
@@ -92,14 +94,14 @@ def _proposal(controller: Endpoint, stream: str) -> Proposal:
             state = eki.status(CONNECT_LIMIT_S)
         known = {each.value for each in ArmVariant}
         variant = state.variant if state.variant in known else None
-        what = f"a controller of {state.variant or 'an arm that it does not name'}, in mode {state.mode}"
+        what = f"a controller of {state.variant or 'an arm that it does not identify'}, in mode {state.mode}"
         remarks = (STREAM,) if variant else remarks
     except (ControllerNotFound, NoAnswer, BadEkiTelegram) as error:
         absent = error.what
         if not isinstance(error, ControllerNotFound):
             absent += ": it is not the EKI server of the project's files"
     except RonnaError as error:
-        remarks = (f"It would not be identified: {error.code} {error.summary}", *remarks)
+        remarks = (f"It could not be identified: {error.code} {error.summary}", *remarks)
     return Proposal(DRIVER, what, _endpoints(str(controller), stream), _options(variant), remarks, absent)
 
 

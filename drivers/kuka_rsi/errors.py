@@ -104,7 +104,7 @@ class HeartbeatLate(LinkTimeout):
     """The real-time process received no heartbeat from this program and stopped the arm."""
 
     code = "RSI-006"
-    action = "Relieve the computer, or find what blocked the program; then recover the arm."
+    action = "Reduce the computer's load, or find what blocked the program; then recover the arm."
 
 
 class LinkProcessDied(DeviceError):
@@ -139,21 +139,21 @@ class MotionNotFinished(LinkTimeout):
     """A motion did not end, or the arm did not settle, within its time limit."""
 
     code = "RSI-011"
-    action = "Give the motion more time, or look at the lost cycles and at option settle_tolerance_deg."
+    action = "Give the motion more time, or check the lost cycles and option settle_tolerance_deg."
 
 
 class MotionRefused(RefusedError):
     """The real-time process refused a motion."""
 
     code = "RSI-012"
-    action = "Wait for the present motion to end, and plan from where the arm is."
+    action = "Wait for the current motion to end, and plan from the arm's current pose."
 
 
 class BadOptions(ConfigurationError):
     """The driver's options in the theatre file are wrong."""
 
     code = "RSI-013"
-    action = "Correct the named options; the driver's page lists them."
+    action = "Correct the listed options; the driver's page describes them."
 
 
 class BadTelegram(ProtocolError):
@@ -167,7 +167,7 @@ class PoseDisagrees(DeviceError):
     """RSI and EKI report different axes: they do not belong to one controller."""
 
     code = "RSI-015"
-    action = "Check that the endpoints rsi and eki_project lead to the same controller."
+    action = "Check that the endpoints rsi and eki_project belong to the same controller."
 
 
 class PathFailed(LimitError):
@@ -181,7 +181,7 @@ class ContextUnusable(ConfigurationError):
     """The RSI context is unsafe, or reports too little, for this driver."""
 
     code = "RSI-017"
-    action = "Correct the named entries, then generate and load the controller's files again."
+    action = "Correct the listed entries, then generate and load the controller's files again."
 
 
 class HandshakeFailed(DeviceError):
@@ -255,7 +255,8 @@ class Unverified(ConnectError):
     code = "EKI-006"
     action = (
         "Load the EKI program of this driver, which reports it; or set option accept_unverified and confirm "
-        "the start (a case asks; else activate_unverified(confirmed_by)): a micro-move tests it then."
+        "the start (a case prompts for it; otherwise activate_unverified(confirmed_by)): a micro-move then "
+        "verifies it."
     )
 
 
@@ -265,7 +266,7 @@ class ControllerNotReady(RefusedError):
     code = "EKI-007"
     action = (
         "Bring the controller to EXT (or confirm T1 by allow_t1), guard closed and emergency stop released; "
-        "then acknowledge its messages by name, where the case is held, or else by ronna-procedure "
+        "then acknowledge its messages under your name in the held case, or with ronna-procedure "
         "acknowledge or the arm's recover(acknowledged_by), and start it again."
     )
 
@@ -289,6 +290,6 @@ class ControllerStopped(LimitError):
 
     code = "EKI-010"
     action = (
-        "Look at the cell first. When the cause is gone, acknowledge it by name, which moves nothing: where "
-        "the case is held, or else by ronna-procedure acknowledge or the arm's recover(acknowledged_by)."
+        "Check the cell first. When the cause is removed, acknowledge under your name (nothing moves): in "
+        "the held case, or with ronna-procedure acknowledge or the arm's recover(acknowledged_by)."
     )

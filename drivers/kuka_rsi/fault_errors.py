@@ -94,7 +94,7 @@ def error_of_wait(
     """The error when no telegram with the axes that EKI tells has come in time; it names who sent others."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counted = (
-        (state.disagreeing, "told other axes"),
+        (state.disagreeing, "reported other axes"),
         (state.foreign, "came from elsewhere"),
         (state.rejected, "were malformed or of another Type"),
     )

@@ -34,7 +34,7 @@ END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and end, after i
 LONGEST_MESSAGE = 4000
 GIVE_OUR_ADDRESS = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
-    "controller's RSI interface; check that the cable is in and the interface is up."
+    "controller's RSI interface; check that the cable is connected and the interface is up."
 )
 
 Condition = Callable[[LinkState], bool]

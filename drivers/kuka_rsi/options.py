@@ -37,11 +37,9 @@ class KukaOptions(BaseModel):
 
     variant: ArmVariant = Field(ArmVariant.SIXX, description="Variant of the arm, as on its name plate.")
     context: Path | None = Field(
-        None, description="Description of another RSI context, in the form of our own."
+        None, description="Description of another RSI context, in the format of the built-in one."
     )
-    cycle_ms: Literal[4, 12] | None = Field(
-        None, description="Cycle, when it differs from the description's."
-    )
+    cycle_ms: Literal[4, 12] | None = Field(None, description="Cycle, if it differs from the description.")
     accept_unverified: bool = Field(
         False,
         description="Connect to a controller that does not report its context; a micro-move verifies it.",
@@ -65,7 +63,7 @@ class KukaOptions(BaseModel):
         SETTLE_TOLERANCE_DEG,
         ge=0.0001,
         le=1.0,
-        description="A motion has ended when all axes are this close.",
+        description="A motion has ended when all axes are within this distance of the target.",
     )
     speed_fraction: float = Field(
         WORKING_SPEED_FRACTION,

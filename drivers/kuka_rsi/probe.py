@@ -63,9 +63,9 @@ def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
     """(what was seen, what to do)."""
     if error.errno == errno.EADDRINUSE:
         if user := user_of_udp_port(endpoint.host, endpoint.port):
-            return f"in use by {user}", "End that program: is it another run of the robot?"
+            return f"in use by {user}", "Stop that program; it may be another run of the robot."
         return (
-            "in use by a program that this user may not see",
+            "in use by a program not visible to this user",
             f"Find it with: sudo ss -ulnp 'sport = {endpoint.port}'",
         )
     if error.errno == errno.EADDRNOTAVAIL:

@@ -10,7 +10,7 @@ from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
 MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
 MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
-AUTOMATIC = "Turn the key switch to EXT, or to T1 for motions beside a person with the pendant."
+AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:
@@ -28,7 +28,8 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close it.")
     yield Fact(
         MESSAGES, _message(state.error) if state.error else "none to acknowledge",
-        not state.error, "Remove its cause; acknowledge it at the pendant or by ronna-procedure acknowledge.",
+        not state.error,
+        "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")
 
@@ -43,11 +44,13 @@ def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
     yield from _standing(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
-        "It was ended by a message: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT
-        else "Another client streams: end it, or reset the program at the pendant.",
+        "A message ended it: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT
+        else "Another client is streaming: stop it, or reset the program at the pendant.",
     )  # fmt: skip
-    yield Fact("at rest", "moves" if state.moving else "yes", not state.moving, "Wait until it rests.")
+    yield Fact(
+        "at rest", "moving" if state.moving else "yes", not state.moving, "Wait until the arm is at rest."
+    )
     yield Fact(
         "context",
-        "as ours" if verified else "not told: a small motion beside a person checks it when it starts",
+        "matches" if verified else "not reported; verified at start by a micro-move with a person present",
     )

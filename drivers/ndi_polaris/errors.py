@@ -106,7 +106,7 @@ class BadToolFile(DataError):
     """A tool definition is missing, not a .rom, corrupt, or impossible."""
 
     code = "NDI-011"
-    action = "Use the .rom of the tool, or make it again from the marker coordinates."
+    action = "Use the .rom of the tool, or regenerate it from the marker coordinates."
 
 
 class SameGeometry(ConfigurationError):

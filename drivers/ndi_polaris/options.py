@@ -26,7 +26,7 @@ from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 class ToolOption(Strict):
     """One passive tool to load."""
 
-    name: Annotated[str, Field(min_length=1, description="Its name in readings and calibrations.")]
+    name: Annotated[str, Field(min_length=1, description="Name of the tool in readings and calibrations.")]
     rom: Annotated[
         str,
         Field(
@@ -40,7 +40,7 @@ class ToolOption(Strict):
     ] = "D"
     sha256: Annotated[
         str | None,
-        Field(pattern="^[0-9a-f]{64}$", description="Hash of the definition; any other is refused."),
+        Field(pattern="^[0-9a-f]{64}$", description="SHA-256 of the definition; any other is refused."),
     ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
@@ -49,7 +49,7 @@ class ToolOption(Strict):
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
             raise ForeignTool(
-                f"{self.rom} is not the definition with which tool {self.name} was set up",
+                f"{self.rom} is not the definition configured for tool {self.name}",
                 expected=f"sha256 {self.sha256}",
                 got=found,
             )
@@ -61,25 +61,29 @@ class PolarisOptions(Strict):
 
     tools: Annotated[
         tuple[ToolOption, ...],
-        Field(description="Without any, a dummy tool is loaded so that strays are measured."),
+        Field(description="Tools to track; without any, a dummy tool is loaded so that strays are measured."),
     ] = ()
     expected_model: Annotated[
-        Literal["spectra", "vicra", "vega"] | None, Field(description="Any other model is refused.")
+        Literal["spectra", "vicra", "vega"] | None, Field(description="Expected model; any other is refused.")
     ] = None
-    expected_serial: Annotated[str | None, Field(description="Any other unit is refused.")] = None
+    expected_serial: Annotated[
+        str | None, Field(description="Expected serial number; any other unit is refused.")
+    ] = None
     illuminator_rate_hz: Annotated[
         Literal[20, 30, 60], Field(description="Measurements per second; the unit may keep its own rate.")
     ] = 60
-    maximum_baud: Annotated[int, Field(description="The fastest baud rate to try.")] = 921600
+    maximum_baud: Annotated[int, Field(description="Fastest baud rate to try.")] = 921600
     reply: Annotated[
-        Literal["auto", "BX", "TX"], Field(description="auto: binary, or text when the unit has no BX.")
+        Literal["auto", "BX", "TX"], Field(description="auto: binary, or text if the unit has no BX.")
     ] = "auto"
     volume: Annotated[
         int | None,
-        Field(ge=1, le=9, description="Number of the volume, from 1; by default the unit's current one."),
+        Field(
+            ge=1, le=9, description="Number of the measuring volume, from 1; default: the unit's current one."
+        ),
     ] = None
     stray_to_marker_mm: Annotated[
-        float, Field(gt=0, description="A stray this close to a tool's marker is that marker.")
+        float, Field(gt=0, description="A stray within this distance of a tool's marker is that marker.")
     ] = 5.75
     time_limits_s: Annotated[
         dict[str, Annotated[float, Field(gt=0)]],

@@ -40,7 +40,7 @@ def make(
     description: Annotated[
         Path, typer.Argument(metavar="TOML", help="Tool description: part_number, markers_mm, ...")
     ],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Where to write the .rom.")],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write the .rom to.")],
     as_json: console.JsonOption = False,
 ) -> int:
     """Write a definition from marker coordinates.
@@ -80,7 +80,9 @@ def make(
 @app.command()
 def show(
     rom: RomArgument,
-    as_toml: Annotated[bool, typer.Option("--toml", help="Print the description that make reads.")] = False,
+    as_toml: Annotated[
+        bool, typer.Option("--toml", help="Print the description, in the format read by make.")
+    ] = False,
     as_json: console.JsonOption = False,
 ) -> int:
     """Show the content of a definition. Exit codes: 0 shown, 1 not a usable definition."""
@@ -169,7 +171,7 @@ def compare(
 
 @app.command()
 def check(
-    roms: Annotated[list[Path], typer.Argument(metavar="ROM...", help="Definitions that are used together.")],
+    roms: Annotated[list[Path], typer.Argument(metavar="ROM...", help="Definitions used together.")],
     tolerance_mm: ToleranceOption = None,
     as_json: console.JsonOption = False,
 ) -> int:
@@ -186,7 +188,7 @@ def check(
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
     tools = {_short_name(path, roms): _read(path) for path in roms}
     if len(tools) < len(roms):
-        raise UsageMistake("a definition is given twice", action="Give each one once.")
+        raise UsageMistake("a definition was given twice", action="Give each definition once.")
     alike = find_alike(tools, tolerance)
     triangles = [
         (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shared_triangle(first, second)

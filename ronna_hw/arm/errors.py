@@ -54,8 +54,8 @@ class NotClear(LimitError):
 
     code = "ARM-007"
     action = (
-        "Choose another angle about the tool axis or go via another pose; if the body is not really there, "
-        "correct it in [cell] of the theatre file."
+        "Choose another angle about the tool axis or go via another pose; if the body does not exist, "
+        "correct [cell] of the theatre file."
     )
 
 

@@ -21,7 +21,7 @@ def read_bounded(path: Path, limit_bytes: int, *, linked: bool = True) -> bytes:
             content = file.read(limit_bytes + 1)
     except OSError as error:
         if linked and error.errno in (errno.EINVAL, errno.ENXIO):  # the second of a socket
-            raise InputRefused(f"{path} is no regular file", action=GIVE_A_FILE) from error
+            raise InputRefused(f"{path} is not a regular file", action=GIVE_A_FILE) from error
         error.filename = error.filename or str(path)  # of what breaks while it is read nobody says the name
         raise
     if len(content) > limit_bytes:

@@ -9,4 +9,4 @@ class InputRefused(DataError):
     """A file or a message from outside is larger, deeper or denser than anything that belongs here."""
 
     code = "INP-001"
-    action = "Find out where it comes from; what these programs write is far within the limit."
+    action = "Find out where it comes from; files written by these programs are far below the limit."

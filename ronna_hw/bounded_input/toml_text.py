@@ -42,7 +42,7 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
     except InputRefused as error:
         raise refusal(f"{name} is refused: {error.summary}") from error
     except UnicodeDecodeError as error:
-        raise refusal(f"{name} is not TOML: it is not text in UTF-8") from error
+        raise refusal(f"{name} is not TOML: it is not UTF-8 text") from error
     except ValueError as error:
         raise refusal(f"{name} is not TOML: {error}{_line_of(error, content)}") from error
 
@@ -63,7 +63,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
     if _LONG_KEY.search(text):
-        raise InputRefused("a key of too many parts", limit=str(DEEPEST))
+        raise InputRefused("a key with too many parts", limit=str(DEEPEST))
     try:
         content = tomllib.loads(text)
     except RecursionError as error:

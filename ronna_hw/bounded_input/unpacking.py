@@ -21,9 +21,9 @@ def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
     except zlib.error as error:
         raise InputRefused(f"deflated data are damaged: {error}") from error
     if len(content) > limit_bytes:
-        raise InputRefused("deflated data grow too large", limit=f"{limit_bytes} bytes")
+        raise InputRefused("deflated data expand beyond the limit", limit=f"{limit_bytes} bytes")
     if not unpacker.eof:
-        raise InputRefused("deflated data are cut off")
+        raise InputRefused("deflated data are truncated")
     return content
 
 
@@ -35,7 +35,7 @@ def unzip(packed: bytes, limit_bytes: int) -> bytes:
         with zipfile.ZipFile(io.BytesIO(packed)) as archive:
             member = archive.infolist()[0]
             if member.compress_type not in _METHODS:
-                raise InputRefused("a ZIP file is packed by another method", expected="stored or deflated")
+                raise InputRefused("unsupported ZIP compression method", expected="stored or deflated")
             with archive.open(member) as file:
                 content = file.read(limit_bytes + 1)
     except InputRefused:
@@ -45,5 +45,5 @@ def unzip(packed: bytes, limit_bytes: int) -> bytes:
     ) as error:  # fmt: skip  # RuntimeError: it wants a password, or a feature that is missing here
         raise InputRefused(f"a ZIP file cannot be read: {error}") from error
     if len(content) > limit_bytes:
-        raise InputRefused("a packed file grows too large", limit=f"{limit_bytes} bytes")
+        raise InputRefused("a packed file expands beyond the limit", limit=f"{limit_bytes} bytes")
     return content

@@ -39,7 +39,7 @@ class _Builder(ElementTree.TreeBuilder):
         self._depth += 1
         self._names += len(tag) + sum(len(name) for name in attributes)
         if self._elements > MOST_ELEMENTS or self._names > NAMES_BYTES:
-            raise InputRefused("XML of too many elements", limit=str(MOST_ELEMENTS))
+            raise InputRefused("XML with too many elements", limit=str(MOST_ELEMENTS))
         if self._depth > DEEPEST:
             raise InputRefused("XML nested too deep", limit=f"{DEEPEST} levels")
         return super().start(tag, attributes)

@@ -20,14 +20,16 @@ class InternalFault(RonnaError):
     """An unexpected error in the program."""
 
     code = "CLI-002"
-    action = "This is a fault of the program: run again with --verbose and report the traceback."
+    action = "This is a bug: run again with --verbose and report the traceback."
 
 
 class DiskFull(RonnaError):
     """No space is left, or the quota is used up."""
 
     code = "CLI-003"
-    action = "Free some space or choose another folder; this file was not written, those before it are whole."
+    action = (
+        "Free some space or choose another folder; this file was not written, earlier files are complete."
+    )
 
 
 class NotWritable(RonnaError):

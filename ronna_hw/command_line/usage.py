@@ -53,8 +53,8 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
     message = getattr(mistake, "message", "") or _formatted(mistake)
     if found := _EXTRA.match(message):
         repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
-        repeat = f"For several values an option is repeated: {', '.join(repeated)}. " if repeated else ""
-        return UsageMistake(f"{found[1]!r} is too much on this command line", action=f"{repeat}{see}")
+        repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
+        return UsageMistake(f"{found[1]!r} is one argument too many", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
             f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()
@@ -68,7 +68,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
     known = [] if context is None else [option for one in context.command.params for option in one.opts]
     alike = get_close_matches(name, [option for option in known if option.startswith("--")], n=MOST_ALIKE)
     meant = f"Did you mean {' or '.join(alike)}? " if alike else ""
-    return UsageMistake(f"there is no option {name}", action=f"{meant}{help_of} lists all options.")
+    return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 
 
 def _validation(cause: BaseException | None) -> tuple[str, str] | None:

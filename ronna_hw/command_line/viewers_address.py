@@ -16,79 +16,81 @@ from ronna_hw.command_line.errors import UsageMistake
 BindOption = Annotated[
     str | None,
     typer.Option(
-        "--bind", metavar="ADDRESS", help="Show the page to viewers of a network too, at this address."
+        "--bind", metavar="ADDRESS", help="Also serve the page to viewers on the network, at this address."
     ),
 ]
 CertificateOption = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="PEM certificate of the page of --bind.")
+    Path | None, typer.Option(metavar="FILE", help="PEM certificate for the page at --bind.")
 ]
-KeyOption = Annotated[Path | None, typer.Option(metavar="FILE", help="PEM key of --certificate.")]
+KeyOption = Annotated[Path | None, typer.Option(metavar="FILE", help="PEM key for --certificate.")]
 FAMILIES = (socket.AF_INET, socket.AF_INET6)
-WARNING = "whoever gets that address sees this patient; from there nobody operates"
+WARNING = "anyone with this URL can view this patient; it gives no control"
 READABLE_BY_OTHERS = 0o044
 
 
 @dataclass(frozen=True)
 class ViewersAddress:
-    """An address with the files of its certificate; the page has it for viewers only."""
+    """An address with the files of its certificate, at which the page is served to viewers only."""
 
     address: str
     certificate: Path
     key: Path
 
     def check(self) -> tuple[str, ...]:
-        """What is to be warned of. Raises CLI-001 for what no page is served at."""
+        """Warnings to show. Raises CLI-001 for an address or files that cannot be served."""
         try:
             address = ipaddress.ip_address(self.address)
         except ValueError:
             raise UsageMistake(
-                f"--bind {self.address} is no address", expected="a number such as 192.168.1.20"
+                f"--bind {self.address} is not an address", expected="a number such as 192.168.1.20"
             ) from None
         if address.is_unspecified:
             raise UsageMistake(
-                f"--bind {self.address} would serve every network of this computer",
-                action="Name the one address that the viewers' network reaches.",
+                f"--bind {self.address} would serve all networks of this computer",
+                action="Give the one address that is reachable from the viewers' network.",
             )
         if address.is_loopback:
             raise UsageMistake(
-                f"--bind {self.address} is this computer itself", action="Leave it out: it is served anyway."
+                f"--bind {self.address} is the loopback address",
+                action="Omit it: this computer is always served.",
             )
         if address not in own_addresses():
             raise UsageMistake(
-                f"--bind {self.address} is no address of this computer", action="ip address lists them."
+                f"--bind {self.address} is not an address of this computer", action="ip address lists them."
             )
         self.context()
         warnings = [WARNING]
         if address.is_global:
-            warnings.append(f"{self.address} is an address of the internet, not of a network of your own")
+            warnings.append(f"{self.address} is a public internet address, not one of a private network")
         if self.key.stat().st_mode & READABLE_BY_OTHERS:
             warnings.append(f"other users of this computer can read {self.key.name}: chmod 600")
         return tuple(warnings)
 
     @property
     def family(self) -> socket.AddressFamily:
-        """Of its sockets."""
+        """Family of its sockets."""
         return socket.AF_INET6 if ":" in self.address else socket.AF_INET
 
     def host(self, port: int) -> str:
-        """As it stands in an address and in the header Host."""
+        """As written in a URL and in the Host header."""
         return f"[{self.address}]:{port}" if ":" in self.address else f"{self.address}:{port}"
 
     def context(self) -> ssl.SSLContext:
-        """Raises CLI-001 for files that are no certificate and key."""
+        """TLS context. Raises CLI-001 for files that are not a certificate and its key."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         try:
             context.load_cert_chain(self.certificate, self.key, password=lambda: "")
         except (OSError, ValueError) as error:  # an ssl.SSLError is an OSError
             raise UsageMistake(
-                f"{self.certificate.name} and {self.key.name} are no certificate with its key: {error}",
-                action="Give two PEM files; the key without a password.",
+                f"{self.certificate.name} and {self.key.name} are not a matching certificate and key: "
+                f"{error}",
+                action="Give two PEM files; the key must have no password.",
             ) from error
         return context
 
 
 def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
-    """Of this computer's network cards."""
+    """Addresses of this computer's network cards."""
     import psutil
 
     cards = psutil.net_if_addrs().values()
@@ -97,14 +99,14 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
 
 
 def viewers_address(bind: str | None, certificate: Path | None, key: Path | None) -> ViewersAddress | None:
-    """What the options ask for, checked; None without them. Raises CLI-001."""
+    """The address from the options, checked; None without them. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
             raise UsageMistake("--certificate and --key go with --bind")
         return None
     if certificate is None or key is None:
         raise UsageMistake(
-            "--bind needs --certificate and --key: a patient is not shown to a network in the clear",
-            action="Give both PEM files; openssl req -x509 -newkey makes a pair for a rehearsal.",
+            "--bind needs --certificate and --key: patient data is not sent unencrypted",
+            action="Give both PEM files; openssl req -x509 -newkey makes a pair for tests.",
         )
     return ViewersAddress(bind, certificate, key)

@@ -25,7 +25,7 @@ MOTION = Need("motion", "it moves the device: allow it with --allow motion")
 DESTRUCTIVE = Need(
     "destructive", "it resets the device or changes its settings: allow it with --allow destructive"
 )
-LINE_FAULTS = Need("line faults", "nothing can be put between this driver and this endpoint")
+LINE_FAULTS = Need("line faults", "no proxy can be put between this driver and this endpoint")
 CHECKED_REPLIES = Need("checked replies", "the driver's wire protocol has no known checksums")
 HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
@@ -72,7 +72,7 @@ class CaseList:
     def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
         """Add the decorated function as a case; raises ValueError when the number is taken."""
         if any(other.number == number for other in self.cases):
-            raise ValueError(f"two cases have the number {number}")
+            raise ValueError(f"two cases have number {number}")
 
         def add(run: Run) -> Run:
             self.cases.append(Case(number, statement, needs, run))

@@ -36,7 +36,7 @@ class Choice:
             raise NoDeviceChosen("expected exactly one of --sim, --config and --endpoint")
         if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
             raise NoDeviceChosen(
-                f"--allow does not take {', '.join(unknown)}",
+                f"--allow does not accept {', '.join(unknown)}",
                 expected=" or ".join(PERMISSIONS),
                 action="Correct it.",
             )
@@ -118,7 +118,7 @@ def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
     named = [_named(text) for text in endpoints]
     names = [name for name, _ in named]
     if len(named) > 1 and (None in names or len(set(names)) < len(names)):
-        raise NoDeviceChosen("several endpoints need a name each", action="Write NAME=URI for each.")
+        raise NoDeviceChosen("each of several endpoints needs a name", action="Write NAME=URI for each.")
     return dict(named)
 
 
@@ -133,10 +133,10 @@ def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
         for name, address in wanted.items()
     )
     raise NoDeviceChosen(
-        f"{driver} has other endpoints",
+        f"the endpoints do not match {driver}",
         expected=", ".join(name or "one without a name" for name in wanted),
         got=", ".join(name or "one without a name" for name in addresses),
-        action=f"Give for example {given}.",
+        action=f"Example: {given}.",
     )
 
 

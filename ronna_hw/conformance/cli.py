@@ -32,25 +32,27 @@ app = typer.Typer(name="ronna-conformance", no_args_is_help=True, add_completion
 @app.command(no_args_is_help=True)
 def conformance(
     kind: Annotated[Literal["tracker", "robot", "stereo"], typer.Argument(help="What to test.")],
-    sim: Annotated[bool, typer.Option("--sim", help="Start the simulator and test on it.")] = False,
-    config: Annotated[Path | None, typer.Option(help="Test the device of this theatre file.")] = None,
+    sim: Annotated[bool, typer.Option("--sim", help="Start the simulator and test against it.")] = False,
+    config: Annotated[Path | None, typer.Option(help="Test the device in this theatre file.")] = None,
     endpoint: Annotated[
         list[str] | None, typer.Option(help="Test the device at this URI, or NAME=URI for each of several.")
     ] = None,
-    driver: Annotated[str | None, typer.Option(help="Driver to test, by its entry point.")] = None,
-    device: Annotated[str | None, typer.Option(help="Which robot of the theatre file.")] = None,
+    driver: Annotated[str | None, typer.Option(help="Entry point of the driver to test.")] = None,
+    device: Annotated[str | None, typer.Option(help="Robot of the theatre file.")] = None,
     allow: Annotated[
-        list[str] | None, typer.Option(help="Also run cases that need this: motion or destructive.")
+        list[str] | None, typer.Option(help="Also run cases that require this: motion or destructive.")
     ] = None,
     only: Annotated[
-        list[str] | None, typer.Option(help="Run only cases whose number starts so, such as P or T2.")
+        list[str] | None, typer.Option(help="Run only cases whose number starts with this, such as P or T2.")
     ] = None,
     confirmed_by: Annotated[
         str | None,
-        typer.Option(help="Who stands by an arm that is allowed to move; prompted for when not given."),
+        typer.Option(
+            help="Name of the person standing by an arm that is allowed to move; prompted for if not given."
+        ),
     ] = None,
     report_file: Annotated[
-        Path | None, typer.Option("--report", help="Write the whole report here, as JSON.")
+        Path | None, typer.Option("--report", help="Write the full report to this file, as JSON.")
     ] = None,
     json: JsonOption = False,
 ) -> int:
@@ -90,10 +92,10 @@ def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: s
     tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
     name = given
     if name is None and on_terminal(sys.stdin):
-        tell("Make sure that nobody and nothing is within its reach, and hold the emergency stop.")
+        tell("Make sure that its reach is clear of persons and objects, and hold the emergency stop.")
         name = typer.prompt("Confirmed by", default="", show_default=False, err=True)
     if not name or not name.strip():
-        raise NotConfirmed(f"nobody has confirmed that {dut.name} may move", expected="a person's name")
+        raise NotConfirmed(f"motion of {dut.name} has not been confirmed", expected="a person's name")
     return name.strip()
 
 

@@ -93,14 +93,14 @@ class DeviceCases:
         diagnostics = load_probe(dut.config.driver)(dut.name, dut.config, shares.append)
         for diagnostic in diagnostics:
             check(bool(diagnostic.subject and diagnostic.seen), "a subject and what was seen", diagnostic)
-            check(diagnostic.well or bool(diagnostic.advice), "advice on what is not well", diagnostic)
+            check(diagnostic.well or bool(diagnostic.advice), "advice for what is not OK", diagnostic)
         recognized = [
             f for f in diagnostics if f.well and (identity.model in f.seen or identity.serial in f.seen)
         ]
         check(bool(recognized), f"a diagnostic that names {identity.model} {identity.serial}", diagnostics)
         check(all(0 <= share <= 1 for share in shares), "progress between 0 and 1", shares)
         again = dut.make().connect()
-        check(again == identity, "a device that the probe has let go of", again)
+        check(again == identity, "a device that the probe has released", again)
 
 
 def observe(device: Device, state: Lifecycle) -> LastKnown[object]:

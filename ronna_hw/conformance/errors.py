@@ -32,7 +32,7 @@ class NotConfirmed(RefusedError):
     code = "CNF-005"
     action = (
         "Stand by the arm with the emergency stop in hand and give your name at the prompt, or with "
-        "--confirmed-by where there is no terminal."
+        "--confirmed-by if there is no terminal."
     )
 
 

@@ -84,7 +84,7 @@ def apart_rad(a: JointVector, b: JointVector) -> float:
 def stands_at(arm: Any, joints_rad: JointVector) -> None:
     """Raise Nonconformity unless the arm has stayed at these axes."""
     moved = apart_rad(arm.read_state().joints_rad, joints_rad)
-    check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+    check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
 
 
 SUITE.case("R01", "the driver implements RobotArm and starts disconnected")(
@@ -106,7 +106,7 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.move_joints(here), StateError, "move_joints while connected")
 
 
-@SUITE.case("R04", "the axes can be read before the stream is started, and are plausible")
+@SUITE.case("R04", "the axes can be read before the stream starts, and are plausible")
 def state_is_readable(dut: DeviceUnderTest) -> None:
     reading: ArmReading = dut.at(Lifecycle.CONNECTED).read_state()
     check(reading.validity is Validity.OK, "validity ok", reading.validity)
@@ -131,7 +131,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
         dut.clock.sleep(HOLDING_S / 5)
         reading = arm.read_state()
         moved = apart_rad(reading.joints_rad, before)
-        check(moved < STANDS_STILL_RAD, "an arm that stands still", f"{degrees(moved):.5f} deg")
+        check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
         check(reading.commanded_rad is not None, "commanded axes while the stream runs")
         lag = apart_rad(reading.joints_rad, reading.commanded_rad or reading.joints_rad)
         check(lag < STANDS_STILL_RAD, "commanded axes where the arm is", f"{degrees(lag):.5f} deg")

@@ -113,7 +113,7 @@ def areas_are_honoured(dut: DeviceUnderTest) -> None:
     check(found == whole, f"the areas {whole}", found)
 
 
-@SUITE.case("S08", "an area beyond the sensor is refused, and the old one stays")
+@SUITE.case("S08", "an area beyond the sensor is refused, and the old one is kept")
 def impossible_areas_are_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     whole = [image.area for image in both(pair.grab_pair())]

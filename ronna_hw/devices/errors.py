@@ -30,7 +30,7 @@ class NotInTheatre(ConfigurationError, KeyError):
     """The theatre file lacks the device or table that was requested."""
 
     code = "DEV-007"
-    action = "Add its table to the theatre file, with driver and endpoint, or request one that is there."
+    action = "Add its table to the theatre file, with driver and endpoint, or request an existing one."
 
     __str__ = Exception.__str__  # a KeyError shows its message in quotes
 
@@ -39,7 +39,9 @@ class WrongKind(ConfigurationError):
     """The driver of a device does not provide the interface that was requested."""
 
     code = "DEV-008"
-    action = "Name a driver of that kind in the device's table, or request the interface that it provides."
+    action = (
+        "Name a driver of that kind in the device's table, or request an interface that its driver provides."
+    )
 
 
 class TheatreClosed(StateError):
@@ -81,4 +83,4 @@ class PersonNotNamed(RefusedError, ValueError):
     """A fault was acknowledged or a hazard confirmed without a person's name."""
 
     code = "DEV-006"
-    action = "Give the name of the person who takes responsibility for it."
+    action = "Give the name of the person who takes responsibility."

@@ -18,7 +18,7 @@ def new_frames(
 ) -> Iterator[TrackerFrame]:
     """Yield `count` measurements, or measurements without end; each is a new one, none is STALE.
 
-    `timeout_s`: host time for each. Raises DEV-009 when the tracker makes no new measurement in time, and
+    `timeout_s`: host time for each. Raises DEV-009 when the tracker delivers no new measurement in time, and
     whatever `read_frame` raises.
     """
     for _ in itertools.count() if count is None else range(count):
@@ -32,4 +32,4 @@ def _new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
         if frame.validity is not Validity.STALE:
             return frame
         time.sleep(ASK_AGAIN_S)
-    raise NoNewFrame(f"{tracker.name} makes no new measurement", limit=f"{timeout_s:g} s")
+    raise NoNewFrame(f"{tracker.name} delivers no new measurement", limit=f"{timeout_s:g} s")

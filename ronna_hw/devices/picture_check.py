@@ -32,7 +32,7 @@ def picture_diagnostics(subject: str, stereo: StereoPair, pairs: int) -> Iterato
     yield Diagnostic(
         f"{subject}pictures",
         whole == pairs,
-        f"{whole} of {pairs} pairs came whole",
+        f"{whole} of {pairs} pairs arrived complete",
         "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
     )
     yield from told
@@ -48,7 +48,7 @@ def _exposed(subject: str, pair: StereoReading) -> Iterator[Diagnostic]:
         saturated = float((image.pixels >= largest).mean())
         mean = float(image.pixels.mean()) / largest
         too_bright = saturated > MOST_SATURATED
-        advice = "Shorten exposure_us, or take the lamp away that shines into it." if too_bright else ""
+        advice = "Reduce exposure_us, or remove the lamp that shines into the lens." if too_bright else ""
         if mean < LEAST_MEAN_SHARE:
             advice = "Nothing bright is in view: is the lens covered, or the ring light off?"
         yield Diagnostic(

@@ -13,7 +13,7 @@ class JournalCorrupt(RonnaError):
 
 
 class RunChanged(RefusedError):
-    """The files of a run are not those that the run left."""
+    """The files of a run were changed after the run."""
 
     code = "PRO-033"
     action = "Do not rely on this run; keep the folder as it is. ronna-procedure verify RUN lists everything."

@@ -26,7 +26,7 @@ REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # what a run that goes on does not change any more
-FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN brings it to its end."
+FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN completes it."
 SHOWN = 3  # problems that an error names; verify lists all
 
 
@@ -129,11 +129,11 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
         what = f"torn: {len(chain.torn)} bytes after line {len(chain.lines)}"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
     if not is_closed(chain.lines) and broken is None:
-        what = "not closed: the run was killed, still runs, or its last lines are gone"
+        what = "not closed: the run was killed, is still running, or its last lines are missing"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
     run, name = chain.lines[0].get("run") if chain.lines else None, folder.resolve().name
     if run not in (None, name):
-        problems.append(Problem(JOURNAL_FILE, f"of the run {run}, in a folder that is named {name}"))
+        problems.append(Problem(JOURNAL_FILE, f"of run {run}, in a folder named {name}"))
     return chain
 
 
@@ -149,7 +149,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
             record = read_record(folder / name)
         except BadRecord as problem:
             there = (folder / name).exists()
-            problems.append(Problem(name, problem.what if there else "missing: the journal names it"))
+            problems.append(Problem(name, problem.what if there else "missing: named in the journal"))
             series = None
         else:
             wrong = [Problem(name, what) for what in _unlike(record, line, run, known)]
@@ -163,13 +163,13 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
 def _unlike(record: Record, line: Line, run: object, known: Mapping[str, Parent]) -> Iterator[str]:
     step, _, trajectory = str(line.get("step")).partition(":")
     if record.sha256 != line.get("sha256"):
-        yield "not the record that the journal names"
+        yield "not the record named in the journal"
     if record.identifier != line.get("record"):
-        yield f"says that it is {record.identifier}"
+        yield f"identifies itself as {record.identifier}"
     if (record.kind, record.trajectory) != (step, trajectory or None):
         yield f"is of {record.kind} {record.trajectory or ''}, not of {line.get('step')}"
     if run is not None and record.run != run:
-        yield f"is of the run {record.run}"
+        yield f"is of run {record.run}"
     for identifier, sha256 in record.parents.items():
         parent = known.get(identifier)
         if parent is None or parent.sha256 != sha256:
@@ -212,7 +212,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         yield from _against(folder, seal.files)
         yield from _added([name for name in there if name not in named and name not in seal.files])
     elif closed:
-        yield Problem(SEAL_FILE, "of an earlier end: the last was not sealed", unfinished=True)
+        yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
 
 
 def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
@@ -242,16 +242,16 @@ def _against(folder: Path, hashes: Mapping[str, str]) -> Iterator[Problem]:
 def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
     for name in names:
         if not sealed and name.endswith(PARTIAL):
-            yield Problem(name, "half written: the program was killed", unfinished=True)
+            yield Problem(name, "incomplete: the program was killed while writing", unfinished=True)
         else:
-            yield Problem(name, "added: no part of the run")
+            yield Problem(name, "added: not part of the run")
 
 
 def _why_unread(error: OSError | InputRefused) -> str:
     if isinstance(error, InputRefused):
         return error.summary
     if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
-        return "exchanged: no regular file"
+        return "replaced: not a regular file"
     return f"cannot be read: {error.strerror}"
 
 

@@ -112,7 +112,7 @@ def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
         if entry is None or entry.get("previous") != previous or entry.get("sequence") != number:
             if _is_torn(content[begin:]):
                 return
-            what = "is no line of a journal" if entry is None else "does not follow the line before it"
+            what = "is not a journal line" if entry is None else "does not follow the line before it"
             raise JournalCorrupt(f"line {number + 1} of {name} {what}")
         yield entry, end
         previous = _hash(content[begin:end])

@@ -44,7 +44,7 @@ class Seal(BaseModel):
     schema_version: int = Field(default=2, alias="schema")
     journal_bytes: int = Field(description="Length of the journal that was sealed.")
     journal_sha256: str
-    files: dict[str, str] = Field(description="Files that the journal does not name, with their SHA-256.")
+    files: dict[str, str] = Field(description="Files not named in the journal, with their SHA-256.")
     own_sha256: str = ""
 
     @property

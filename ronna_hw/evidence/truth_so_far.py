@@ -46,12 +46,12 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
             yield name, "missing"
             continue
         except OSError as error:
-            yield name, f"exchanged, or cannot be read: {error.strerror}"
+            yield name, f"replaced, or cannot be read: {error.strerror}"
             continue
         if len(before) < size or hashlib.sha256(before).hexdigest() != sha256:
             yield name, "changed"
         elif after and not (name in GROWING and _begun(lines[number + 1 :])):
-            yield name, "goes on after what the journal names, and no step was running"
+            yield name, "continues beyond the journal, and no step was running"
 
 
 def _begun(lines: Sequence[Line]) -> bool:

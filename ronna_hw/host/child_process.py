@@ -30,7 +30,7 @@ class ChildNotReady(LinkTimeout):
     """A child process ended or stayed silent instead of becoming ready."""
 
     code = "PRC-001"
-    action = "Run the command alone to see what stops it."
+    action = "Run the command alone to see why it stops."
 
 
 class ChildProcess:

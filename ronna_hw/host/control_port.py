@@ -35,7 +35,7 @@ class ControlRequestRefused(ConfigurationError):
     """A running theatre or simulated device refused a request at its control port."""
 
     code = "CTL-002"
-    action = "Correct what the reason names; the control endpoint is given whole, token included."
+    action = "Correct the stated reason; give the complete control endpoint, token included."
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ class ControlPortClient:
 
     def _silent(self, reason: object) -> ControlPortSilent:
         words = reason.strerror if isinstance(reason, OSError) and reason.strerror else reason
-        return ControlPortSilent(f"no answer at the control port {self._endpoint}: {words}")
+        return ControlPortSilent(f"no answer from the control port {self._endpoint}: {words}")
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:

@@ -11,7 +11,7 @@ class TooFewOpenFiles(RonnaError):
     """The system lets this program have too few files and sockets open for what it is asked to do."""
 
     code = "PRC-002"
-    action = "Allow more, with ulimit -n in this shell or LimitNOFILE of the service, and start again."
+    action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
 
 
 def require_open_files(needed: int) -> None:
@@ -20,5 +20,5 @@ def require_open_files(needed: int) -> None:
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return
     if hard != resource.RLIM_INFINITY and hard < needed:
-        raise TooFewOpenFiles("too few files may be open at once", expected=f"{needed}", got=f"{hard}")
+        raise TooFewOpenFiles("the limit of open files is too low", expected=f"{needed}", got=f"{hard}")
     resource.setrlimit(resource.RLIMIT_NOFILE, (needed, hard))

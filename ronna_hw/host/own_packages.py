@@ -18,7 +18,7 @@ class ForeignPackage(ConfigurationError):
     """One of our packages is shadowed by another of the same name on the path."""
 
     code = "CFG-003"
-    action = "Use a separate virtual environment, and do not run from a folder that holds such a package."
+    action = "Use a separate virtual environment, and do not run from a folder that contains such a package."
 
 
 def foreign_packages() -> tuple[str, ...]:

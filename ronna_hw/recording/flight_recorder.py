@@ -136,4 +136,4 @@ class FlightRecorder:
                 files.write(lines)
         except OSError as error:
             self._files[link] = None
-            logger(part="flight recorder").warning("bytes are no longer kept", link=link, cause=error)
+            logger(part="flight recorder").warning("bytes are no longer recorded", link=link, cause=error)

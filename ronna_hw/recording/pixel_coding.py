@@ -33,7 +33,7 @@ def pack_pixels(pixels: Pixels) -> bytes:
 def unpack_pixels(packed: bytes, shape: tuple[int, int], kind: str) -> Pixels:
     """The array again, read-only. Raises ValueError when the bytes do not make one."""
     if kind not in TYPES:
-        raise ValueError(f"{kind} is no type of pixels")
+        raise ValueError(f"{kind} is not a pixel type")
     wanted = np.dtype(TYPES[kind])
     raw = np.frombuffer(inflate(packed, LARGEST_BYTES), dtype=np.uint8)
     planes = raw.reshape(wanted.itemsize, *shape)

@@ -132,7 +132,7 @@ class ReadingTape:
             except (OSError, TypeError, ValueError) as error:  # the disk, or an answer of no known form
                 self._full = True
                 self._queue.clear()
-                logger(part="reading tape").warning("readings are no longer kept", cause=error)
+                logger(part="reading tape").warning("readings are no longer recorded", cause=error)
                 self._close_files()
 
     def _run(self) -> None:

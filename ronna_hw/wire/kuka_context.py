@@ -48,7 +48,7 @@ class ContextInvalid(ConfigurationError):
     """A file that describes an RSI context is malformed."""
 
     code = "WIR-001"
-    action = "Correct the named entries; compare with ronna_hw/wire/kuka_rsi_context.toml."
+    action = "Correct the listed entries; compare with ronna_hw/wire/kuka_rsi_context.toml."
 
 
 class _Table(BaseModel):

@@ -288,7 +288,7 @@ ERROR_MEANINGS: Final = MappingProxyType(
         0x09: "bad tracking priority",
         0x0A: "bad LED number",
         0x0B: "bad LED state",
-        0x0C: "not valid in the present mode of the unit",
+        0x0C: "not valid in the current mode of the unit",
         0x0D: "no tool on that handle",
         0x0E: "handle not initialised",
         0x0F: "handle not enabled",

@@ -71,7 +71,7 @@ STOPPED = (
     Case("robot overload", ("RSI-005",), "following error"),
     Case("robot program restart", ("RSI-008", "RSI-003", "EKI-010"), ""),
     Case("robot eki cut", ("EKI-002",), "closed the connection"),
-    Case("robot eki half telegram", ("EKI-004",), "is cut off"),
+    Case("robot eki half telegram", ("EKI-004",), "is truncated"),
     Case("robot eki silence for 60 s", ("EKI-003",), "is silent", speed_fraction=0.1),
 )
 QUICK = ("robot foreign sender for 4 s", "robot overload")  # others stop in test_robot_stop_times.py

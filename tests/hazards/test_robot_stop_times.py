@@ -44,7 +44,7 @@ CASES = (
     Case("robot emergency stop for 1 s", "EKI-010", "emergency stop is active"),
     Case("robot guard open for 1 s", "EKI-010", "guard is open"),
     Case("robot eki cut", "EKI-002", "closed the connection"),
-    Case("robot eki half telegram", "EKI-004", "is cut off"),
+    Case("robot eki half telegram", "EKI-004", "is truncated"),
     Case("robot mode T1 for 1 s", "EKI-010", "operating mode is T1"),
     Case("robot drives off", "EKI-010", "drives are off"),
     Case("robot collision", "EKI-010", "message 117"),

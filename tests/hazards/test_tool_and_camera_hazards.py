@@ -80,7 +80,7 @@ def test_a_calibration_of_the_future_is_refused_for_the_clock_may_have_been_set_
     cell: RecordingCell,
 ) -> None:
     to_come = cell.calibrations.tool_tip.model_copy(update={"created": datetime.now(UTC) + timedelta(days=2)})
-    with pytest.raises(CalibrationExpired, match="still to come"):
+    with pytest.raises(CalibrationExpired, match="in the future"):
         run_set_up(cell, tool_tip=to_come)
 
 

@@ -82,7 +82,7 @@ def test_a_controller_that_is_taken_is_written_down_with_the_reason(
     finally:
         ask_control_port(cell["endpoints"]["control"], "clear_faults")
     assert done.returncode == EXIT_DONE
-    assert "It would not be identified: EKI-002" in lab.read_text()
+    assert "It could not be identified: EKI-002" in lab.read_text()
 
 
 def test_where_no_controller_answers_none_is_found(

@@ -38,7 +38,7 @@ def require_control(control: ControlChannel, deadline_s: float) -> None:
     except CommandRefused as error:  # under another's exclusive access even reading is rejected
         raise ControlLost(f"{control.address} is controlled by another application") from error
     if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
-        raise ControlLost(f"{control.address} has dropped its controller", got=f"privilege {privilege}")
+        raise ControlLost(f"{control.address} has released control", got=f"privilege {privilege}")
 
 
 def _ask(control: ControlChannel, deadline_s: float) -> str | None:

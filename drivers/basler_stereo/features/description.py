@@ -79,7 +79,7 @@ def parse_url(url: str) -> tuple[str, int, int]:
     if not 0 < place[1] <= LARGEST_FILE_BYTES:
         raise BadDescription("the description has an invalid length", got=length[:LONGEST_SHOWN])
     if not 0 <= place[0] < ADDRESS_LIMIT - place[1]:
-        raise BadDescription("the description lies at an impossible address", got=address[:LONGEST_SHOWN])
+        raise BadDescription("the description is at an impossible address", got=address[:LONGEST_SHOWN])
     return name.lstrip("/"), *place
 
 

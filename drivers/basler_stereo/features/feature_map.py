@@ -253,7 +253,7 @@ class FeatureMap:
         for field in node.all("pIndex"):
             address += int(self._read(field.text, depth + 1)) * self._index_step(field, node, depth)
         if not 0 <= address < ADDRESS_LIMIT:
-            raise BadDescription(f"{node.name} lies at an impossible address", got=f"{address}")
+            raise BadDescription(f"{node.name} is at an impossible address", got=f"{address}")
         return address
 
     def _index_step(self, field: Field, node: Node, depth: int) -> int:

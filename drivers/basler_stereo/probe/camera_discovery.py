@@ -17,8 +17,8 @@ DRIVER = "basler_stereo"
 SIDES = ("left", "right")
 EXAMPLE_ADDRESSES = ("192.168.3.10", "192.168.3.11")
 EXAMPLE_SERIALS = ("21904411", "21904412")
-WHICH_IS_LEFT = "left and right: cover one lens and see which picture turns dark; swap both lines if need be."
-NAMES_TELL = "The names that the cameras carry tell left from right."
+WHICH_IS_LEFT = "left and right: cover one lens and see which image goes dark; swap both lines if necessary."
+NAMES_TELL = "The names stored in the cameras identify left and right."
 
 
 def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:

@@ -55,7 +55,9 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     serials = [each.serial for each in found]
     doubled = sorted({serial for serial in serials if serials.count(serial) > 1})
     advice = (
-        f"{' and '.join(doubled)} replied several times: another cell is on this network." if doubled else ""
+        f"{' and '.join(doubled)} replied several times: there is another cell on this network."
+        if doubled
+        else ""
     )
     return Diagnostic(f"cameras on {interface.name}", True, ", ".join(map(_shown, found)), advice)
 
@@ -75,7 +77,7 @@ def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Exp
     if controller.taken:
         advice = _taken(controller)
     elif camera.packet_bytes is None:
-        advice = "It refused control although no application has it: switch it off and on."
+        advice = "It refused control although no application has it: power-cycle it."
     elif not camera.packet_bytes:
         advice = "No test packet arrived: a firewall drops UDP from the camera, or it sends none."
     else:
@@ -119,15 +121,15 @@ def _who(controller: Controller) -> str:
         return str(controller.process)
     if controller.port:
         return f"{controller.address}:{controller.port}"
-    return "an application that the camera does not name"
+    return "an application not identified by the camera"
 
 
 def _taken(controller: Controller) -> str:
     if controller.process is not None:
-        return "End that program; a camera releases one that died within its heartbeat time-out."
+        return "Stop that program; a camera releases a crashed one within its heartbeat time-out."
     if controller.here:
         return "That program has ended, or belongs to another user: wait for the heartbeat time-out, or ask."
-    return "Close the program on the other computer; if it died, wait for its heartbeat time-out."
+    return "Close the program on the other computer; if it crashed, wait for its heartbeat time-out."
 
 
 def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
@@ -140,7 +142,7 @@ def _wrong_serial(serial: str, found: Sequence[CameraIdentity]) -> str:
 
 
 def _small_packets(interface: Interface | None) -> str:
-    where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path is narrow"
+    where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path MTU is small"
     return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
 
 
@@ -152,12 +154,10 @@ def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnos
     via = f" via {interface.name} ({interface.address})" if interface else ""
     elsewhere = _elsewhere(camera, found)
     if camera.response is Response.REFUSED:
-        advice = (
-            "A computer is at this address, not a camera: check power and cable of the camera, its address."
-        )
+        advice = "A computer is at this address, not a camera: check the camera's power, cable and address."
         return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere)
     if interface is not None and not interface.reaches(camera.endpoint.host):
-        advice = "No network card here is in its subnet: camera and host must share one."
+        advice = "No network card of this computer is in its subnet: camera and host must share one."
     else:
         advice = "Check power and cable of the camera, and its address."
     return Diagnosis(False, f"silent{via}", advice + elsewhere)

@@ -97,8 +97,8 @@ def _correction_channels(context: RsiContext) -> set[int]:
 
 
 def generate(
-    folder: Annotated[Path, typer.Argument(help="Where to write the files.")],
-    description: Annotated[Path | None, typer.Option(help="Another context description (TOML).")] = None,
+    folder: Annotated[Path, typer.Argument(help="Folder for the files.")],
+    description: Annotated[Path | None, typer.Option(help="Alternative context description (TOML).")] = None,
 ) -> None:
     """Write the controller's files."""
     folder.mkdir(parents=True, exist_ok=True)

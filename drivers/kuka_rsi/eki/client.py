@@ -64,8 +64,8 @@ class Listener(Protocol):
 
 
 NOT_TAKEN_UP = (
-    "A controller serves one program at a time: another run, or another computer, has the arm. "
-    "End that one, or leave it alone; there is nothing to recover."
+    "A controller serves one program at a time: another run or another computer has the arm. Stop that "
+    "one, or wait; there is nothing to recover."
 )
 
 

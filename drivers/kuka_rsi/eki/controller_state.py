@@ -49,7 +49,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     get = element.get
     axis = element.find(AXIS)
     if element.tag != STATE or axis is None:
-        raise BadEkiTelegram("a State without its axes", wire=ElementTree.tostring(element))
+        raise BadEkiTelegram("a State without axes", wire=ElementTree.tostring(element))
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     try:
         A1, A2, A3, A4, A5, A6 = (_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)

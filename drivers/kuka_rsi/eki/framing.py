@@ -60,7 +60,7 @@ class TelegramScanner:
                 self._begin, self._place = -1, 0
         if len(self._buffer) > LONGEST_TELEGRAM:
             raise BadEkiTelegram(
-                "a telegram without an end", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
+                "a telegram without end tag", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
             )
 
     def _next_tag(self) -> tuple[int, int] | None:
@@ -91,7 +91,7 @@ class TelegramScanner:
         return None
 
     def _break_off(self) -> NoReturn:
-        raise BadEkiTelegram("a telegram is cut off", expected="its end", wire=bytes(self._buffer))
+        raise BadEkiTelegram("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
 
 
 def _name(tag: bytes) -> bytes:

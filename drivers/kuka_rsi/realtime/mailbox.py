@@ -208,7 +208,7 @@ class Mailbox:
             state = _STATE.read(self._memory)
             if state is not None:
                 return state
-        raise MailboxTorn("the state row is never whole")
+        raise MailboxTorn("the state row is never consistent")
 
     def said_alive_ns(self) -> int:
         """When the real-time process last looked round, host monotonic; 0 before the first time."""

@@ -301,5 +301,5 @@ class CommandLink:
         if silent_s >= limit_s:
             raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
         raise NoReply(
-            "the unit has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
+            "the link has not resynchronised yet", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s"
         )

@@ -47,7 +47,7 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
     try:
         link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
     except MalformedReply as error:
-        raise NotAPolaris("the line sends unasked and never falls silent", wire=error.wire) from error
+        raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
     transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
     rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
     # over TCP there is no other rate to try: wait the full time limit

@@ -18,7 +18,7 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import users_of_serial_port
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
-WRITE_LIMIT_S = 1.0  # a line that accepts no bytes for this long is dead
+WRITE_LIMIT_S = 1.0  # a line that does not accept data for this long is dead
 BREAK_MS = 500  # as long as other clients hold it
 READ_BYTES = 65536
 CLOSED = -1  # no file has this descriptor
@@ -30,8 +30,8 @@ _ADVICE = {
     errno.ENOTTY: f"Not a serial port; {_LISTED}",
     errno.EISDIR: f"Not a serial port; {_LISTED}",
     errno.EACCES: "Join the group that owns the port (often `dialout`), then log in again.",
-    errno.EAGAIN: "Another program holds the port: end it, then try again.",
-    errno.EBUSY: "Another program holds the port: end it, then try again.",
+    errno.EAGAIN: "Another program holds the port: stop it, then try again.",
+    errno.EBUSY: "Another program holds the port: stop it, then try again.",
     errno.ECONNREFUSED: f"Nothing listens there: {_AT_THE_ADDRESS}",
     errno.ETIMEDOUT: f"No reply from there: {_AT_THE_ADDRESS}",
     errno.EHOSTUNREACH: f"No reply from there: {_AT_THE_ADDRESS}",
@@ -118,7 +118,7 @@ class _Descriptor:
         while data:
             left_s = until_s - time.monotonic()
             if left_s <= 0 or not writable.poll(left_s * 1000):
-                raise LinkLost(f"{self._endpoint} accepts no bytes", limit=f"{WRITE_LIMIT_S} s")
+                raise LinkLost(f"{self._endpoint} does not accept data", limit=f"{WRITE_LIMIT_S} s")
             try:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:

@@ -64,24 +64,24 @@ def diagnose(line: LineState) -> Diagnosis:
     if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
         return Diagnosis(
             False,
-            f"echoes what we send {_where(noisy[0])}",
+            f"echoes our commands {_where(noisy[0])}",
             "A loop-back plug, or a terminal with its echo on: there is no unit.",
         )
     if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
         return Diagnosis(
             False,
-            "a robot controller that sends its state by EKI, no tracker",
-            "To judge it, name it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
+            "a robot controller that sends its state over EKI, not a tracker",
+            "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
         )
     seen = "; ".join(f"garbage {_where(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:])
     if (text := _as_text(noisy[-1].heard)) is not None:
         advice = f"It sends text ({text!r}): another device or program is on this line."
     elif line.endpoint.scheme == "tcp":
-        advice = "Another device or program listens there: check address and port."
+        advice = "Another device or program is listening there: check address and port."
     else:
         advice = (
-            "Probably another rate, or another device. If it is the tracker: switch it off and on, "
-            f"which resets it to {DEFAULT_BAUD} baud."
+            "Probably another rate, or another device. If it is the tracker: power-cycle it, which resets "
+            "it to {DEFAULT_BAUD} baud."
         )
     return Diagnosis(False, seen, advice)
 
@@ -95,18 +95,21 @@ def _not_opened(line: LineState) -> Diagnosis:
         return Diagnosis(False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path))
     if line.users:
         users = " and ".join(str(user) for user in line.users)
-        return Diagnosis(False, f"held by another program: {users}", "End that program, or use another port.")
+        return Diagnosis(
+            False, f"held by another program: {users}", "Stop that program, or use another port."
+        )
     if line.opening is Opening.HELD:
         return Diagnosis(
             False,
-            "held by another program, which this user may not see",
+            "held by another program, not visible to this user",
             f"Find it with: sudo fuser -v {endpoint.path}",
         )
     if line.opening is Opening.CLOSED:
         return Diagnosis(
             False,
             "the connection is closed as soon as it is used",
-            "The unit may be serving another client: end that one. Otherwise another program listens there.",
+            "The unit may be serving another client: stop that one. Otherwise another program is "
+            "listening there.",
         )
     assert line.refusal is not None
     return Diagnosis(False, line.refusal.reason, line.refusal.advice)
@@ -121,7 +124,7 @@ def _answered(attempt: Attempt) -> Diagnosis:
         True,
         seen,
         f"An earlier program left it at this rate. Our driver finds it there; others need {DEFAULT_BAUD}: "
-        "switch the unit off and on for them.",
+        "power-cycle the unit for them.",
     )
 
 
@@ -130,7 +133,7 @@ def _silent(line: LineState) -> Diagnosis:
         return Diagnosis(
             False,
             "accepts the connection and sends nothing",
-            "Another program listens there, or the unit serves another client: check address and port.",
+            "Another program is listening there, or the unit serves another client: check address and port.",
         )
     tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not Outcome.REFUSED]
     return Diagnosis(

@@ -20,7 +20,7 @@ EXAMPLE_LINE = "serial:///dev/ttyUSB0"
 # Drawn for the published kind of frame; a lab's own definition has its own distances.
 FRAME = {"name": "robot_frame", "rom": "robot_frame.rom"}
 TOOLS = (
-    "tools: give the definition of the frame on your mount; the one named here comes with the driver. "
+    "tools: give the definition of the frame on your mount; the one entered here is shipped with the driver. "
     "ronna-rom compare shows the distances of two definitions.",
 )
 
@@ -45,7 +45,7 @@ def _proposal(line: Endpoint) -> Proposal:
     try:
         identity = tracker.connect(CONNECT_LIMIT_S)
     except RonnaError as error:
-        remark = f"It answers, and would not be identified: {error.code} {error.summary}"
+        remark = f"It answers, but could not be identified: {error.code} {error.summary}"
         return Proposal(DRIVER, "a unit", {ONLY: str(line)}, _options({}), (remark, *TOOLS))
     finally:
         tracker.close()

@@ -77,7 +77,7 @@ class SweptPath:
             return
         raise NotClear(
             f"on {what} the {bad.first} would come too close to the {bad.second}, "
-            f"{bad.parameter:.0%} of the way",
+            f"{bad.parameter:.0%} of the path",
             limit=f"{self.bodies.surroundings.margin_mm:g} mm",
             got=f"{bad.distance_mm:.1f} mm",
         )

@@ -84,7 +84,7 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
     if singular is not None:
         raise singular
     if not found:
-        raise OutOfJointRange("the pose is within reach, but every branch leaves the joint ranges")
+        raise OutOfJointRange("the pose is within reach, but every branch is outside the joint ranges")
     return tuple(found)
 
 
@@ -180,7 +180,7 @@ def _wrist(pose: Pose, first: tuple[float, float, float], flipped: bool) -> tupl
     yx = c23 * (c1 * r[1] - s1 * r[4]) - s23 * r[7]
     sine = hypot(zy, zz)
     if sine < SINGULAR_A5_RAD:
-        raise Singular("A4 and A6 are in one line", limit=f"A5 {SINGULAR_A5_RAD} rad", got=f"{sine:.2e} rad")
+        raise Singular("A4 and A6 are aligned", limit=f"A5 {SINGULAR_A5_RAD} rad", got=f"{sine:.2e} rad")
     if flipped:
         return (atan2(zy, zz), -atan2(sine, zx), atan2(yx, xx))
     return (atan2(-zy, -zz), atan2(sine, zx), atan2(-yx, -xx))

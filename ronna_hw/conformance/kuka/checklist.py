@@ -24,7 +24,7 @@ _LINES: dict[int, str] = {
     14: "S: a reply with a wrong Type, a wrong IPOC or broken XML does not count",
     15: "S: the socket is drained each cycle; one late reply delays no other",
     16: "S: HOLDON 1 keeps and 0 zeroes, element by element",
-    17: "S: late cycles are counted in D and end the run at Timeout, in both ways of counting",
+    17: "S: late cycles are counted in D and end the run at Timeout, in both counting modes",
     18: "S: ONLYSEND never counts and ignores replies",
     19: "S: the wiring gives a tag its meaning: AK, AKorr, RKorr",
     20: "S: ABSOLUTE is start plus value, RELATIVE adds the value every cycle",
@@ -37,7 +37,7 @@ _LINES: dict[int, str] = {
     27: "S: a rising edge of Stop ends the stream within two cycles and RSI_OFF",
     28: "S: a new run has a new IPOC and port; D: starts again without a jump",
     29: "D: no step above its limit, the first correction zero",
-    30: "D: silence is noticed within its limit, reported, and stops the motion",
+    30: "D: silence is detected within its limit, reported, and stops the motion",
     31: "D: late cycles by D and its own turnaround are reported",
     32: "D: works with RSIPI's echo server as controller",
     33: "S: works with RSIPI and the two C++ clients",
@@ -53,28 +53,28 @@ _LINES: dict[int, str] = {
     43: "S: every fault can be injected by name and at a given cycle, and is logged with IPOC",
     44: "D: no start outside EXT (or T1, confirmed), nor with emergency stop, guard or a message",
 }
-_SDK_CHANNEL = "a channel that no driver here uses: tests/system/kuka_sim/test_eki_channels.py"
+_SDK_CHANNEL = "a channel not used by any driver here: tests/system/kuka_sim/test_eki_channels.py"
 _ELSEWHERE: dict[int, str] = {
     18: "needs a context of its own: tests/unit/sim_kuka",
     19: "needs contexts of its own: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
-    24: "no real arm is made to jump: tests/unit/sim_kuka/rsi/test_program_run.py",
+    24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_program_run.py",
     26: "needs large motions: tests/unit/sim_kuka, tests/unit/arm",
-    32: "needs that program: tests/system/test_kuka_link_rsipi.py",
-    33: "needs that program: tests/system/test_kuka_sim_rsipi.py; the C++ ones are not on the index",
+    32: "needs RSIPI: tests/system/test_kuka_link_rsipi.py",
+    33: "needs RSIPI: tests/system/test_kuka_sim_rsipi.py; the C++ clients are not on the Python index",
     36: _SDK_CHANNEL,
     37: _SDK_CHANNEL,
     39: _SDK_CHANNEL,
     41: "not safe on a running controller: tests/unit/sim_kuka, tests/system/kuka_sim",
-    42: "nobody opens the guard for the suite: tests/system/kuka_sim/test_cell_faults.py",
+    42: "the suite cannot open the guard: tests/system/kuka_sim/test_cell_faults.py",
     43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
-    44: "nobody opens the guard for the suite: tests/unit/kuka_rsi",
+    44: "the suite cannot open the guard: tests/unit/kuka_rsi",
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {
     16: "HOLDON 0 needs a context of its own: tests/unit/sim_kuka",
-    17: "needs --allow destructive; the second way of counting: tests/unit/sim_kuka",
+    17: "needs --allow destructive; the second counting mode: tests/unit/sim_kuka",
     20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
     21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     30: "needs --allow destructive: the controller ends the run as well",

@@ -130,7 +130,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
             arm.deactivate()
 
 
-@case("L29b", "no correction steps further than a controller takes", needs=(MOTION,))
+@case("L29b", "no correction step exceeds what a controller accepts", needs=(MOTION,))
 def steps_are_small(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
@@ -150,7 +150,7 @@ def steps_are_small(dut: DeviceUnderTest) -> None:
             check(abs(b - a) <= limit, f"{axis} to step at most {limit:.4f} deg", f"{abs(b - a):.4f}")
 
 
-@case("L30", "silence of the controller is noticed in time and latched", needs=(DESTRUCTIVE, HOST_TIME))
+@case("L30", "silence of the controller is detected in time and latched", needs=(DESTRUCTIVE, HOST_TIME))
 def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
     with (

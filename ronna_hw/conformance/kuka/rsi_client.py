@@ -190,5 +190,5 @@ def stream(dut: DeviceUnderTest, prepare: Callable[[socket.socket], None] | None
 
 def _endpoint(dut: DeviceUnderTest, name: str) -> str:
     if name not in dut.config.endpoints:
-        raise NotShown(f"no endpoint {name} is given")
+        raise NotShown(f"no endpoint {name} given")
     return dut.config.endpoints[name]

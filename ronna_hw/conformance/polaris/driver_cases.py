@@ -70,7 +70,7 @@ def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, A
             dut.release()
 
 
-@case("D11", "the driver waits for a reply as long as the unit may take", needs=TAPPED)
+@case("D11", "the driver waits for a reply as long as the unit's time limit allows", needs=TAPPED)
 def waits_for_a_slow_unit(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (tap, tracker):
         name = reading_command(tap)
@@ -192,7 +192,7 @@ def rounded_quaternions(dut: DeviceUnderTest) -> None:
     try:
         dut.make(options={**dut.config.options, "reply": "TX"})
     except ConfigurationError as error:
-        raise NotShown("the driver has no option to read by TX") from error
+        raise NotShown("the driver has no option to read with TX") from error
     with tapped(dut, reply="TX") as (tap, tracker):
         check(reading_command(tap) == "TX", "readings by TX", tap.commands[-1])
         rotations = [tool.rotation for tool in tracker.read_frame(PATIENT_S).tools if tool.rotation]

@@ -21,8 +21,8 @@ FRAME_RATE_SPAN_S = 0.5
 FRAME_RATE_TOLERANCE_FRAMES = 4  # a busy computer requests a little late
 QUICK_REQUESTS = 40
 COUNTS_REQUESTS = (
-    "every request returns the next frame at once, however long the pause before it: the unit does not "
-    "follow the host's clock; name its clock with --config"
+    "every request returns the next frame immediately, however long the pause before it: the unit does not "
+    "follow the host's clock; give its clock with --config"
 )
 POSITION_TOLERANCE_MM = 0.0051  # half of the last digit of TX
 QUATERNION_TOLERANCE = 5.1e-5

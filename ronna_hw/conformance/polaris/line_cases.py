@@ -85,7 +85,7 @@ def unknown_command(dut: DeviceUnderTest) -> None:
         unit.refused("XYZZY:", 0x01)
 
 
-@case("P07", "a command that arrives byte by byte is understood", needs=NEEDS)
+@case("P07", "a command that arrives byte by byte is accepted", needs=NEEDS)
 def byte_by_byte(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         for byte in with_crc("APIREV:"):

@@ -53,7 +53,7 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
             CameraState(ENDPOINT, Response.SILENT, replace(CARD, address="10.0.0.5")),
             (),
             "silent",
-            "No network card here is in its subnet",
+            "No network card of this computer is in its subnet",
         ),
         (CameraState(ENDPOINT, Response.REFUSED, CARD), (), "refused", "not a camera"),
         (
@@ -87,7 +87,7 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
             replace(WELL, controller=Controller(True, "192.168.3.1", 40001, PortUser(812, "pylon viewer"))),
             (),
             "controlled by pylon viewer (pid 812)",
-            "End that program",
+            "Stop that program",
         ),
         (
             replace(WELL, controller=Controller(True, "192.168.3.1", 40001, here=True)),
@@ -98,10 +98,10 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
         (
             replace(WELL, controller=Controller(True)),
             (),
-            "application that the camera does not name",
+            "application not identified by the camera",
             "heartbeat",
         ),
-        (replace(WELL, packet_bytes=None), (), "no application in control", "switch it off and on"),
+        (replace(WELL, packet_bytes=None), (), "no application in control", "power-cycle it"),
         (replace(WELL, packet_bytes=0), (), "no application in control", "firewall"),
     ],
     ids=[

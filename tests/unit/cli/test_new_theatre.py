@@ -188,7 +188,7 @@ def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: 
     ("options", "told"),
     [
         (("--interface", "eth77"), "no network interface eth77"),
-        (("--controller", "192.168.10.300"), "192.168.10.300 is no IPv4 address"),
+        (("--controller", "192.168.10.300"), "192.168.10.300 is not an IPv4 address"),
         (
             ("--stream", "tcp://127.0.0.1:1"),
             "--stream: tcp://127.0.0.1:1 cannot be used here; expected udp://",

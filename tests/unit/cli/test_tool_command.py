@@ -143,7 +143,7 @@ def test_the_doctor_tells_of_a_guide_that_weighs_beyond_its_end(theatre: Path) -
         ("renew guide --by '' --gauge-mm 0 0 0 0 0", "name of a person; expected letters, got nothing"),
         ("renew guide --by Nurse --gauge-mm 9 0 400 0 0", "--gauge-mm: Z is 400; expected -10 to 10 mm"),
         ("renew gide --by Nurse --gauge-mm 0 0 0 0 0", "no tool 'gide' with a gauge; expected guide"),
-        ("define drill --purpose gripper --number 2", "drill has number 2, which is that of guide"),
+        ("define drill --purpose gripper --number 2", "drill has number 2, already used by guide"),
         (
             "define d --purpose gripper --gauge-deg -400 -75 99 0 66 180",
             "A1 is -400 degrees; expected -170",

@@ -90,7 +90,7 @@ def test_what_is_no_file_is_refused_by_its_path_and_not_waited_for(
     tmp_path: Path, read: Callable[[Path], Any], made: Callable[[Path], Path]
 ) -> None:
     path = made(tmp_path / "given.toml")
-    with pytest.raises(RonnaError, match=f"{path} is no regular file"):
+    with pytest.raises(RonnaError, match=f"{path} is not a regular file"):
         read(path)
 
 

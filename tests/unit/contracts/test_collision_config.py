@@ -38,7 +38,7 @@ def test_the_example_of_the_how_to_is_a_cell() -> None:
     ("keys", "said"),
     [
         ({"margin_mm": 3.0}, "live_margin_mm must be less than margin_mm"),
-        ({"zone": {"near_mm": 500.0}}, "far must be farther than near"),
+        ({"zone": {"near_mm": 500.0}}, "far_mm must exceed near_mm"),
         ({"bodies": [{**BODY, "radius_mm": 0.0}]}, "cell.bodies 1.radius_mm"),
         ({"bodies": [{**BODY, "radius_mm": 0.03}]}, "radius_mm: give millimetres, not metres (found 0.03)"),
         ({"bodies": [{**BODY, "frame": "table"}]}, "'head' or 'robot'"),

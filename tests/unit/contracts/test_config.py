@@ -171,6 +171,4 @@ def test_a_misspelt_key_is_told_with_the_one_that_is_missing_beside_it() -> None
     del record["stated_error_mm"]
     with pytest.raises(BadTheatreFile) as refused:
         parse_theatre({"schema": 1, "theatre": "a", "calibration": {"tool_tip": record}})
-    assert "tool_tip.stated_error: there is no such key (did you mean 'stated_error_mm'?)" in str(
-        refused.value
-    )
+    assert "tool_tip.stated_error: unknown key (did you mean 'stated_error_mm'?)" in str(refused.value)

@@ -101,7 +101,7 @@ def test_what_the_file_lacks_is_an_error_that_says_what_it_has(path: Path) -> No
 
 def test_a_device_of_the_wrong_kind_is_refused(path: Path) -> None:
     with pytest.raises(
-        WrongKind, match=r"DEV-008: device\.force: driver force offers no RobotArm: it lacks .*stop"
+        WrongKind, match=r"DEV-008: device\.force: driver force does not provide RobotArm: it lacks .*stop"
     ):
         Theatre.from_file(path).device("force", RobotArm)
 

@@ -26,11 +26,11 @@ def pair(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("0.0.0.0", "every network"),
-        ("::", "every network"),
-        ("127.0.0.1", "this computer itself"),
-        ("console.example", "no address"),
-        ("192.0.2.77", "no address of this computer"),
+        ("0.0.0.0", "all networks"),
+        ("::", "all networks"),
+        ("127.0.0.1", "the loopback address"),
+        ("console.example", "not an address"),
+        ("192.0.2.77", "not an address of this computer"),
     ],
 )
 def test_an_address_that_is_too_wide_or_not_of_this_computer_is_refused(
@@ -50,9 +50,9 @@ def test_an_address_without_its_files_and_files_without_an_address_are_refused(
 
 def test_files_that_are_no_pair_are_refused(pair: tuple[Path, Path], tmp_path: Path, own: str) -> None:
     (tmp_path / "other.pem").write_text("no certificate")
-    with pytest.raises(UsageMistake, match="no certificate with its key"):
+    with pytest.raises(UsageMistake, match="not a matching certificate and key"):
         ViewersAddress(own, tmp_path / "other.pem", pair[1]).check()
-    with pytest.raises(UsageMistake, match="no certificate with its key"):
+    with pytest.raises(UsageMistake, match="not a matching certificate and key"):
         ViewersAddress(own, pair[0], tmp_path / "nothing.pem").check()
 
 

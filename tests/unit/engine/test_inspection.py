@@ -152,8 +152,8 @@ def test_a_record_of_another_run_is_named(run: Path, tmp_path: Path) -> None:
     name = "records/02-localization-T1.json"
     shutil.copy(finished_run(tmp_path / "another") / name, run / name)
     what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
-    assert "not the record that the journal names" in what
-    assert "is of the run another" in what
+    assert "not the record named in the journal" in what
+    assert "is of run another" in what
 
 
 def other_date(folder: Path) -> None:
@@ -277,7 +277,7 @@ def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
     journal.close()
     assert not is_sealed(run)
     assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
-    with pytest.raises(RunChanged, match="the last was not sealed"):
+    with pytest.raises(RunChanged, match="the last end was not sealed"):
         inspected(run).require_whole()
     sealed(run)
     assert inspected(run).problems == ()
@@ -310,7 +310,7 @@ def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -
 def test_a_run_under_another_name_is_not_that_run(run: Path) -> None:
     assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
     renamed = run.rename(run.with_name("another"))
-    with pytest.raises(RunChanged, match="of the run run, in a folder that is named another"):
+    with pytest.raises(RunChanged, match="of run run, in a folder named another"):
         inspected(renamed).require_whole()
 
 

@@ -25,5 +25,5 @@ def test_a_soft_limit_is_raised_as_far_as_is_needed(limits: list[tuple[int, int]
 
 def test_a_hard_limit_is_told_with_the_number_that_is_needed(limits: list[tuple[int, int]]) -> None:
     limits.append((64, 64))
-    with pytest.raises(TooFewOpenFiles, match=r"PRC-002: too few files .* expected 96, got 64"):
+    with pytest.raises(TooFewOpenFiles, match=r"PRC-002: the limit of open files .* expected 96, got 64"):
         require_open_files(96)

@@ -49,7 +49,7 @@ AXES = tuple(f"AK.A{k}" for k in range(1, 7))
         (_with(wiring=[w for w in OURS["wiring"] if w["input"] != "A4"]), "AXISCORR is not wired for A4"),
         (_with(axis_correction=None), "limits of AXISCORR are missing"),
         (_with(axis_monitor=None), "limits of AXISCORRMON are missing"),
-        (_with(axis_correction=EXPLICIT), "would clamp in silence"),
+        (_with(axis_correction=EXPLICIT), "would clamp silently"),
         (_with(axis_monitor={"limits": "explicit", "max_deg": [6.0] * 6}), "wider than those of AXISCORRMON"),
         (_with(send=[e for e in OURS["send"] if e["tag"] != "DEF_Delay"]), "DEF_Delay is not sent"),
         (_with(send=[e for e in OURS["send"] if e["tag"] != "DEF_AIPos"]), "DEF_AIPos is not sent"),

@@ -38,7 +38,7 @@ def test_a_port_in_use_names_the_program(taken: Endpoint) -> None:
     diagnostic = stream_port_diagnostic(taken)
     assert not diagnostic.well
     assert f"(pid {os.getpid()})" in diagnostic.seen
-    assert "End that program" in diagnostic.advice
+    assert "Stop that program" in diagnostic.advice
 
 
 def test_a_port_in_use_by_an_unseen_program_names_the_command_that_finds_it(
@@ -46,7 +46,7 @@ def test_a_port_in_use_by_an_unseen_program_names_the_command_that_finds_it(
 ) -> None:
     monkeypatch.setattr(kuka_probe, "user_of_udp_port", lambda _address, _port: None)
     diagnostic = stream_port_diagnostic(taken)
-    assert "may not see" in diagnostic.seen
+    assert "not visible to this user" in diagnostic.seen
     assert f"ss -ulnp 'sport = {taken.port}'" in diagnostic.advice
 
 
@@ -99,5 +99,5 @@ def test_a_controller_that_hangs_up_at_once_serves_another_and_is_not_to_be_reco
         )
         refusing.join()
     assert "EKI-002" in arm.seen
-    assert "another run, or another computer, has the arm" in arm.advice
+    assert "another run or another computer has the arm" in arm.advice
     assert "Recover" not in arm.advice

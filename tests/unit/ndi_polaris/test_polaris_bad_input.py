@@ -82,7 +82,7 @@ def test_a_port_that_another_program_holds() -> None:
     path = os.ttyname(terminal)
     with (
         serial.Serial(path, exclusive=True),
-        raises_on_one_line("NDI-001", "held by another program", "end it"),
+        raises_on_one_line("NDI-001", "held by another program", "stop it"),
     ):
         tracker_at(f"serial://{path}").connect(1.0)
     os.close(unit)
@@ -138,7 +138,7 @@ def test_another_program_behind_the_address(talk: bytes) -> None:
 def test_a_program_that_never_stops_talking() -> None:
     with (
         a_server(talk_for_ever) as endpoint,
-        raises_on_one_line("NDI-003", "never falls silent", "another device or program"),
+        raises_on_one_line("NDI-003", "sends unsolicited data", "another device or program"),
     ):
         tracker_at(endpoint).connect(30.0)
 
@@ -200,7 +200,7 @@ def test_a_sound_definition_of_another_tool(make_tracker: Make, tmp_path: Path, 
     (tmp_path / "tool.rom").write_bytes(encode_definition(pointer))
     meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(robot_frame())}
     with raises_on_one_line(
-        "NDI-013", "tool.rom is not the definition with which tool M was set up", "of this tool"
+        "NDI-013", "tool.rom is not the definition configured for tool M", "of this tool"
     ):
         make_tracker(tools=[meant])
     make_tracker(tools=[{**meant, "sha256": definition_hash(pointer)}])

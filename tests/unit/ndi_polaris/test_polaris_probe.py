@@ -122,7 +122,7 @@ def test_another_device_that_speaks_text_is_quoted(other_end: Callable[[Answer],
 def test_a_loop_back_is_known(other_end: Callable[[Answer], OtherEnd]) -> None:
     diagnosis = diagnose(look_at_line(other_end(lambda _rate, said: said).endpoint))
     assert not diagnosis.well
-    assert "echoes what we send" in diagnosis.seen
+    assert "echoes our commands" in diagnosis.seen
 
 
 def test_a_spoilt_first_question_is_asked_again(other_end: Callable[[Answer], OtherEnd]) -> None:
@@ -179,7 +179,7 @@ def test_a_lock_whose_holder_cannot_be_seen_is_reported_as_one(
         diagnosis = diagnose(look_at_line(end.endpoint))
     finally:
         os.close(locked)
-    assert "held by another program, which this user may not see" in diagnosis.seen
+    assert "held by another program, not visible to this user" in diagnosis.seen
     assert f"sudo fuser -v {end.path}" in diagnosis.advice
 
 
@@ -234,7 +234,7 @@ def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
     [
         (ANSWER, True, "answered: G.001.005"),
         (b"\x00\x01\xfe\xff", False, "garbage over TCP: bytes 00 01 fe ff"),
-        (b'<State Mode="EXT"></State>', False, "a robot controller that sends its state by EKI"),
+        (b'<State Mode="EXT"></State>', False, "a robot controller that sends its state over EKI"),
         (b"", False, "sends nothing"),
         (None, False, "closed as soon as it is used"),
     ],

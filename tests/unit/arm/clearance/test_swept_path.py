@@ -63,7 +63,9 @@ def _along_the_needle(distance_mm: float) -> MotionPlan:
 @pytest.mark.hazard(24)
 def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 9.0)))
-    with pytest.raises(NotClear, match=r"needle would come too close to the post, 4\d% of the way") as caught:
+    with pytest.raises(
+        NotClear, match=r"needle would come too close to the post, 4\d% of the path"
+    ) as caught:
         path.require("the move")
     assert caught.value.code == "ARM-007"
     assert caught.value.limit == "10 mm"

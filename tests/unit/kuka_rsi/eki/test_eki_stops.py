@@ -120,14 +120,17 @@ def _half(controller: Any, ends_with: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("broken", "words"),
     [
-        pytest.param(lambda c: _half(c, b'Mode="E'), "is cut off", id="half, within a value"),
+        pytest.param(lambda c: _half(c, b'Mode="E'), "is truncated", id="half, within a value"),
         pytest.param(
-            lambda c: _half(c, b"</Axis>"), "is cut off", id="half, between elements", marks=pytest.mark.slow
+            lambda c: _half(c, b"</Axis>"),
+            "is truncated",
+            id="half, between elements",
+            marks=pytest.mark.slow,
         ),
         pytest.param(
-            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "without an end", id="without end"
+            lambda c: b'<State Id="0">' + b"x" * 2 * LONGEST_TELEGRAM, "without end tag", id="without end"
         ),
-        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "is cut off", id="noise", marks=pytest.mark.slow),
+        pytest.param(lambda c: b"\x01\x02<\xff\xfe&", "is truncated", id="noise", marks=pytest.mark.slow),
         pytest.param(
             lambda c: c.state().replace(b'Err="0"', b'Err="none"'),
             "cannot be read",
