@@ -54,7 +54,7 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
     if found := _EXTRA.match(message):
         repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
         repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
-        return UsageMistake(f"{found[1]!r} is one argument too many", action=f"{repeat}{see}")
+        return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
             f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()

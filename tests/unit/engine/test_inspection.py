@@ -136,7 +136,7 @@ def test_any_file_that_came_is_named(run: Path, name: str) -> None:
 def test_a_file_whose_name_has_a_line_break_forges_no_line(run: Path) -> None:
     (run / "note\nwhole.json").write_text("from elsewhere")
     assert [str(problem) for problem in inspected(run).problems] == [
-        "note whole.json: added: no part of the run"
+        "note whole.json: added: not part of the run"
     ]
 
 
