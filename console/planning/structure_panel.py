@@ -1,4 +1,4 @@
-"""What the trajectories keep away from: drawn in the pictures or imported, and how near each comes."""
+"""Structures that the trajectories avoid: drawn in the pictures or imported, and how near each comes."""
 
 from __future__ import annotations
 

@@ -112,7 +112,7 @@ def fit_bundle(
     arm_error = found.arm_error
     if arm_error > ARM_ERROR_LIMIT_MM:
         raise DoesNotFit(
-            "the ball seems to move from look to look",
+            "the ball seems to move between measurements",
             limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
             got=f"{beyond(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
         )

@@ -70,62 +70,65 @@ class PosesOutOfReach(RefusedError):
 
 
 class Unobservable(RefusedError):
-    """The looks leave too much of the arm unknown."""
+    """The measurements leave too much of the arm undetermined."""
 
     code = "CAL-011"
-    action = "Look at more spheres, farther apart, from poses tilted and turned more; then calibrate again."
+    action = (
+        "Measure more spheres, farther apart, from more strongly tilted and rotated poses; then calibrate "
+        "again."
+    )
 
 
 class ArmChanged(RefusedError):
-    """The arm, or the head on it, is no longer as its calibration says."""
+    """The arm, or the head on it, no longer matches its calibration."""
 
     code = "CAL-012"
     action = "Check the mount's screws and the arm's mastering, then run ronna-arm calibrate again."
 
 
 class NoArmRecord(RefusedError):
-    """A calibration record of the arm is needed, and there is none."""
+    """A calibration record of the arm is needed, but there is none."""
 
     code = "CAL-014"
     action = "Run ronna-arm calibrate, and name its record in [calibration.arm] of the theatre file."
 
 
 class FrameNotCarried(DataError):
-    """What the tracker takes for the reference frame does not turn as the arm's flange does."""
+    """The tool tracked as the reference frame does not rotate with the flange."""
 
     code = "CAL-015"
     action = (
-        "Check that the frame on the mount is the tool that the record names, that it is screwed tight, "
+        "Check that the frame on the mount is the tool named in the record, that it is screwed tight, "
         "and that no other frame of that kind is in view; then calibrate again."
     )
 
 
 class TrackerMoved(DataError):
-    """With the arm where it was before, the tracker sees the reference frame elsewhere."""
+    """With the arm back at an earlier pose, the tracker sees the reference frame at a different position."""
 
     code = "CAL-016"
     action = "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again."
 
 
 class FarFromRecord(RefusedError):
-    """What was found lies farther from the record it began with than a mount can be off."""
+    """The result is farther from the initial record than a mount can be off."""
 
     code = "CAL-017"
     action = (
-        "Correct the record in the theatre file: millimetres, quaternion with the scalar first, as drawn; "
-        "or mount the part as drawn. Then calibrate again."
+        "Correct the record in the theatre file (millimetres, quaternion with the scalar first, as in "
+        "the drawing), or mount the part as drawn. Then calibrate again."
     )
 
 
 class ReadingImplausible(RefusedError):
-    """A reading of the stand's dials is no reading of such dials."""
+    """A reading of the stand's dials is implausible."""
 
     code = "CAL-018"
-    action = "Read the three dials again and give x y z in millimetres, in the axes of the robot."
+    action = "Read the three dials again and give x y z in millimetres, along the axes of the robot."
 
 
 class BallAndDivotApart(DataError):
     """The divot of the stand is not where its ball was."""
 
     code = "CAL-019"
-    action = "Clean the seats of ball and divot, set the dials to zero, screw the stand down; then repeat."
+    action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."

@@ -29,9 +29,9 @@ class Outline(Strict):
     centre_px: Pixels = Field(description="Centre of the ellipse, x and y.")
     axes_px: tuple[Positive, Positive] = Field(description="Semi-axes, major first.")
     covariance_px2: tuple[Pixels, Pixels] = Field(description="Covariance of the centre, x and y.")
-    quality: float = Field(ge=0, le=1, description="Falls with lost rim, scatter and noise.")
-    rim_fraction: float = Field(default=1.0, ge=0, le=1, description="Share of the rim that was seen.")
-    scatter_px: float = Field(default=0.0, ge=0, description="Of the rim's points about the ellipse.")
+    quality: float = Field(ge=0, le=1, description="Quality; reduced by lost rim, scatter and noise.")
+    rim_fraction: float = Field(default=1.0, ge=0, le=1, description="Visible share of the rim.")
+    scatter_px: float = Field(default=0.0, ge=0, description="Scatter of the rim points about the ellipse.")
     blur_px: float = Field(default=0.0, ge=0, description="Width of the rim's edge.")
 
     @classmethod
@@ -64,10 +64,10 @@ class ObservationSet(Strict):
     """All views of one calibration, and the records it started from."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the looks were taken.")
+    created: datetime = Field(description="When the images were taken.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     arm_variant: str = Field(description="Name of the arm's kinematic model.")
-    start: StereoHeadCalibration = Field(description="The record that was in use meanwhile.")
+    start: StereoHeadCalibration = Field(description="The record in use at the time.")
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     observations: tuple[Observation, ...] = Field(description="The views.")
 

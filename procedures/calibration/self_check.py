@@ -119,8 +119,9 @@ class CheckResult:
         moved = float(np.linalg.norm(self.shift.value))
         got, limit = told_apart(bad[0].statistic, bad[0].limit, 1)
         raise HeadMoved(
-            f"the stereo head has changed since its calibration ({', '.join(sign.name for sign in bad)}); "
-            f"the ball is seen {1000 * moved:.0f} um away",
+            "the stereo head has changed since its calibration "
+            f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by {1000 * moved:.0f} "
+            "um",
             limit=f"chi square {limit}",
             got=got,
         )

@@ -34,7 +34,7 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
     """Raises CAL-004 when a larger share of `what` than that are outliers; `used` marks the inliers."""
     if (outliers := float(np.mean(~used))) > most_outliers:
         raise DoesNotFit(
-            f"too many {what} do not fit the others",
+            f"too many {what} disagree with the others",
             limit=f"{most_outliers:.0%}",
             got=f"{beyond(100 * outliers, 100 * most_outliers, 0)}%",
         )

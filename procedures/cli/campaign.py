@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-campaign",
-    help="Monte-Carlo studies beside the figures of the thesis: seeded, resumable, equal on any workers.",
+    help="Monte Carlo studies compared with the thesis: seeded, resumable, identical on any workers.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -51,7 +51,7 @@ OwnOption = Annotated[
     typer.Option(
         "--method",
         metavar="NAME|MODULE:FUNCTION",
-        help="A method of your own, run beside ours; may be given more than once.",
+        help="A method of your own, run alongside ours; repeatable.",
     ),
 ]
 
@@ -73,15 +73,17 @@ def correspondence(
     ] = False,
     template: Annotated[
         bool,
-        typer.Option("--template", help="3 and 4 markers implanted by a template of `ronna-plan template`."),
+        typer.Option(
+            "--template", help="3 and 4 markers implanted with a template from `ronna-plan template`."
+        ),
     ] = False,
     methods: Annotated[
         list[str] | None,
         typer.Option(
             "--method",
             metavar="NAME|MODULE:FUNCTION",
-            help="Only this method: clique, orientation, count, thesis, thesis-validated, or an own pairing;"
-            " may be given more than once [all of ours and the thesis'].",
+            help="Only this method: clique, orientation, count, thesis, thesis-validated, or a pairing of "
+            "your own; repeatable [all of ours and the thesis'].",
         ),
     ] = None,
     tolerances_mm: Annotated[
@@ -91,7 +93,7 @@ def correspondence(
             min=0.1,
             max=10.0,
             metavar="MM",
-            help="Value of e of the thesis methods in mm; may be given more than once [1.5 and 2.5].",
+            help="Value of e of the thesis methods in mm; repeatable [1.5 and 2.5].",
         ),
     ] = None,
     xframe: Annotated[
@@ -103,7 +105,7 @@ def correspondence(
 ) -> None:
     """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
 
-    The thesis method is run as it finds its pairs, and with their validation against the stated errors.
+    The thesis method is run both without and with validation of its pairs against the stated errors.
     """
     from procedures.registration.similarity_matrix import THESIS_TOLERANCES_MM
     from procedures.studies.correspondence import tables as correspondence_tables
@@ -115,10 +117,10 @@ def correspondence(
     )
 
     if xframe + sweep + template > 1:
-        raise UsageMistake("--sweep, --xframe and --template are studies of their own: give one of them")
+        raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
     if (xframe or sweep or template) and (methods or tolerances_mm):
         raise UsageMistake(
-            "--method and --e do not go with --sweep, --xframe or --template: they have their own"
+            "--method and --e cannot be combined with --sweep, --xframe or --template, which have their own"
         )
     if xframe:
         _clinical(runs, asked)
@@ -181,7 +183,7 @@ def localization(
         int, typer.Option("--sets", min=1, help="Sets of five scans of the x-shaped frame (tables 2 and 3).")
     ] = 2,
     tuning: Annotated[
-        bool, typer.Option("--tuning", help="Only the families of scans that the localizer may be tuned on.")
+        bool, typer.Option("--tuning", help="Only the families of scans used to tune the localizer.")
     ] = False,
     frames: Annotated[
         bool, typer.Option("--frames", help="Only the sets of the x-shaped frame (tables 2 and 3).")
@@ -197,28 +199,26 @@ def localization(
         typer.Option(
             "--family",
             metavar="NAME",
-            help="Only this family of scans, without the x-shaped frame; may be given more than once.",
+            help="Only this family of scans, without the x-shaped frame; repeatable.",
         ),
     ] = None,
     methods: OwnOption = None,
     *,
     asked: StudyOptions,
 ) -> None:
-    """Spheres in phantom CTs: error, detection and calibration of the predicted error, beside the thesis."""
+    """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
     from procedures.studies.localization.goals import tables_and_goals
     from procedures.studies.localization.study import JUDGING, TUNING, LocalizationStudy
     from procedures.studies.localization.tables import plots
 
     if thesis + tuning + frames + bool(families) > 1:
-        raise UsageMistake(
-            "--thesis, --tuning, --frames and --family are studies of their own: give one of them"
-        )
+        raise UsageMistake("--thesis, --tuning, --frames and --family are separate studies: give one of them")
     if thesis and methods:
-        raise UsageMistake("--method does not go with --thesis: give --family, --frames or neither")
+        raise UsageMistake("--method cannot be combined with --thesis: give --family, --frames or neither")
     for family in families or ():
         if family not in JUDGING:
             raise UsageMistake(
-                f"--family: there is no judging family {family!r}", expected=", ".join(JUDGING)
+                f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
             )
     own = _own("LOCALIZER", methods)
     if thesis:
@@ -248,15 +248,17 @@ def strategies(
     ] = 200,
     identified: Annotated[
         bool,
-        typer.Option("--identified", help="Only arms as `ronna-arm calibrate` identifies them, a fine CT."),
+        typer.Option(
+            "--identified", help="Only arms as identified by `ronna-arm calibrate`, with a fine CT."
+        ),
     ] = False,
     methods: OwnOption = None,
     *,
     asked: StudyOptions,
 ) -> None:
-    """Localization strategies on random arms, beside table 4 of the thesis; how honest the prediction is."""
+    """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
     if identified and methods:
-        raise UsageMistake("--method does not go with --identified: it has its own strategies")
+        raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
     if identified:
         from procedures.studies.strategies import identified as by_looks
 
@@ -280,7 +282,7 @@ def application_error(
     *,
     asked: StudyOptions,
 ) -> None:
-    """Error at superficial and deep targets on random arms, beside RONNA G3."""
+    """Error at superficial and deep targets on random arms, against RONNA G3."""
     from procedures.studies.application_error import ApplicationErrorStudy, plots, tables
 
     _run(ApplicationErrorStudy(arms, asked.seed), tables, plots, asked)
@@ -312,7 +314,7 @@ def _run(
     if kept := len(ledger.finished):
         console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
     if ledger.damaged:
-        again = "its unit is run again" if ledger.damaged == 1 else "their units are run again"
+        again = "its unit is rerun" if ledger.damaged == 1 else "their units are rerun"
         console.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
     try:
         with console.progress_bar(study.name) as progress:
@@ -326,7 +328,7 @@ def _run(
             )
     except KeyboardInterrupt:
         units = counted(len(ledger.finished), "unit")
-        console.tell(f"{units} kept in {folder}; the same command goes on")
+        console.tell(f"{units} kept in {folder}; the same command continues")
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
@@ -346,7 +348,7 @@ def times(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
     as_json: console.JsonOption = False,
 ) -> None:
-    """Where the time of runs went: phases, steps, people; beside the times of the thesis."""
+    """Where the time of runs went: phases, steps, people; against the times of the thesis."""
     from procedures.studies.times import times_of
 
     found = times_of(runs)

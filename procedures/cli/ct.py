@@ -42,7 +42,7 @@ app = typer.Typer(
 
 @app.callback()
 def ct() -> None:
-    """Localize marker spheres in a CT series, and check the CT after the operation."""
+    """Localize marker spheres in a CT series, and check the postoperative CT."""
 
 
 app.command()(postoperative)
@@ -74,7 +74,7 @@ def localize(
         typer.Option(
             "--layout",
             metavar="xframe|FILE",
-            help="Keep this layout, in its order, or fail: the x-shaped frame, or points as for --pick.",
+            help="Keep only this layout, in its order, or fail: the x-shaped frame, or points as for --pick.",
         ),
     ] = None,
     pick: Annotated[
@@ -116,10 +116,10 @@ def localize(
 ) -> None:
     """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
 
-    sigma is the predicted 3-D error of a centre (rms), agree the distance between its two estimates, in mm.
-    elapsed_s is the localization time, without reading the files.
-    Exit codes: 0 markers found, 1 the series is unusable or a file cannot be written, 2 usage,
-    3 no markers, another number than expected (the candidates are listed) or not the layout, 130 interrupted.
+    sigma is the predicted 3-D error of a centre (rms), agree the distance between its two estimates, both in
+    mm. elapsed_s is the localization time without reading the files. Exit codes: 0 markers found, 1 the
+    series is unusable or a file cannot be written, 2 usage, 3 no markers, not the expected number (the
+    candidates are listed) or not the layout, 130 interrupted.
     """
     import procedures.imaging as imaging
     from procedures.exchange.sphere_files import check_names, write_spheres
@@ -127,7 +127,7 @@ def localize(
 
     check_names(write or ())
     if pick is not None and method is not Method.COMBINED:
-        raise UsageMistake("--pick works with the combined method only; leave --method out")
+        raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)
     layout_mm = None if layout is None else _layout_mm(layout)
     refused: MarkerCountWrong | None = None
@@ -187,11 +187,11 @@ def localize(
         return
     if found is not None:
         console.tell(
-            f"the layout is there, to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
+            f"the layout was found to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
         )
     _print_markers(result)
     for one in result.doubtful:
-        console.tell(f"not among them: {one.describe()}")
+        console.tell(f"not in the layout: {one.describe()}")
     if candidates is not None:
         _print_candidates(candidates)
 
@@ -210,8 +210,8 @@ def view(
 ) -> None:
     """Write one HTML page of a CT: three planes to scroll, markers and candidates with their reasons.
 
-    A click shows a place in LPS mm; picked places can be given to localize --pick. The page is complete in
-    itself, needs no network, and names no patient. A series without markers has a page as well.
+    A click shows a position in LPS mm; picked positions can be given to localize --pick. The page is
+    self-contained, needs no network and does not name the patient. A series without markers also gets a page.
     """
     import procedures.imaging as imaging
     from procedures.imaging.errors import MarkerCountWrong
@@ -227,7 +227,7 @@ def view(
             candidates = error.candidates
         likely = imaging.likeliest_first(candidates)
         rejected = sum(not one.accepted for one in likely)
-        outcome = f"{len(markers)} markers found, {rejected} other places looked at."
+        outcome = f"{len(markers)} markers found, {rejected} other candidates examined."
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
     out.write_text(page, encoding="utf-8")
     console.tell(f"{outcome} Page {out}")
@@ -245,8 +245,8 @@ def _layout_mm(layout: str) -> Any:
     spheres_mm = read_picks(Path(layout))
     if len(spheres_mm) < FEWEST_PAIRS:
         raise PicksUnreadable(
-            f"{Path(layout).name} is no layout",
-            expected=f"{FEWEST_PAIRS} points or more",
+            f"{Path(layout).name} is not a layout",
+            expected=f"at least {FEWEST_PAIRS} points",
             got=str(len(spheres_mm)),
         )
     return spheres_mm

@@ -29,7 +29,7 @@ def place(
         typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on."),
     ],
     config: Annotated[
-        Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and what is around it.")
+        Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and surroundings.")
     ],
     robot_from_ct: Annotated[
         SixNumbers,
@@ -42,18 +42,18 @@ def place(
         SixNumbers | None,
         typer.Option(
             metavar="X Y Z A B C",
-            help="Likewise of the tracker: the arm at home must not stand before the markers.",
+            help="Likewise for the tracker: the arm at home must not hide the markers from it.",
         ),
     ] = None,
     strategy: Annotated[
         str,
         typer.Option(
             metavar="ocs|thesis-ocs|nos|jdms|improved",
-            help="How the stereo head is held at the markers.",
+            help="How the stereo head is oriented at the markers.",
         ),
     ] = "ocs",
     within: Annotated[
-        float, typer.Option("--within", metavar="MM", min=60.0, max=1000.0, help="How far the map extends.")
+        float, typer.Option("--within", metavar="MM", min=60.0, max=1000.0, help="Extent of the map.")
     ] = 240.0,
     turned: Annotated[
         float,
@@ -61,7 +61,7 @@ def place(
             metavar="DEG",
             min=-180.0,
             max=180.0,
-            help="How far the cart is turned counter-clockwise, from above.",
+            help="Rotation of the cart, counter-clockwise from above.",
         ),
     ] = 0.0,
     home: HomeOption = None,
@@ -83,8 +83,8 @@ def place(
     began_s = time.perf_counter()
     if strategy == CHOSEN_BY_PLACE:
         raise UsageMistake(
-            f"--strategy {strategy} chooses by the errors at one place of the cart, after it is known",
-            action="Map with --strategy ocs: where that serves, a case with best has it to choose from.",
+            f"--strategy {strategy} chooses by the errors at one known cart position",
+            action="Map with --strategy ocs: wherever that works, a case with best can choose it.",
         )
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     assert theatre is not None
@@ -104,7 +104,7 @@ def place(
     tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
     trajectories = held_trajectories(plan, theatre.bore)
     case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)
-    with console.progress_bar("mapping places") as advance, judging(case) as judge:
+    with console.progress_bar("mapping cart positions") as advance, judging(case) as judge:
         found = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
     payload = {
         "series_instance_uid": plan.series_instance_uid,
@@ -147,13 +147,13 @@ def _write(out: Path, payload: dict[str, Any], found: PlaceProposal, case: CartC
 
 def _print(found: PlaceProposal) -> None:
     places, best = found.places, found.best
-    at_assumed = "the assumed place serves"
+    at_assumed = "the assumed position works"
     if not found.assumed.serves:
-        at_assumed = f"the assumed place does not serve: {found.assumed.pose}: {found.assumed.reason}"
-    console.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map can be reached")
+        at_assumed = f"the assumed position does not work: {found.assumed.pose}: {found.assumed.reason}"
+    console.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
     console.print_table(
-        "push the cart from the assumed place by",
-        ["x mm", "y mm", "turned deg", "may be missed by mm", "or half that, turned by deg"],
+        "push the cart from the assumed position by",
+        ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"],
         [
             [
                 f"{best.x_mm:+.0f}",

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-plan",
-    help="Draw, begin and check plans, map where the cart may stand, propose where markers go.",
+    help="Draw, create and check plans, map positions for the cart, propose positions for markers.",
     no_args_is_help=True,
     add_completion=False,
     rich_markup_mode=None,
@@ -32,7 +32,7 @@ app = typer.Typer(
 
 @app.callback()
 def plan() -> None:
-    """Draw, begin and check plans, map where the cart may stand, propose where markers go."""
+    """Draw, create and check plans, map positions for the cart, propose positions for markers."""
 
 
 app.command()(place)
@@ -49,7 +49,7 @@ def check(
         bool,
         typer.Option(
             "--markers",
-            help="Check the motions to the markers too, and refuse a CT where none can be localized.",
+            help="Also check the motions to the markers, and refuse a CT in which none can be localized.",
         ),
     ] = False,
     config: Annotated[
@@ -67,9 +67,9 @@ def check(
 ) -> None:
     """Check a plan against its CT series and, given the pose of the head, every motion of the arm.
 
-    The markers in the CT are counted as the procedure counts them. The motions are those of the procedure,
-    from home to every target and back; with --markers also those of the stereo head to the markers. Each
-    shows duration, joint ranges, smallest distance and distance from a singularity before anything moves.
+    The markers in the CT are counted as in the procedure. The motions are those of the procedure, from home
+    to every target and back; with --markers also those of the stereo head to the markers. Each is shown with
+    duration, joint ranges, smallest clearance and distance from a singularity before anything moves.
 
     Exit codes: 0 the plan can be used, 1 it cannot, 2 usage or an unreadable file, 3 a target is out of reach
     or a path is blocked, 130 interrupted. All problems are reported at once.
@@ -115,20 +115,20 @@ def template(
         Path | None,
         typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
     ] = None,
-    markers: Annotated[int, typer.Option("--markers", min=3, max=4, help="How many markers.")] = 4,
+    markers: Annotated[int, typer.Option("--markers", min=3, max=4, help="Number of markers.")] = 4,
     margin_mm: Annotated[
         float,
         typer.Option(
-            "--margin", metavar="MM", min=1.0, max=60.0, help="By which all distances differ at least."
+            "--margin", metavar="MM", min=1.0, max=60.0, help="Minimum difference between all distances."
         ),
     ] = 10.0,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Propose where three or four markers go on a head, for a template that the surgeon implants them by.
+    """Propose positions for three or four markers on a head, for a template that guides their implantation.
 
-    All their distances differ by the margin, so that they cannot be taken for one another; among such places
-    those with the least expected error in the middle of the head are taken. A plan names the template as
+    All their distances differ by the margin, so that they cannot be confused; among such layouts the one with
+    the smallest expected error in the middle of the head is chosen. A plan names the template as
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     from procedures.planning.markers.template import propose_template
@@ -137,7 +137,7 @@ def template(
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
     if out.exists():
-        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file.")
+        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file.")
     if scene is not None:
         found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
     else:
@@ -156,8 +156,8 @@ def template(
         return
     distances = ", ".join(f"{value:.1f}" for value in found.distances_mm)
     console.print_table(
-        f"{out}: {markers} markers; their distances, {distances} mm, differ by"
-        f" {found.least_difference_mm:.1f} mm or more",
+        f"{out}: {markers} markers; their distances, {distances} mm, differ by at least "
+        f"{found.least_difference_mm:.1f} mm",
         ["marker", "centre LPS mm", "post"],
         [
             [
@@ -174,7 +174,7 @@ def template(
 def marker_places(
     plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="Plan file with the trajectories.")],
     out: Annotated[
-        Path, typer.Option("--out", metavar="FILE", help="New file, TOML; a picture is put beside it.")
+        Path, typer.Option("--out", metavar="FILE", help="New TOML file; a picture is written next to it.")
     ],
     series_dir: Annotated[
         Path | None, typer.Option("--ct", metavar="SERIES_DIR", help="CT series that shows the head's skin.")
@@ -183,17 +183,20 @@ def marker_places(
         Path | None,
         typer.Option("--scene", metavar="FILE", help="Output of `ronna-sim scene` instead of a CT."),
     ] = None,
-    markers: Annotated[int, typer.Option("--markers", min=3, max=8, help="How many markers.")] = 5,
+    markers: Annotated[int, typer.Option("--markers", min=3, max=8, help="Number of markers.")] = 5,
     error_mm: Annotated[
-        float, typer.Option("--error", metavar="MM", min=0.001, max=5.0, help="Of each marker, 3-D rms.")
+        float,
+        typer.Option(
+            "--error", metavar="MM", min=0.001, max=5.0, help="Localization error of each marker, 3-D rms."
+        ),
     ] = 0.1,
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Of the places that are tried.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Propose where markers go on the head so that the error at the planned targets is least.
+    """Propose marker positions on the head that minimize the error at the planned targets.
 
-    On free skin between forehead and vertex, clear of the trajectories. Told beside it: what markers spread
-    over the same skin by chance would do.
+    On free skin between forehead and vertex, clear of the trajectories. For comparison, the error with
+    markers placed at random over the same skin is shown.
     """
     from procedures.cli.plan_markers import propose
 
@@ -221,7 +224,7 @@ def _print_trajectories(result: PlanCheck) -> None:
 
 def _print_distances(result: PlanCheck) -> None:
     console.print_table(
-        "structures that the trajectories keep away from",
+        "structures that the trajectories avoid",
         ["structure", "trajectory", "distance mm", "margin mm"],
         [
             [one.structure, one.trajectory, f"{one.distance_mm:.1f}", f"{one.margin_mm:.1f}"]

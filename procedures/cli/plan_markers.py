@@ -36,7 +36,7 @@ def propose(
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
     for file in (out, picture):
         if file.exists():
-            raise UsageMistake(f"{file} exists and is left as it is", action="Name a new file.")
+            raise UsageMistake(f"{file} exists and was not changed", action="Name a new file.")
     plan = read_plan(plan_file)
     trajectories = [one.trajectory for one in plan.trajectories]
     volume: Volume | None = None
@@ -80,7 +80,7 @@ def _show(out: Path, found: ProposedMarkers) -> None:
         ],
     )
     console.print_table(
-        f"expected of the markers' errors, {found.marker_error_mm:g} mm each",
-        ["target", "rms mm", "by chance mm"],
+        f"expected from marker errors of {found.marker_error_mm:g} mm each",
+        ["target", "rms mm", "random mm"],
         [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
     )

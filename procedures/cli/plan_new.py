@@ -28,7 +28,7 @@ def new(
     from ronna_hw.records import write_whole
 
     if out.exists():
-        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file with --out.")
+        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file with --out.")
     with console.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
         found = localize(

@@ -22,7 +22,7 @@ def open_plan(
     plan_file: Annotated[
         Path | None,
         typer.Option(
-            "--plan", metavar="FILE", help="The plan, new or begun [default: plan.toml beside CT_DIR]."
+            "--plan", metavar="FILE", help="The plan, new or existing [default: plan.toml next to CT_DIR]."
         ),
     ] = None,
     config: Annotated[

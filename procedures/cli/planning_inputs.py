@@ -23,7 +23,7 @@ StrategyOption = Annotated[
     str,
     typer.Option(
         metavar="ocs|thesis-ocs|nos|jdms|improved|best",
-        help="How the stereo head is held at the markers; with --config.",
+        help="How the stereo head is oriented at the markers; with --config.",
     ),
 ]
 HeadOption = Annotated[

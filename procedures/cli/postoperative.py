@@ -18,12 +18,14 @@ SUMMARY_FILE = "postoperative.json"
 
 
 def postoperative(
-    pre_dir: Annotated[Path, typer.Argument(metavar="PRE", help="Folder of the CT that was planned on.")],
-    post_dir: Annotated[Path, typer.Argument(metavar="POST", help="Folder of the CT after the operation.")],
+    pre_dir: Annotated[Path, typer.Argument(metavar="PRE", help="Folder of the planning CT.")],
+    post_dir: Annotated[Path, typer.Argument(metavar="POST", help="Folder of the postoperative CT.")],
     plan_file: Annotated[Path, typer.Option("--plan", metavar="PLAN", help="The plan.toml.")],
     only: Annotated[
         list[str] | None,
-        typer.Option("--only", metavar="ID", help="A trajectory that was done; repeat it. [all of the plan]"),
+        typer.Option(
+            "--only", metavar="ID", help="A trajectory that was carried out; repeatable [all of the plan]."
+        ),
     ] = None,
     out: Annotated[
         Path | None,
@@ -91,12 +93,10 @@ def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 
     before, after = patient_identifier(pre_dir), patient_identifier(post_dir)
     if before and after and before != after:  # who they are is not for messages
-        raise OtherPatient("the two CTs bear different patient identifiers")
+        raise OtherPatient("the two CTs have different patient identifiers")
     if before and after:
         return ()
-    return (
-        "not both CTs bear a patient identifier: that they are of one patient is told by the skull alone",
-    )
+    return ("not both CTs have a patient identifier: only the skull shows that they are of the same patient",)
 
 
 def _require_same_ct(run: Path, series_instance_uid: str) -> None:
@@ -128,7 +128,9 @@ def _write(out: Path, found: PostoperativeCheck, pictures: dict[str, bytes], fra
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     write_postoperative(found, frames, out)
     if frames[0] == frames[1]:
-        console.tell("warning: both CTs claim one frame of reference; no registration object was written")
+        console.tell(
+            "warning: both CTs claim the same frame of reference; no registration object was written"
+        )
 
 
 def _print(found: PostoperativeCheck) -> None:

@@ -29,7 +29,7 @@ app = typer.Typer(
 @app.command("run")
 @with_option_records
 def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption = False) -> None:
-    """Run the whole case and end with the errors at the targets and a report."""
+    """Run the whole case; ends with the errors at the targets and a report."""
     from procedures.cli.case.display import follow_case
 
     follow_case(case.request(), as_json=as_json, console=console.request())
@@ -101,14 +101,14 @@ def doctor_command(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Check this computer and, with --config, every device of a theatre file by its driver's own probe.
+    """Check this computer and, with --config, every device of a theatre file with its driver's own probe.
 
-    A tracker's line is tried at every rate without changing anything: which unit replies, which bytes
-    arrive, which program holds the port. A camera's address: which cameras are on its network, which
-    application controls it, which packet size arrives. At the end one verdict for each device and one for a
-    case: what `run` would refuse is said before. Tracker and cameras are switched on for that; nothing
-    moves. Exit codes: 0 all is well, 4 a device, line or camera does not answer or is not ready, or a
-    calibration record has expired.
+    A tracker's line is tried at every rate without changing anything: which unit replies, which bytes arrive,
+    which program holds the port. A camera's address: which cameras are on its network, which application
+    controls it, which packet size arrives. Ends with a verdict for each device and one for a case, which
+    names whatever `run` would refuse. Tracker and cameras are switched on for this; nothing moves. Exit
+    codes: 0 everything is ready, 4 a device, line or camera does not answer or is not ready, or a calibration
+    record has expired.
     """
     from procedures.cli.doctor.report import examine, show
     from ronna_hw.command_line.console import progress_bar

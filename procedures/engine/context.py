@@ -119,7 +119,7 @@ class StepContext:
         when its file was changed.
         """
         if model not in self.spec.reads:
-            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare to read")
+            raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         stored = self._case.get(model, self.key.trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored.result

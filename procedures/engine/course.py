@@ -69,7 +69,7 @@ class Course:
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
-            return ("the work at every target is done: home brings the arm there",)
+            return ("the work at every target is done: use home to park the arm",)
         return self.order.unmet(key, self.latest, self.settled)
 
     def status(self, key: StepKey) -> str:

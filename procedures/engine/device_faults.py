@@ -1,4 +1,4 @@
-"""Faults of devices: told as they stand; what a person has acknowledged is recovered. Nothing here moves."""
+"""Device faults: reported as they are now, recovered once a person acknowledged them. Nothing here moves."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def in_fault(devices: Mapping[str, Device]) -> Iterator[tuple[str, LastKnown[obj
 
 
 def as_it_stands(role: str, seen: LastKnown[object]) -> str:
-    """Why a device in fault keeps a case from going on, as it says of itself now, and what is to be done.
+    """Why a device in fault keeps a case from continuing, by its present state, and what to do about it.
 
-    What it was stopped for and is right again is said too: nobody looks for it in vain.
+    What stopped it is reported even if it is in order again, so that nobody searches for it in vain.
     """
     if seen.fault is None:
         return f"the {role} is in fault"
     facts = [fact for fact in seen.says if not fact.ready or (fact.advice and fact.name in seen.fault.what)]
     now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
-    way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To go on, {ACKNOWLEDGE}"
+    way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
     return f"the {role} is in fault ({seen.fault.code}), {now}. {way_on}"
 
 
@@ -93,7 +93,7 @@ class DeviceFaults:
     def require_arm_moves(self) -> None:
         """Raise PRO-001 for an arm in fault, as it stands."""
         if (fault := self.told.get(ARM)) is not None:
-            raise StepRefused(f"the arm cannot move: {fault}", action="Then give the command again.")
+            raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
         """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.

@@ -119,4 +119,4 @@ class DeviceWatch:
 def _fault(problem: Exception) -> Fault:
     if isinstance(problem, RonnaError):
         return Fault(code=problem.code, what=str(problem), advice=problem.advice)
-    return Fault(code=type(problem).__name__, what=f"the devices cannot be looked at: {problem}")
+    return Fault(code=type(problem).__name__, what=f"the devices cannot be observed: {problem}")

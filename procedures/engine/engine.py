@@ -99,7 +99,7 @@ class Engine:
         if self.machine.ended:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
-            return ("what was found after the restart has not been accepted",)
+            return ("the findings after the restart have not been accepted",)
         if faults := self.faults.told:
             return tuple(faults.values())
         if unmet := self.course.why_not_now(key):
@@ -145,7 +145,7 @@ class Engine:
             raise
         self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
-            self.find(f"{trajectory} is left out: {reason}")
+            self.find(f"{trajectory} was left out: {reason}")
         _log.info(
             "step done",
             step=self._logged(str(key)),
@@ -269,7 +269,7 @@ class Engine:
     def abort(self) -> None:
         """The operator ends the case between steps; moves nothing. Raises PRO-001 for one that has ended."""
         if self.machine.ended:
-            raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave it: quit.")
+            raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave with quit.")
         self.machine.abort()
         self._show_state()
         self._write(Entry.INTERRUPTED)

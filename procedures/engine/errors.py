@@ -1,4 +1,4 @@
-"""What the engine itself can refuse or lose."""
+"""Errors of the engine itself."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ronna_hw.errors import (
 
 
 class StepRefused(RefusedError):
-    """A step may not begin: the listed preconditions are not met."""
+    """A step cannot start: the listed preconditions are not met."""
 
     code = "PRO-001"
     action = "Meet the listed preconditions, or run the steps that come before."
 
 
 class NotConfirmed(RonnaError):
-    """The operator said no, or did not answer in time, which counts as no."""
+    """The operator answered no, or did not answer in time, which counts as no."""
 
     code = "PRO-002"
     action = "Nothing was done. Repeat the step when the operator can confirm."
@@ -29,7 +29,7 @@ class NotConfirmed(RonnaError):
 
 
 class JournalNotWritable(RonnaError):
-    """The journal cannot be written: without a journal nothing moves."""
+    """The journal cannot be written; without a journal nothing moves."""
 
     code = "PRO-003"
     action = "Free space or choose another output folder; the arm has been stopped."
@@ -44,7 +44,7 @@ class OperatorAborted(RonnaError):
 
 
 class UnknownStep(RonnaError):
-    """There is no step of that name in this procedure."""
+    """This procedure has no step of that name."""
 
     code = "PRO-005"
     action = "List the steps and use one of their names."
@@ -52,10 +52,10 @@ class UnknownStep(RonnaError):
 
 
 class GateFailed(RefusedError):
-    """A result is outside the limits that it must meet before the procedure goes on."""
+    """A result is outside the limits that it must meet before the procedure continues."""
 
     code = "PRO-007"
-    action = "Look at the value and its limit; repeat the step or correct its inputs."
+    action = "Compare the value with its limit; repeat the step or correct its inputs."
 
 
 class ToolUnchecked(RefusedError):
@@ -66,10 +66,10 @@ class ToolUnchecked(RefusedError):
 
 
 class CommandRefused(RonnaError):
-    """A command that this run started ended by itself; its last output is in the message."""
+    """A program that this run started exited unexpectedly; the message holds its last output."""
 
     code = "PRO-013"
-    action = "Start again when that is put right."
+    action = "Correct that, then start again."
 
     def __init__(self, name: str, messages: str, exit_code: int) -> None:
         super().__init__(f"{name} failed: {' '.join(messages.split()).rstrip('.')}")
@@ -84,50 +84,50 @@ class WrongResult(RonnaError):
 
 
 class GuardUnmet(RefusedError):
-    """A guard suspended the running step, and what it watches was not restored."""
+    """A guard suspended the running step, and its condition was not restored."""
 
     code = "PRO-017"
-    action = "Restore what it names, then repeat the step."
+    action = "Restore the condition it names, then repeat the step."
 
 
 class EventsUnreadable(RonnaError):
-    """A run's file of events holds something else, or another version wrote it."""
+    """A run's event file is not a valid event file, or another version wrote it."""
 
     code = "PRO-018"
-    action = "Follow it with the version that runs it; its evidence is the journal, not this file."
+    action = "Follow the run with the version that runs it; the journal, not this file, is the evidence."
 
 
 class NotRecorded(DataError):
-    """A replay needs something that the run has not kept."""
+    """A replay needs data that the run did not record."""
 
     code = "PRO-024"
-    action = "This part of the run cannot be computed again; its records stand as they are."
+    action = "This part of the run cannot be recomputed; its records remain valid."
 
 
 class ReplayDiffers(RonnaError):
-    """Results computed again are not those that were recorded."""
+    """Recomputed results differ from the recorded ones."""
 
     code = "PRO-025"
-    action = "Compare the versions, and check the run for edited files, before you rely on it."
+    action = "Compare the program versions and check the run for edited files before relying on it."
 
 
 class AnswersUnfit(RonnaError):
-    """A file of answers does not fit the questions of the case."""
+    """An answers file does not match the questions of the case."""
 
     code = "PRO-026"
-    action = "Correct the file; topics and their words are in docs/reference/answers.md."
+    action = "Correct the file; docs/reference/answers.md lists the topics and their answers."
     exit_code = EXIT_USAGE
 
 
 class RunInUse(RefusedError):
-    """Another program has this run open: one operator at a time."""
+    """Another program has this run open; a run has one operator at a time."""
 
     code = "PRO-030"
     action = "Operate it where it runs, or follow it with ronna-procedure watch."
 
 
 class OtherProgram(RonnaError):
-    """A run was made by another version of this program, which may have meant something else."""
+    """A run was made by another version of this program, whose records may mean something else."""
 
     code = "PRO-031"
     action = "Resume it with the version that made it, or start a new run."
@@ -135,18 +135,18 @@ class OtherProgram(RonnaError):
 
 
 class RecoveryRefused(RonnaError):
-    """A run is not taken up again: what was found differs from what was recorded, or was not accepted."""
+    """The run was not resumed: the findings differ from its records, or were not accepted."""
 
     code = "PRO-032"
-    action = "Restore what it names and resume again, or start a new run. Nothing was moved."
+    action = "Restore the recorded state and resume again, or start a new run. Nothing was moved."
     exit_code = EXIT_RECOVERY_NEEDED
 
 
 class BadRequestFile(RonnaError):
-    """A folder is not that of a run, or the file that says what was asked for was changed."""
+    """The folder is not a run folder, or its request file was changed."""
 
     code = "PRO-034"
-    action = "Give the folder of a run, which begins with request.json."
+    action = "Give a run folder, which contains request.json."
     exit_code = EXIT_USAGE
 
 

@@ -24,7 +24,9 @@ def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float
     readings = setting.room.work(task)
     if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
         raise NotConfirmed(
-            f"no numbers were read off: {task.subject}", expected=", ".join(task.reads), got=str(readings)
+            f"the readings are not finite numbers: {task.subject}",
+            expected=", ".join(task.reads),
+            got=str(readings),
         )
     journal.write(
         Entry.WORK,
@@ -36,7 +38,7 @@ def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float
         began_s=began_s,
     )
     if len(readings) != len(task.reads):
-        raise NotConfirmed(f"nobody read it off: {task.subject}", expected=", ".join(task.reads))
+        raise NotConfirmed(f"no readings were given: {task.subject}", expected=", ".join(task.reads))
     return readings
 
 
@@ -46,13 +48,11 @@ def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Q
     if (place := instrument.inside) is None:
         return
     what, trajectory = ("mandrel", None) if place == IN_GAUGE else ("instrument", place)
-    have_done(
-        setting, journal, Task(OUT, f"take the {what} out of {place}, and out of the guide", trajectory)
-    )
+    have_done(setting, journal, Task(OUT, f"remove the {what} from {place} and from the guide", trajectory))
     question = Question(
         Topic.INSTRUMENT_OUT,
         f"the {what} is out of {place} and out of the guide",
-        "while it is inside, nothing moves; then the arm may: stand clear before you answer",
+        "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
         (IS_OUT, INSIDE),
         trajectory,
         timeout_s=None,
@@ -60,6 +60,6 @@ def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Q
     if ask(question) != IS_OUT:
         raise NotConfirmed(
             f"an instrument is still in {place}: nothing moves",
-            action="Take it out of the guide, then repeat the step, or send the arm home.",
+            action="Remove it from the guide, then repeat the step or send the arm home.",
         )
     instrument.is_out()

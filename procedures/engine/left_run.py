@@ -83,7 +83,7 @@ class LeftRun:
             if line["entry"] == Entry.RESULT:
                 key, record = step_key(line), next(records)
                 if key not in order.sequence:
-                    raise BadRecord(f"{record.identifier} is of a step that this case does not have")
+                    raise BadRecord(f"{record.identifier} belongs to a step that this case does not have")
                 _require_superseded(course.superseded_by(key), key, line)
                 course.accept(key, Stored(record, typed(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
@@ -113,7 +113,7 @@ def step_key(line: Line) -> StepKey:
 
 def _require_superseded(gone: Sequence[Record], key: StepKey, line: Line) -> None:
     if [one.identifier for one in gone] != list(_names(line, "supersedes")):
-        raise JournalCorrupt(f"line {line['sequence']} supersedes other results than {key} does")
+        raise JournalCorrupt(f"line {line['sequence']} supersedes results that {key} does not")
 
 
 def _names(line: Line, field: str) -> tuple[str, ...]:

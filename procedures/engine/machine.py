@@ -25,11 +25,11 @@ RESTS = (PAUSED, SUSPENDED)
 ENDS = (FINISHED, ABORTED)
 # What may be between steps, beside the step's own state, and what it means to a reader of the chart.
 BETWEEN = {
-    RECOVERY: "after a restart: nothing moves before the devices were read again and the operator accepted",
-    IDLE: "nothing has begun",
-    HELD: "a step failed or was left: the arm is at rest, every result stands",
-    PAUSED: "the operator rests the case",
-    SUSPENDED: "a guard waits for what it watches",
+    RECOVERY: "after a restart: nothing moves until devices have been re-read and the operator has accepted",
+    IDLE: "nothing has started",
+    HELD: "a step failed or was left: the arm is at rest, every result remains valid",
+    PAUSED: "the operator paused the case",
+    SUSPENDED: "a guard waits for its condition to be restored",
 }
 
 

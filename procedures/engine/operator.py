@@ -92,7 +92,7 @@ class ReadBack:
 
     what: str
     value: str = field(repr=False)
-    wrong: str = "is not what is to be read back"
+    wrong: str = "is not the value to be read back"
     shown: str = ""
     unit: str = ""
 

@@ -87,10 +87,10 @@ class CaseOrder:
         """
         only = self.continuation(latest)
         if only is not None and key != only and not stands(only):
-            return (f"it may not follow {latest}: only {only} may",)
+            return (f"only {only} may follow {latest}",)
         if self.spec(key).continues and key != only:
             own = self.before(key)[-1]
-            return (f"it must follow {own}",)
+            return (f"it must directly follow {own}",)
         for earlier in self.before(key):
             if not stands(earlier):
                 return (f"{earlier} comes first",)

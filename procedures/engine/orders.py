@@ -54,14 +54,14 @@ class Next(_Order):
     """Do the next step."""
 
     kind: Literal["next"] = "next"
-    upcoming: Short = Field(description="The step that was shown as the next.")
+    upcoming: Short = Field(description="The step that was shown as next.")
 
 
 class RunTo(_Order):
     """Do the steps up to and including one."""
 
     kind: Literal["run_to"] = "run_to"
-    upcoming: Short = Field(description="The step that was shown as the next.")
+    upcoming: Short = Field(description="The step that was shown as next.")
     step: Short
 
 
@@ -75,7 +75,7 @@ class Resume(_Order):
     """Go on to the end of the case. A pause is no step: its question is answered, with what it showed."""
 
     kind: Literal["resume"] = "resume"
-    upcoming: Short = Field(description="The step that was shown as the next.")
+    upcoming: Short = Field(description="The step that was shown as next.")
 
 
 class Stop(_Order):
@@ -102,7 +102,9 @@ class Answer(_Order):
     kind: Literal["answer"] = "answer"
     question: int
     answer: Short
-    shown: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(description="Digest of what was shown.")
+    shown: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] = Field(
+        description="Digest of what the operator was shown."
+    )
     typed: Short | None = Field(default=None, description="What was read back.")
     readings: Annotated[tuple[Finite, ...], Field(max_length=MOST_READINGS)] | None = Field(
         default=None, description="What was read off."

@@ -29,8 +29,8 @@ SPHERE_FIELDS = {
 REGISTRATION_FIELDS = {
     "trajectory": "its label, or its number",
     "robot_from_ct": "pose robot <- CT",
-    "pairs": "spheres that were fitted",
-    "fre_mm": "of the fit; says nothing of the accuracy",
+    "pairs": "spheres used in the fit",
+    "fre_mm": "of the fit; not a measure of accuracy",
     "predicted_tre_mm": "predicted error at the target, rms",
     "predicted_tre_limit_mm": "radius at the confidence",
     "confidence": "of that radius",

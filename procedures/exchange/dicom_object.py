@@ -113,4 +113,4 @@ def _decimal(value: float) -> str:
         text = f"{value:.{digits}g}"
         if len(text) <= 16:
             return text
-    raise ValueError(f"{value} has no decimal string")
+    raise ValueError(f"{value} cannot be written as a DICOM decimal string")

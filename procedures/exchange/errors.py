@@ -9,7 +9,7 @@ class UnknownForm(ConfigurationError):
     """No exchange format has this file name extension."""
 
     code = "EXC-001"
-    action = "End the name with .dcm, .json, .mrk.json or .csv."
+    action = "Use a name that ends in .dcm, .json, .mrk.json or .csv."
 
 
 class NotWritable(DataError):
@@ -20,14 +20,14 @@ class NotWritable(DataError):
 
 
 class NothingToExport(DataError):
-    """The run holds no result of the requested kind."""
+    """The run has no result of the requested kind."""
 
     code = "EXC-003"
     action = "Give the folder of a run that reached a registration, such as runs/<run id>."
 
 
 class FieldNotAllowed(DataError):
-    """An object for the export holds an attribute that is not on the list of what may leave."""
+    """An object for the export has an attribute that is not on the list of permitted ones."""
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."

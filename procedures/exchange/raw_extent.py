@@ -22,8 +22,10 @@ class RawExtent(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
-    journal_lines: int = Field(ge=0, description="Of the journal then: readings of later steps are missing.")
-    whole: bool = Field(description="Whether everything up to there found place.")
+    journal_lines: int = Field(
+        ge=0, description="Length of the journal then: readings of later steps are missing."
+    )
+    whole: bool = Field(description="Whether everything up to there fitted.")
 
 
 def write_extent(folder: Path, extent: RawExtent) -> None:
@@ -42,9 +44,9 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
     try:
         extent = RawExtent.model_validate_json(read_json_bytes(folder / EXTENT_FILE, linked=False))
     except (OSError, ValueError):
-        return f"{RAW_FOLDER}/ does not say how far its readings go"
+        return f"{RAW_FOLDER}/ does not state how far its readings extend"
     since = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
     if since:
         first = since[0].get("step", "home")
-        return f"{RAW_FOLDER}/ is of an earlier session: readings from {first} on are missing in it"
-    return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing in it"
+        return f"{RAW_FOLDER}/ is from an earlier session: readings from {first} on are missing"
+    return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing"

@@ -61,7 +61,7 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
     run = Path(run)
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(
-            f"{run} is no run with readings",
+            f"{run} is not a run with readings",
             expected=f"the folder of one run, with {JOURNAL_FILE} and {READINGS_FOLDER}/{READINGS_FILE}",
             action="ronna-procedure list shows the runs in a folder.",
         )
@@ -81,7 +81,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
     EXC-003, PRO-024, and leaves nothing then.
     """
     if out.exists():
-        raise NotWritable(f"{out} is there already", action="Give a folder that is not there yet.")
+        raise NotWritable(f"{out} already exists", action="Give a new folder.")
     made = out.with_name(f".{out.name}{PARTIAL}")
     try:
         shutil.rmtree(made, ignore_errors=True)

@@ -28,7 +28,10 @@ class ArmLink:
             self._since = self._verdict = None
             return None
         if seen.reading is not None and seen.reading.validity is Validity.STALE:
-            return "the arm has not said where it is for too long: check its network cable and the controller"
+            return (
+                "the arm has not reported its position for too long: check its network cable and the "
+                "controller"
+            )
         return self._quality()
 
     def _quality(self) -> str | None:
@@ -44,7 +47,7 @@ class ArmLink:
         self._since, self._verdict = now, None
         if bad > LARGEST_BAD_SHARE * cycles:
             self._verdict = (
-                f"{bad} of the last {cycles} cycles were late or lost, more than {LARGEST_BAD_SHARE:.0%}: "
-                "end other programs on this computer, check cable and switch"
+                f"{bad} of the last {cycles} cycles were late or lost, more than "
+                f"{LARGEST_BAD_SHARE:.0%}: close other programs on this computer, check cable and switch"
             )
         return self._verdict

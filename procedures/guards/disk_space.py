@@ -27,6 +27,6 @@ class DiskSpace:
         if free >= self._least_bytes:
             return None
         return (
-            f"{free // MEGABYTE} MB are free where the run is written, {self._least_bytes // MEGABYTE} MB "
-            "are wanted: delete what is not needed there"
+            f"{free // MEGABYTE} MB free where the run is written, {self._least_bytes // MEGABYTE} MB "
+            "required: delete files there that are no longer needed"
         )

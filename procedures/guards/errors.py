@@ -1,4 +1,4 @@
-"""What has moved that must not."""
+"""Errors for things that have moved and must not."""
 
 from __future__ import annotations
 
@@ -10,43 +10,44 @@ from ronna_hw.text.beyond import beyond
 
 
 class BaseShifted(RefusedError):
-    """Tracker and arm no longer agree about where the frame on the arm is: cart or tracker was moved."""
+    """Tracker and arm disagree on the position of the frame on the arm: the cart or the tracker was moved."""
 
     code = "PRO-019"
     action = (
-        "Find out what was moved and lock it; then go on from cart_lock when it was the cart, else from "
-        "global_localization. With the guide mounted send the arm home first."
+        "Find out what was moved and lock it; then continue from cart_lock if it was the cart, otherwise "
+        "from global_localization. With the guide mounted, send the arm home first."
     )
     cart: bool = True  # else it was the tracker
 
 
 class InputChanged(RefusedError):
-    """CT, plan or proposed place is no longer what the case was computed from."""
+    """The CT, the plan or the proposed cart position has changed since the case was computed from it."""
 
     code = "PRO-021"
     action = (
-        "Find out who changed it. What was computed from it is superseded: run the steps again, or with the "
-        "guide mounted go home and begin a new run."
+        "Find out who changed it. Everything computed from it is superseded: run the steps again or, with "
+        "the guide mounted, go home and start a new run."
     )
 
 
 class PatientUnseen(RefusedError):
-    """The tracker does not see the head where it has to, before a guide goes to it."""
+    """The tracker does not see the head before a guide moves towards it."""
 
     code = "PRO-022"
     action = (
-        "Clear the tracker's sight of the spheres: drapes, blood, people, hands. Then run the step again; it "
-        "leads by home."
+        "Clear the tracker's line of sight to the spheres: drapes, blood, people, hands. Then run the step "
+        "again; it goes via home."
     )
 
 
 class PatientMoved(RefusedError):
-    """The spheres on the head are not where they were localized. `moved_mm` is the rms of their ways."""
+    """The spheres on the head are not where they were localized. `moved_mm` is their rms displacement."""
 
     code = "PRO-020"
     action = (
-        "Check clamp and spheres, then localize again from global_localization on. With the guide mounted "
-        "send the arm home first; after a small move the step registration asks there whether it follows."
+        "Check the clamp and the spheres, then localize again starting with global_localization. With the "
+        "guide mounted, send the arm home first; after a small move, the registration step then asks "
+        "whether the registration should follow it."
     )
     moved_mm: float = math.inf
 

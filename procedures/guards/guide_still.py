@@ -94,7 +94,10 @@ class GuideStill:
             self.looks_again_s = self.clock.now_s() + BETWEEN_LOOKS_S if pushed else 0.0
         if rest.now_mm <= PUSHED_MM:
             return None
-        return f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of guide and arm"
+        return (
+            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of the guide and the "
+            "arm"
+        )
 
 
 def guide_at_rest(workcell: Workcell, clock: Clock, trajectory: str) -> GuideAtRest:

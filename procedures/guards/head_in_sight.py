@@ -19,12 +19,13 @@ from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 
 CLEAR_THE_LINE = (
-    "clear the line between tracker and head; where only arm or guide stand in it, leave the step and move "
-    "the tracker or turn the trajectory (free_angle_deg of the plan), or go on without sight"
+    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, leave "
+    "the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or continue "
+    "without sight"
 )
 ARM_IN_THE_WAY = (
-    "arm or guide is in the way, as was expected; leave the step and move the tracker or turn the trajectory "
-    "(free_angle_deg of the plan), or go on without sight"
+    "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "
+    "the trajectory (free_angle_deg in the plan), or continue without sight"
 )
 PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none where the arm itself is in the way
 

@@ -41,8 +41,8 @@ class LineOfSight:
             self._lost_since_s = None
             return None
         return (
-            f"the tracker does not see the reference frame {self._frame} ({self._validity()}): clear the "
-            "line between tracker and arm"
+            f"the tracker does not see the reference frame {self._frame} ({self._validity()}): clear "
+            "the line of sight between tracker and arm"
         )
 
     def _validity(self) -> Validity:

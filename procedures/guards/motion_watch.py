@@ -37,7 +37,7 @@ UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracke
 READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
 
 MOVED = "the head, or the tracker, has moved"
-PUSHED = "the guide is pushed or pulled"
+PUSHED = "the guide was pushed or pulled"
 UNSEEN = "the tracker has not seen the head for too long"
 
 
@@ -110,7 +110,7 @@ class MotionWatch:
             self.void(moved)
             raise moved
         if seen.problem is not None:
-            self.find(f"nothing watched the head during {what}: {seen.problem.summary}")
+            self.find(f"the head was not watched during {what}: {seen.problem.summary}")
         told = self._unseen_s > LONGEST_UNSEEN_S
         self._unseen_s = seen.unseen_s + (0.0 if seen.has_seen else self._unseen_s)
         if self._unseen_s > LONGEST_UNSEEN_S and not told:
@@ -128,7 +128,7 @@ class MotionWatch:
         except PatientMoved as told:
             return PatientMoved.by(f"{told.what}, during {what}", told.moved_mm, PATIENT_LIMIT_MM)
         except RonnaError as problem:  # what was seen is told all the same
-            self.find(f"nothing more was read after {what}: {problem.summary}")
+            self.find(f"no further reading after {what}: {problem.summary}")
         return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
 
 
@@ -247,4 +247,4 @@ class _Looking:
         """Once, and at once: the motion that nothing watches any more may take its time."""
         if not self._silence_told:
             self._silence_told = True
-            self.tell(f"the tracker is silent, nothing watches the head: {problem.summary}")
+            self.tell(f"the tracker does not answer, the head is not watched: {problem.summary}")

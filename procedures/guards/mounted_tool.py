@@ -28,4 +28,6 @@ class ToolStillMounted:
         if mounted == expected:
             return None
         found = f"tool {mounted}" if mounted else "no tool"
-        return f"the controller reports {found} instead of the {workcell.tool}: mount that again"
+        return (
+            f"the controller reports {found} instead of the {workcell.tool}: mount the {workcell.tool} again"
+        )

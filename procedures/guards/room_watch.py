@@ -19,6 +19,7 @@ from procedures.guards.ghosts import ghosts_of
 from procedures.registration.shift import NEAR_MM, PointShift, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 from ronna_hw.text.beyond import beyond
+from ronna_hw.text.counting import counted
 
 Array = NDArray[np.float64]
 
@@ -137,8 +138,8 @@ class RoomWatch:
             raise _patient_moved(few, few_mm, FEW_LIMIT_MM, told_apart=base_mm is not None)
         if head is None and (strange := self._strange(reading)):
             raise PatientUnseen(
-                f"the tracker sees {strange} of the spheres near the head in no known place",
-                expected="three known spheres at least in their places",
+                f"the tracker sees {counted(strange, 'sphere')} near the head at no known position",
+                expected="at least three known spheres in place",
             )
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
             if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
@@ -218,7 +219,8 @@ def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_ap
     # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
     what = "the head" if told_apart else "the head, or the tracker,"
     return PatientMoved.by(
-        f"{what} has moved since it was localized, by {_in_words(head_mm)} as {head.points} spheres show",
+        f"{what} has moved since it was localized, by {_in_words(head_mm)} according to {head.points} "
+        "spheres",
         head.rms_mm,
         limit_mm,
     )
@@ -226,4 +228,4 @@ def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_ap
 
 def _in_words(way_mm: Array) -> str:
     x, y, z = way_mm.tolist()
-    return f"{np.linalg.norm(way_mm):.1f} mm (x {x:+.1f}, y {y:+.1f}, z {z:+.1f} of the robot)"
+    return f"{np.linalg.norm(way_mm):.1f} mm (x {x:+.1f}, y {y:+.1f}, z {z:+.1f} in the robot frame)"

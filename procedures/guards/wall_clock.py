@@ -33,6 +33,6 @@ class WallClock:
         if abs(step_s) > LARGEST_STEP_S:
             self._ahead_s = ahead_s
             self._find(
-                f"the host's clock was set by {step_s:+.1f} s: dates before and after do not agree; "
-                "durations and limits are not concerned"
+                f"the host's clock was changed by {step_s:+.1f} s: dates before and after do not agree; "
+                "durations and limits are not affected"
             )

@@ -26,7 +26,7 @@ class SeriesMixed(DataError):
     """The folder holds images of more than one series."""
 
     code = "CT-003"
-    action = "Put each series into a folder of its own and give one of them."
+    action = "Put each series into its own folder and give one of them."
 
 
 class WrongModality(DataError):
@@ -44,7 +44,7 @@ class FileDamaged(DataError):
 
 
 class FramesMixed(DataError):
-    """The slices lie in more than one frame of reference."""
+    """The slices belong to more than one frame of reference."""
 
     code = "CT-006"
     action = "Export the series again; positions of different frames of reference cannot be compared."

@@ -92,13 +92,16 @@ def examine(
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
         cut = edge.cut_share > CUT_FLAG
         return _rejected(
-            volume, peak, edge, f"is cut by the field, shows {seen}" if cut else f"shows only {seen}"
+            volume,
+            peak,
+            edge,
+            f"is cut off by the field of view, shows {seen}" if cut else f"shows only {seen}",
         )
     if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
         return _rejected(volume, peak, edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
     distances_mm = [float(np.linalg.norm(edge.centre_mm - other.combined.centre_mm)) for other in known]
     if min(distances_mm, default=np.inf) < radius_mm:
-        return _rejected(volume, peak, edge, "is a marker that has been found already")
+        return _rejected(volume, peak, edge, "is a marker that was already found")
     if min(distances_mm, default=np.inf) < OVERLAP * 2.0 * radius_mm:
         return _rejected(volume, peak, edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)

@@ -26,7 +26,7 @@ Progress = Callable[[float], None]
 DIAMETER_MM = 11.5  # the usual passive sphere
 DETECTION_SHARE = 0.7  # of the work
 CLEAR, UNCLEAR = 0.9, 0.8  # odds between which those that are expected stand out
-NOT_EXPECTED = Doubt("is less like a marker than those that were expected", 2.0)
+NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
 MIN_VOXELS_ACROSS = 3.0  # of the diameter, along the coarsest axis
 
 
@@ -124,7 +124,7 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
     """Raise CT-017 for no volume, or a diameter or a count that makes no sense in it."""
     if not isinstance(volume, Volume):
         raise LocalizationMisused(
-            "spheres are localized in a Volume, which knows its millimetres",
+            "spheres are localized in a Volume, which carries its geometry in mm",
             got=type(volume).__name__,
             action="Read one with procedures.imaging.read_series(FOLDER).",
         )

@@ -43,11 +43,11 @@ def parse_points(content: bytes, name: str) -> Array:
     except InputRefused as error:
         raise PicksUnreadable(f"{name} is refused: {error.summary}") from error
     except LookupError as error:
-        raise PicksUnreadable(f"{name} holds no points: it has no {error}") from error
+        raise PicksUnreadable(f"{name} has no points: it has no {error}") from error
     except (ValueError, TypeError, AttributeError, csv.Error) as error:
-        raise PicksUnreadable(f"{name} holds no points: {error}") from error
+        raise PicksUnreadable(f"{name} has no points: {error}") from error
     if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
-        raise PicksUnreadable(f"{name} holds no points", expected="three finite numbers for each")
+        raise PicksUnreadable(f"{name} has no points", expected="three finite numbers for each")
     return points
 
 
@@ -73,7 +73,7 @@ def _from_csv(text: str, name: str) -> list[list[float]]:
             picks.append([float(left_mm), float(posterior_mm), float(superior_mm)])
         except (ValueError, IndexError):
             raise PicksUnreadable(
-                f"{name}, line {reader.line_num} is no point",
+                f"{name}, line {reader.line_num} is not a point",
                 expected=f"three numbers with , or ; between them, or first a header {','.join(COLUMNS)}",
                 got=repr(" ".join(row)[:LONGEST_QUOTE]),
             ) from None

@@ -27,8 +27,8 @@ REACH = 1.0  # of the radius: a sphere's centre may be this far from its pick
 CROP = 3.2  # of the radius: the neighbourhood that is searched
 MIN_SURFACE_SHARE = 0.3
 IN_RAS = (
-    "It would be on a sphere in RAS, which 3D Slicer shows: change the signs of the first two numbers, or "
-    "give its .mrk.json, which says its coordinate system."
+    "It would be on a sphere in RAS, as shown by 3D Slicer: change the signs of the first two numbers, "
+    "or give its .mrk.json, which states its coordinate system."
 )
 IN_METRES = "It would be on a sphere in metres: give millimetres."
 START_STEP = 0.4  # of the radius, between the starts around a pick that shows no contrast
@@ -99,7 +99,7 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
     index = geometry.to_index(pick_mm)
     if (index < -0.5).any() or (index > np.array(geometry.shape) - 0.5).any():
-        raise PickRefused(f"{place} lies outside the scanned volume", expected=_extent(geometry))
+        raise PickRefused(f"{place} is outside the scanned volume", expected=_extent(geometry))
     grid_mm = index * geometry.spacing_mm
     refused: list[Candidate] = []
     for peak in _starts(volume, grid_mm, radius_mm):

@@ -53,7 +53,7 @@ def _intensity_warnings(voxels: NDArray[np.int16]) -> tuple[str, ...]:
     darkest = int(voxels.min())
     if darkest <= AIR_BELOW_HU:
         return ()
-    return (f"no air in the scan, the darkest voxel has {darkest} HU: these are perhaps no Hounsfield units",)
+    return (f"no air in the scan, the darkest voxel has {darkest} HU: these may not be Hounsfield units",)
 
 
 def _part(progress: Progress | None, start: float, end: float) -> Progress:

@@ -32,7 +32,7 @@ def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple
     height_mm = float(geometry.to_patient_mm((worst + 1.5, 0.0, 0.0))[2])
     return (
         f"the patient seems to have moved by {jumps_mm[worst]:.1f} mm at S {height_mm:.0f} mm, between "
-        f"slices {worst + 2} and {worst + 3}: markers above and below do not belong together",
+        f"slices {worst + 2} and {worst + 3}: markers above and below are inconsistent",
     )
 
 

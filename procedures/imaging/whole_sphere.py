@@ -123,13 +123,13 @@ def _doubts(
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
         Doubt(
-            f"{amiss.mean():.0%} of its surface lies off a sphere",
+            f"{amiss.mean():.0%} of its surface is off a sphere",
             amiss.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
         ),
-        Doubt("goes on where a sphere ends", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
+        Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
         Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
-        Doubt(f"is {difference_mm:.2f} mm longer one way than another", longer),
-        Doubt(f"{hollow:.0%} of its core is something else", hollow / HOLLOW_SHARE),
+        Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", longer),
+        Doubt(f"{hollow:.0%} of its core is a different material", hollow / HOLLOW_SHARE),
         Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 

@@ -26,28 +26,28 @@ class PlanMistakes(PlanError):
     """The plan has wrong keys or values, or several kinds of mistakes; all are listed."""
 
     code = "PLAN-002"
-    action = "Correct every line named here; the reference lists every key."
+    action = "Correct every line listed; the reference describes every key."
 
 
 class WrongSeries(PlanError):
     """The plan was made on a different CT series."""
 
     code = "PLAN-003"
-    action = "Load the series that the plan was made on, or plan again on this one."
+    action = "Load the series that the plan was made on, or re-plan on this one."
 
 
 class BadTrajectoryGeometry(PlanError):
-    """Entry and target are one point, or the depth is impossible."""
+    """Entry and target coincide, or the depth is impossible."""
 
     code = "PLAN-004"
     action = "Correct entry and target; coordinates are LPS millimetres of the series."
 
 
 class DuplicateTrajectory(PlanError):
-    """Two trajectories have the same id, so neither can be referred to."""
+    """Two trajectories have the same id, so neither can be identified."""
 
     code = "PLAN-005"
-    action = "Give every trajectory an id of its own."
+    action = "Give every trajectory a unique id."
 
 
 class OutsideField(PlanError):
@@ -58,10 +58,10 @@ class OutsideField(PlanError):
 
 
 class NotReachable(RefusedError):
-    """The arm cannot take a pose of the procedure, or cannot follow the line to it."""
+    """The arm cannot reach a pose of the procedure, or cannot follow the line to it."""
 
     code = "PLAN-007"
-    action = "Change the free angle, or move the cart, the head or what is in the way, and check again."
+    action = "Change the free angle, or move the cart, the head or the obstacle, and check again."
 
 
 class WrongMarkerCount(PlanError):
@@ -75,126 +75,128 @@ class WrongOrientation(PlanError):
     """The CT was taken in a different patient position from the one in the plan."""
 
     code = "PLAN-009"
-    action = "Find out which is right before anything else: left and right may be swapped."
+    action = "First find out which is right: left and right may be swapped."
 
 
 class NotIntoHead(PlanError):
     """According to the CT, a trajectory does not lead from outside the head to a target inside it."""
 
     code = "PLAN-011"
-    action = "Look at entry and target in the CT: they may be exchanged, or given in RAS."
+    action = "Check entry and target in the CT: they may be swapped, or given in RAS."
 
 
 class UnknownTool(PlanError):
     """The plan names an unknown tool."""
 
     code = "PLAN-012"
-    action = "Name the tool that the plan was made for; another tool has another length."
+    action = "Name the tool that the plan was made for; other tools have other lengths."
 
 
 class NotTheFrame(PlanError):
-    """The CT does not show the x-shaped frame that the plan names, or not the whole of it."""
+    """The CT does not show the x-shaped frame that the plan names, or only part of it."""
 
     code = "PLAN-013"
-    action = 'Look at the spheres of the CT; for single spheres on screws plan with fiducials = "free".'
+    action = 'Check the spheres in the CT; for single spheres on screws, set fiducials = "free".'
 
 
 class NoHeadInCt(PlanError):
-    """No head was found in the CT, so no clearance to it can be kept."""
+    """No head was found in the CT, so clearance to it cannot be checked."""
 
     code = "PLAN-014"
     action = "Check that this is the CT of the head, in Hounsfield units."
 
 
 class NoTemplate(PlanError):
-    """No places on the head have distances that differ by the margin asked for."""
+    """No positions on the head have distances that differ by the requested margin."""
 
     code = "PLAN-015"
     action = "Ask for a smaller --margin or for three markers."
 
 
 class HeadUnreadable(ConfigurationError):
-    """The file that should describe a head does not."""
+    """The file does not describe a head."""
 
     code = "PLAN-016"
     action = "Give the output of `ronna-sim scene`, or a CT series with --ct."
 
 
 class NotTheTemplate(PlanError):
-    """The fiducials in the CT do not lie as the plan's template has them."""
+    """The fiducials in the CT do not match the plan's template."""
 
     code = "PLAN-017"
-    action = "Look whether this is the patient's template; without one, leave template_mm out of the plan."
+    action = "Check that this is the patient's template; if there is none, remove template_mm from the plan."
 
 
 class StandoffInsideSkin(PlanError):
     """The stand-off would hold the guide's lower end inside the skin."""
 
     code = "PLAN-018"
-    action = "Give a larger standoff_mm; look at the entry in the CT as well."
+    action = "Set a larger standoff_mm; also check the entry in the CT."
 
 
 class StopBeyondInstrument(PlanError):
-    """The depth stop would sit beyond the end of the instrument."""
+    """The depth stop would be beyond the end of the instrument."""
 
     code = "PLAN-019"
-    action = "Plan with a longer instrument, or with a smaller standoff_mm."
+    action = "Plan with a longer instrument or a smaller standoff_mm."
 
 
 class NoPlace(RefusedError):
-    """From no place of the cart that was looked at can the whole plan be done."""
+    """The whole plan cannot be carried out from any examined cart position."""
 
     code = "PLAN-020"
-    action = "Look farther with --within, or change the head's place, the free angles or the --strategy."
+    action = "Search farther with --within, or change the head position, the free angles or the --strategy."
 
 
 class NoMarkerSites(PlanError):
-    """The head has no room for so many markers clear of the trajectories."""
+    """The head has no room for that many markers clear of the trajectories."""
 
     code = "PLAN-021"
     action = "Ask for fewer --markers, or move an entry point."
 
 
 class PlaceUnfit(PlanError):
-    """The file of a proposed place cannot be read, or was made for another CT."""
+    """The file of the proposed cart position cannot be read, or was made for another CT."""
 
     code = "PLAN-022"
-    action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or take it out of the case folder."
+    action = "Make it again with ronna-plan place PLAN --ct DIR --out DIR, or remove it from the case folder."
 
 
 class AlteredPlan(PlanError):
-    """A plan does not agree with the seal that the planner put under it."""
+    """The plan does not match its planner seal."""
 
     code = "PLAN-023"
-    action = "Open it in the planner, look at it and save it again; take the seal out if the edit is yours."
+    action = "Open it in the planner, review it and save it again; remove the seal if the edit is yours."
 
 
 class OtherVoxels(PlanError):
-    """The CT has the number of the plan's series and other voxels."""
+    """The CT has the UID of the plan's series but different voxels."""
 
     code = "PLAN-024"
-    action = "Find out which CT is the patient's; plan again on the one that is used."
+    action = "Find out which CT is the patient's; re-plan on the one that is used."
 
 
 class PlanNotSaved(ConfigurationError):
     """The plan could not be written."""
 
     code = "PLAN-025"
-    action = "Nothing is lost: the plan stays on this page. Make room or rights, then save again."
+    action = (
+        "Nothing is lost: the plan stays on this page. Free space or fix the permissions, then save again."
+    )
 
 
 class PlanInUse(RefusedError):
-    """A case is running on the plan, a run has kept it, or another planner has it open."""
+    """A case is running on the plan, a run has stored it, or another planner has it open."""
 
     code = "PLAN-026"
-    action = "Look at it as long as you like; save it when the case has ended, or under another --plan."
+    action = "You can still view it; save it when the case has ended, or under another --plan."
 
 
 class NearStructure(PlanError):
-    """A trajectory comes nearer to a structure than its margin allows."""
+    """A trajectory comes closer to a structure than its margin allows."""
 
     code = "PLAN-027"
-    action = "Move entry or target; give a smaller margin only if you would enter that near."
+    action = "Move entry or target; reduce the margin only if you accept passing that close."
 
 
 class StructureUnreadable(PlanError):
@@ -205,10 +207,10 @@ class StructureUnreadable(PlanError):
 
 
 class UnsavedChanges(PlanError):
-    """The planner ended with changes that nobody had saved."""
+    """The planner ended with unsaved changes."""
 
     code = "PLAN-029"
-    action = "Look at them; Save keeps them, Undo goes back to the plan as it was saved."
+    action = "Review them; Save keeps them, Undo restores the saved plan."
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:

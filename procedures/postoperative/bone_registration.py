@@ -89,8 +89,9 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
     """Raises POST-002."""
     if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
         raise HeadsDiffer(
-            "the skulls of the two CTs do not fit each other",
-            expected=f"agreement of {LEAST_AGREEMENT:g} over {LEAST_OVERLAP:.0%} of the bone, or more",
+            "the skulls of the two CTs do not match",
+            expected=f"agreement of at least {LEAST_AGREEMENT:g} over at least {LEAST_OVERLAP:.0%} of "
+            "the bone",
             got=f"{agreement:.2f} over {overlap:.0%}",
         )
 

@@ -63,7 +63,7 @@ class Proof:
 
 
 def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
-    """Find what lies along the trajectories of a plan; `only` names those that were done, all by default.
+    """Find the object along the trajectories of a plan; `only` names those that were done, all by default.
 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
@@ -81,16 +81,16 @@ def proof_by(
     found, lost_to = assigned(ways, candidates)
     if lost_to:
         pairs = ", ".join(f"{name} and {other}" for name, other in lost_to.items())
-        raise InstrumentAmbiguous(f"the same instrument or hole lies along {pairs}")
+        raise InstrumentAmbiguous(f"the same instrument or hole was found along {pairs}")
     if missing := [name for name in ways if name not in found]:
         raise InstrumentMissing(
-            f"neither an instrument nor a drilled hole lies along {', '.join(missing)}",
+            f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
             expected=f"one along each of {len(asked)}",
             got=f"found along {', '.join(found)}" if found else "none",
         )
     if failed := {name: one.failures for name, one in found.items() if one.failures}:
         raise FitFailed(
-            "what lies along "
+            "the object along "
             + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
             + " is neither a straight rod nor a round hole"
         )
@@ -100,11 +100,11 @@ def proof_by(
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
     """The plan is of the first series, and the second is another one. Raises PLAN-003, POST-003, POST-004."""
     if pre.series_instance_uid == post.series_instance_uid:
-        raise OneSeriesTwice("both CTs are one series", got=pre.series_instance_uid)
+        raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
     if plan.series_instance_uid == pre.series_instance_uid:
         return
     if plan.series_instance_uid == post.series_instance_uid:
-        raise SeriesSwapped("the plan was made on the second CT: the two are exchanged")
+        raise SeriesSwapped("the plan was made on the second CT: the two are swapped")
     raise WrongSeries(
         "the plan belongs to another CT series",
         expected=plan.series_instance_uid,

@@ -6,14 +6,14 @@ from ronna_hw.errors import EXIT_REFUSED, DataError
 
 
 class NoBone(DataError):
-    """A CT shows no skull to lay the other one over."""
+    """A CT shows no skull to register the other one to."""
 
     code = "POST-001"
     action = "Give CTs of the whole head, in Hounsfield units."
 
 
 class HeadsDiffer(DataError):
-    """The skulls of the two CTs do not fit each other."""
+    """The skulls of the two CTs do not match."""
 
     code = "POST-002"
     action = "Check that both series are of this patient and show the same part of the head."
@@ -21,21 +21,21 @@ class HeadsDiffer(DataError):
 
 
 class SeriesSwapped(DataError):
-    """The plan belongs to the CT that was given as the one after the operation."""
+    """The plan belongs to the CT that was given as the postoperative one."""
 
     code = "POST-003"
-    action = "Give the CT that was planned on first, then the one after the operation."
+    action = "Give the planning CT first, then the postoperative one."
 
 
 class OneSeriesTwice(DataError):
     """Both folders hold the same series."""
 
     code = "POST-004"
-    action = "Give the CT that was planned on, then the one taken after the operation."
+    action = "Give the planning CT, then the postoperative one."
 
 
 class OtherPatient(DataError):
-    """The two CTs bear different patient identifiers."""
+    """The two CTs have different patient identifiers."""
 
     code = "POST-005"
     action = "Stop and find out whose CT each is; nothing was compared."
@@ -46,28 +46,29 @@ class InstrumentMissing(DataError):
     """Along a trajectory the CT shows neither an instrument nor a drilled hole."""
 
     code = "POST-006"
-    action = "Look at the CT; name the trajectories that were done with --only."
+    action = "Check the CT; name the trajectories that were carried out with --only."
     exit_code = EXIT_REFUSED
 
 
 class InstrumentAmbiguous(DataError):
-    """One instrument, or one hole, lies along more than one trajectory."""
+    """The same instrument or hole was found along more than one trajectory."""
 
     code = "POST-007"
-    action = "Look at the CT which trajectory it was; name the ones that were done with --only."
+    action = "Check the CT to see which trajectory it was; name the ones that were carried out with --only."
     exit_code = EXIT_REFUSED
 
 
 class RunOfAnotherCt(DataError):
-    """The run to whose report the result should go followed a plan on another CT."""
+    """The run for whose report the result is meant followed a plan on another CT."""
 
     code = "POST-008"
-    action = "Give the run of this operation, or leave --run out."
+    action = "Give the run of this operation, or omit --run."
 
 
 class FitFailed(DataError):
-    """What was found along a trajectory is neither a straight rod nor a round hole: its axis is not known."""
+    """The object found along a trajectory is neither a straight rod nor a round hole, so its axis is
+    unknown."""
 
     code = "POST-009"
-    action = "Look at the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."
+    action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."
     exit_code = EXIT_REFUSED

@@ -33,9 +33,9 @@ class Usual:
         """Why place and direction are not known at all."""
         why = []
         if not quality.ended:
-            why.append("the fit did not end")
+            why.append("the fit did not converge")
         if not quality.inside:
-            why.append("place, direction or radius ended at a limit of the fit")
+            why.append("position, direction or radius ended at a limit of the fit")
         return tuple(why)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
@@ -43,7 +43,8 @@ class Usual:
         why = []
         if quality.residual_hu > self.residual_hu:
             why.append(
-                f"the fit leaves {quality.residual_hu:.0f} HU, usual are up to {self.residual_hu:g} HU"
+                f"the residual of the fit is {quality.residual_hu:.0f} HU, normally up to "
+                f"{self.residual_hu:g} HU"
             )
         low_mm, high_mm = self.radius_mm
         if not low_mm <= quality.radius_mm <= high_mm:

@@ -18,32 +18,34 @@ class FoundTrajectory(Strict):
 
     id: str = Field(description="Its name in the plan.")
     kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
-    planned_entry_mm: Numbers3 = Field(description="As planned.")
-    planned_target_mm: Numbers3 = Field(description="As planned.")
-    entry_mm: Numbers3 = Field(description="Where the axis that was found passes the planned entry.")
-    axis_at_target_mm: Numbers3 = Field(description="The tip, or where a hole's axis passes the target.")
+    planned_entry_mm: Numbers3 = Field(description="Planned point.")
+    planned_target_mm: Numbers3 = Field(description="Planned point.")
+    entry_mm: Numbers3 = Field(description="Point of the found axis at the planned entry.")
+    axis_at_target_mm: Numbers3 = Field(description="The tip, or the point of a hole's axis at the target.")
     tip_mm: Numbers3 | None = Field(description="Tip of the instrument.")
-    entry_error_mm: float = Field(description="From the planned entry to the axis, across the planned way.")
+    entry_error_mm: float = Field(
+        description="From the planned entry to the axis, across the planned trajectory."
+    )
     target_error_mm: float | None = Field(description="From the planned target to the tip.")
-    lateral_mm: float = Field(description="At the target, across the planned way.")
-    depth_error_mm: float | None = Field(description="Along the planned way; positive is too deep.")
+    lateral_mm: float = Field(description="At the target, across the planned trajectory.")
+    depth_error_mm: float | None = Field(description="Along the planned trajectory; positive is too deep.")
     angle_deg: float = Field(description="Between the planned and the found axis.")
-    doubts: tuple[str, ...] = Field(default=(), description="Why it may be wrong, by its fit.")
+    doubts: tuple[str, ...] = Field(default=(), description="Reasons, from its fit, why it may be wrong.")
 
 
 class PostoperativeCheck(Strict):
     """A CT after the operation against the plan."""
 
-    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this form.")
-    pre_series_instance_uid: str = Field(description="The CT that was planned on.")
-    post_series_instance_uid: str = Field(description="The CT after the operation.")
+    schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this format.")
+    pre_series_instance_uid: str = Field(description="The planning CT.")
+    post_series_instance_uid: str = Field(description="The postoperative CT.")
     post_from_pre: tuple[Numbers4, Numbers4, Numbers4, Numbers4] = Field(
         description="Pose of the head, second CT <- first, mm."
     )
     bone_agreement: float = Field(description="Correlation of both CTs at bone; 1 for equal skulls.")
     bone_overlap: float = Field(description="Share of the first CT's bone that the second shows.")
     trajectories: tuple[FoundTrajectory, ...] = Field(description="In the order of the plan.")
-    warnings: tuple[str, ...] = Field(default=(), description="What limits the accuracy.")
+    warnings: tuple[str, ...] = Field(default=(), description="Conditions that limit the accuracy.")
 
 
 def _doubts(proof: Proof) -> tuple[str, ...]:

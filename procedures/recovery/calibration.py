@@ -53,8 +53,8 @@ def leave_divot(engine: Engine) -> None:
     back_mm = HOVER_MM - away_mm
     engine.context(StepKey(ReadTip.kind)).confirm(
         Topic.CALIBRATION,
-        "The arm will leave the divot. The divot is lowered, hands are clear of stand and guide, and "
-        "nobody is within the arm's reach",
+        "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of the stand "
+        "and the guide, and nobody is within the arm's reach",
         f"{back_mm:.0f} mm back along the guide",
     )
     here = workcell.tool_pose()

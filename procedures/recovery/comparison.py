@@ -1,4 +1,4 @@
-"""What a comparison after a restart found: what is as it was recorded, and what differs."""
+"""Findings of the comparison after a restart: what is as recorded, and what differs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ronna_hw.text.counting import counted
 
 @dataclass
 class Comparison:
-    """Findings in plain words. A difference is refused, whatever the operator says."""
+    """Findings in plain words. Any difference is refused, whatever the operator answers."""
 
     warnings: list[str] = field(default_factory=list)  # what can hurt: read first
     notes: list[str] = field(default_factory=list)
@@ -55,7 +55,7 @@ class Comparison:
             )
 
     def in_lines(self, order: Sequence[str]) -> str:
-        """What can hurt, what will be done in `order`, what was found; what is as it was in one line."""
+        """What can hurt, what will be done in `order`, the findings; unchanged items as one line."""
         as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 

@@ -38,7 +38,7 @@ def compare_devices(
         except RonnaError as problem:
             if role == ARM or not only_leaving:
                 raise
-            comparison.note(f"{role}: not needed on the way home, {problem.summary}")
+            comparison.note(f"{role}: not needed on the way home ({problem.summary})")
             continue
         if (then := recorded.identities.get(role)) == found:
             comparison.same(f"{role} {found.model}")
@@ -75,7 +75,7 @@ def _compare_calibrations(
             if only_leaving:
                 comparison.note(f"calibration {record.identifier}: {problem.summary}")
             else:
-                comparison.differs(f"calibration {record.identifier}", "one that is valid", problem)
+                comparison.differs(f"calibration {record.identifier}", "a valid one", problem)
         else:
             comparison.same(f"calibration {record.identifier}")
 
@@ -108,7 +108,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     if found is expected:
         comparison.same(f"the {found}")
     elif exchange_begun and workcell.insertion is None:
-        comparison.warn(f"an exchange of tools had begun: the arm carries the {found}")
+        comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
     else:
         comparison.differs("mounted tool", f"the {expected}", f"the {found}")
         return

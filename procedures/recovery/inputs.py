@@ -1,4 +1,4 @@
-"""CT, plan and proposed place after a restart: those that were imported, checked and compared with."""
+"""CT, plan and proposed position after a restart: those that were imported, checked and compared with."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
         else:
             then = imported.result
             if changed := then.differences(volume):
-                comparison.differs("CT series", then.series_instance_uid, f"another {changed}")
+                comparison.differs("CT series", then.series_instance_uid, f"a different one: {changed}")
             else:
                 comparison.same("CT series")
                 if engine.case.find(CheckedPlan, None) is None:
@@ -37,21 +37,21 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
         try:
             plan = read_plan(clinical.plan)
         except (RonnaError, OSError) as problem:
-            comparison.differs("plan", "a plan that was checked", problem)
+            comparison.differs("plan", "the checked plan", problem)
         else:
             if plan == checked.result.plan:
                 comparison.same("plan")
             else:
-                comparison.differs("plan", "the plan that was checked", "another one")
+                comparison.differs("plan", "the checked plan", "a different one")
     elif plan_sha256 is not None and clinical.plan_sha256 not in (None, plan_sha256):
         comparison.differs("plan", f"SHA-256 {plan_sha256}", clinical.plan_sha256)
     if locked := engine.case.find(LockedCart, None):
         try:
             changed = locked.result.differences(clinical.place)
         except RonnaError as problem:
-            comparison.differs("proposed place", "one that was read", problem)
+            comparison.differs("proposed position", "a readable one", problem)
         else:
             if changed:
-                comparison.differs("proposed place", locked.record.identifier, changed)
+                comparison.differs("proposed position", locked.record.identifier, changed)
             elif locked.result.proposal is not None:
-                comparison.same("proposed place")
+                comparison.same("proposed position")

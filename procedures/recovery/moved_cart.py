@@ -25,11 +25,14 @@ class MovedCart:
             return False
         self._moves += 1
         if (following := engine.upcoming) is None:
-            goes_on = "lock it; the work at every target is done: the arm goes home, and the case ends"
+            goes_on = "lock it; the work at every target is done: the arm goes home and the case ends"
         else:
-            goes_on = f"lock it, then the case goes on from {following}"
+            goes_on = f"lock it, then the case continues from {following}"
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
-        value = (f"nobody stands in the arm's way home; these stand: {stands}", *begun_elsewhere(engine))
+        value = (
+            f"nobody is in the arm's way home; these results remain valid: {stands}",
+            *begun_elsewhere(engine),
+        )
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:
             return False

@@ -42,19 +42,19 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         if registrations or workcell.tool is not MountedTool.GUIDE:
             comparison.differs("room", f"all within {moved.limit}", moved.what)
         else:  # which is why none stands: the step registration asks whether it follows
-            comparison.note(f"patient: {moved.what}; no registration stands")
+            comparison.note(f"patient: {moved.what}; no registration is valid")
         return True
     except BaseShifted as moved:
         comparison.differs("room", f"all within {moved.limit}", moved.what)
         return True
     if reading.frame_mm is None and workcell.at_home:
-        comparison.differs("robot base", "the frame on the arm in sight", "the tracker does not see it")
+        comparison.differs("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
-    comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of where the tracker saw them")
+    comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")
     if base_mm is None:
         comparison.note("robot base: not compared in this pose")
     else:
         moved_mm = np.linalg.norm(base_mm)
-        comparison.note(f"robot base: the frame on the arm within {moved_mm:.2f} mm of its place")
+        comparison.note(f"robot base: the frame on the arm within {moved_mm:.2f} mm of its recorded position")
     comparison.notes += findings
     return True

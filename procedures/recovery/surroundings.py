@@ -18,7 +18,8 @@ from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
 
 MOVED_SINCE = (
-    "something has moved since the guide was led there: on its way out it keeps clear of where the head was"
+    "something has moved since the guide was positioned: on its way out it keeps clear of the head's "
+    "former position"
 )
 
 
@@ -36,8 +37,8 @@ def surround(engine: Engine) -> None:
         surround_guide(engine.context(led.key), led.robot_from_ct)
     elif not workcell.at_home:
         raise RecoveryRefused(
-            "the arm is not home, and no result says where the head is",
-            action="Move the arm home by hand at the controller, then resume again.",
+            "the arm is not home, and no result gives the position of the head",
+            action="Jog the arm home with the controller's pendant, then resume again.",
         )
 
 

@@ -55,9 +55,9 @@ def recover(engine: Engine, left: LeftRun) -> None:
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
             comparison.note(
-                "patient and robot base: out of the tracker's sight; compared when the arm is home"
+                "patient and robot base: not visible to the tracker; compared once the arm is home"
             )
-    _have_accepted(engine, comparison, "take the run up again", (*_first(engine), _then(engine)))
+    _have_accepted(engine, comparison, "resume the run", (*_first(engine), _then(engine)))
     if stored is None:
         return
     surround(engine)
@@ -66,7 +66,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
         engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
         again = Comparison()
         if not compare_room(engine, again):
-            again.differs("patient", "at least three spheres in sight", "fewer, with the arm home")
+            again.differs("patient", "at least three spheres in view", "fewer, with the arm home")
         _conclude(engine, again)
 
 
@@ -88,7 +88,7 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
     """
     comparison = Comparison()
     _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
-    comparison.note("patient and robot base: not compared, the arm only leaves")
+    comparison.note("patient and robot base: not compared, the arm only goes home")
     if not (first := _first(engine)):
         _conclude(engine, comparison)
         return False
@@ -107,7 +107,9 @@ def _take_up_arm(
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
         # The line that says an instrument goes in is later than that of the guide, and can be lost alone.
         arm = replace(arm, instrument_in=on.trajectory)
-        comparison.warn(f"nothing says that no instrument is in {on.trajectory}: one counts as inside")
+        comparison.warn(
+            f"the journal does not rule out an instrument in {on.trajectory}: one is assumed to be inside"
+        )
     workcell.take_up(arm, set_up.home_rad)
     begun = _exchange_begun(engine, left)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
@@ -116,10 +118,12 @@ def _take_up_arm(
         name = insertion.trajectory  # the lost lines can also have said that an instrument goes in
         arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
         workcell.take_up(arm, set_up.home_rad)
-        comparison.warn(f"the guide is {beyond_mm:.0f} mm along {name}: an instrument counts as inside")
+        comparison.warn(
+            f"the guide is {beyond_mm:.0f} mm along {name}: an instrument is assumed to be inside"
+        )
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
         workcell.instrument.take_up(IN_GAUGE)
-        comparison.warn("the guide is at the gauge: the mandrel counts as inside")
+        comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
@@ -133,7 +137,8 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
     question = Question(Topic.RESUME, subject, comparison.in_lines(order))
     if engine.ask(question) != YES:
         raise RecoveryRefused(
-            "the operator did not accept what was found", action="Give the command again when it may go on."
+            "the operator did not accept the findings",
+            action="Repeat the command when the case may continue.",
         )
     engine.accept()
 
@@ -150,14 +155,14 @@ def _require_ready(engine: Engine) -> None:
     acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
     raise StepRefused(
         f"nothing may move yet: {'; '.join(told)}",
-        action=" ".join((*first, f"Nothing was moved. Give {acknowledge}, then this command again.")),
+        action=" ".join((*first, f"Nothing was moved. Run {acknowledge}, then this command again.")),
     )
 
 
 def _conclude(engine: Engine, comparison: Comparison) -> None:
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
-        raise RecoveryRefused("the run cannot be taken up again: " + "; ".join(comparison.differences))
+        raise RecoveryRefused("the run cannot be resumed: " + "; ".join(comparison.differences))
 
 
 def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
@@ -178,11 +183,11 @@ def _first(engine: Engine) -> tuple[str, ...]:
     workcell = engine.setting.workcell
     first = []
     if (trajectory := engine.instrument_in) is not None:
-        first.append(f"first the instrument is taken out of {trajectory} by hand")
+        first.append(f"first the instrument is removed from {trajectory} by hand")
     if (on := workcell.insertion) is not None:
-        first.append(f"the guide comes back from {on.trajectory} along its axis")
+        first.append(f"the guide retreats from {on.trajectory} along its axis")
     if over_divot_mm(engine) is not None:
-        first.append("the divot is lowered by hand, and the guide leaves it along its axis")
+        first.append("the divot is lowered by hand and the guide leaves it along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.at_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
@@ -194,7 +199,7 @@ def _then(engine: Engine) -> str:
     steps = (
         [] if course.over else [str(key) for key in order.sequence if key in again or not course.settled(key)]
     )
-    return f"then to do: {', '.join(steps) or 'nothing'}"
+    return f"remaining steps: {', '.join(steps) or 'none'}"
 
 
 def _step_of(record: Record) -> StepKey:

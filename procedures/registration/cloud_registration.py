@@ -75,7 +75,7 @@ def register_clouds(
             raise BadParameter(
                 "the start must be one transform physical <- image",
                 got=f"{len(matrix)} transforms",
-                action="Give one SciPy RigidTransform, or leave the start out.",
+                action="Give one SciPy RigidTransform, or omit the start.",
             )
         return _as_fit(_closest_points(image, physical, tree, matrix, overlap))
     fits = [_closest_points(image, physical, tree, one, overlap) for one in _axis_starts(image, physical)]
@@ -126,7 +126,7 @@ def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, 
         fit = fit_rigid(image[used], physical[nearest[used]])
         matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = fit.rotation, fit.translation_mm
-    raise NotConverged("the closest points did not settle", limit=f"{MOST_STEPS} steps")
+    raise NotConverged("the closest points did not converge", limit=f"{MOST_STEPS} steps")
 
 
 def _axis_starts(image: Array, physical: Array) -> list[Array]:

@@ -134,7 +134,7 @@ class CorrespondenceSearch:
             if over_full.size > self.expected + 1:
                 return self.no_match(
                     MatchStatus.INCONSISTENT,
-                    f"{over_full.size} pairs agree where {self.expected} are expected",
+                    f"{over_full.size} pairs agree, {self.expected} expected",
                     over_full,
                 )
             ranked = [one for one in ranked if one.size <= self.expected]
@@ -142,7 +142,7 @@ class CorrespondenceSearch:
                 found = ranked[0] if ranked else over_full
                 return self.no_match(
                     MatchStatus.INCONSISTENT,
-                    f"{found.size} pairs agree where {self.expected} are expected",
+                    f"{found.size} pairs agree, {self.expected} expected",
                     found,
                 )
         best = ranked[0]
@@ -178,7 +178,7 @@ class CorrespondenceSearch:
         elif any(one.passed_mirrored for one in nearest if one.size == miss.size):
             reason = _mirror_reason(miss)
         elif miss.on_a_line:
-            reason = f"the {miss.size} agreeing points lie on a line and fix no rotation"
+            reason = f"the {miss.size} agreeing points are collinear and do not determine the rotation"
         else:
             reason = (
                 f"{miss.size} pairs have matching distances but residuals beyond the noise"

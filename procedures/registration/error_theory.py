@@ -68,7 +68,7 @@ def chi_square_limit(freedom: int, confidence: float) -> float:
     """The chi-square value that is exceeded with probability 1 - confidence."""
     if not 0.0 < confidence < 1.0:
         raise BadParameter(
-            "a confidence lies between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
+            "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
         )
     return float(chdtri(freedom, 1.0 - confidence))
 
@@ -180,7 +180,7 @@ def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None
     """
     if not 0.0 < confidence < 1.0:
         raise BadParameter(
-            "a confidence lies between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
+            "a confidence must be between 0 and 1", got=f"{confidence}", action="Give a share: 0.95, not 95."
         )
     variances = np.maximum(np.linalg.eigvalsh(covariance_mm2), 0.0)
     total = variances.sum(axis=-1)

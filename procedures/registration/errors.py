@@ -20,7 +20,7 @@ class TooFewPoints(DataError):
 
 
 class CollinearPoints(DataError):
-    """The points lie on a line, so the rotation about it is free."""
+    """The points are collinear, so the rotation about their line is undetermined."""
 
     code = "REG-003"
     action = "Use fiducials that span a plane."
@@ -61,8 +61,9 @@ class NoUniqueMatch(RefusedError):
 
     code = "REG-008"
     action = (
-        "First make sure that this is the CT of the patient on the table and that no sphere was displaced; "
-        "then add fiducials, give the patient's orientation as a prior, or pair by hand and confirm."
+        "First make sure that this is the CT of the patient on the table and that no sphere was "
+        "displaced; then add fiducials, give the patient's orientation as a prior, or pair the spheres "
+        "by hand and confirm."
     )
 
 
@@ -88,10 +89,10 @@ class SymmetricCloud(DataError):
 
 
 class LayoutNotFound(RefusedError):
-    """The spheres of a scan do not show the layout that was asked for, or show it in more ways than one."""
+    """The spheres of a scan do not show the requested layout, or match it in more than one way."""
 
     code = "REG-012"
     action = (
-        "Check that scan and layout belong together and that the layout is in mm; without --layout every "
-        "sphere is listed."
+        "Check that the scan and the layout belong together and that the layout is in mm; without "
+        "--layout every sphere is listed."
     )

@@ -90,5 +90,5 @@ def _check_expected(expected: Any) -> None:
         raise BadParameter(
             f"expected must be a whole number of at least {FEWEST_PAIRS}",
             got=f"{expected}",
-            action="Give how many markers the patient wears, or leave it out.",
+            action="Give the number of markers on the patient, or omit it.",
         )

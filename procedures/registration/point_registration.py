@@ -208,7 +208,7 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
     if middle <= COLLINEAR_REFUSED * largest:
         ratio = middle / largest if largest > 0.0 else 0.0
         raise CollinearPoints(
-            "the points lie on a line", limit=f"ratio {COLLINEAR_REFUSED:g}", got=f"{ratio:.2g}"
+            "the points are collinear", limit=f"ratio {COLLINEAR_REFUSED:g}", got=f"{ratio:.2g}"
         )
     caveats = []
     if middle < COLLINEAR_WARNED * largest:

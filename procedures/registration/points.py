@@ -71,7 +71,7 @@ def refuse_duplicates(points: Array, name: str) -> None:
             f"{name} points {first} and {second} are the same sphere",
             limit=f"{NEAREST_SPHERES_MM:g} mm apart",
             got=f"{distances.min():.3g} mm",
-            action="All lie within 2 mm: are these metres? Give millimetres." if metres else None,
+            action="All are within 2 mm: are these metres? Give millimetres." if metres else None,
         )
 
 

@@ -35,9 +35,9 @@ class CtToRoomRow(Strict):
     """One sphere of the CT and what the room says about it; none where nothing was measured."""
 
     fiducial: int = Field(description="Index in the CT.")
-    ct_disagreement_mm: float | None = Field(description="Between the two estimates of its centre.")
-    tracker_index: int | None = Field(description="Its partner among the tracker's points.")
-    tracker_residual_mm: float | None = Field(description="Distance to that partner.")
+    ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")
+    tracker_index: int | None = Field(description="Its match among the tracker's points.")
+    tracker_residual_mm: float | None = Field(description="Distance to that match.")
     stereo_residual_mm: float | None = Field(description="Distance to the stereo head's point.")
     leave_one_out_mm: float | None = Field(description="The same, registered without it.")
     partner_is_nearest: bool | None = Field(description="Whether no other point of the tracker is nearer.")
@@ -48,9 +48,9 @@ class RoomToCtRow(Strict):
 
     instrument: Instrument = Field(description="Tracker or stereo head.")
     index: int = Field(description="Among that instrument's points.")
-    fiducial: int | None = Field(description="Its partner in the CT; none when unmatched.")
+    fiducial: int | None = Field(description="Its match in the CT; none if unmatched.")
     nearest_fiducial: int = Field(description="The nearest sphere of the CT.")
-    distance_mm: float = Field(description="To that sphere.")
+    distance_mm: float = Field(description="Distance to that sphere.")
 
 
 class TwoWayTable(Strict):
@@ -58,9 +58,9 @@ class TwoWayTable(Strict):
 
     ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
     room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")
-    unmatched_ct: tuple[int, ...] = Field(description="Spheres of the CT that nothing in the room confirms.")
-    unmatched_room: tuple[tuple[Instrument, int], ...] = Field(description="Points that no sphere is.")
-    agrees_both_ways: bool = Field(description="Every partner is the nearest in both directions.")
+    unmatched_ct: tuple[int, ...] = Field(description="Spheres of the CT without a match in the room.")
+    unmatched_room: tuple[tuple[Instrument, int], ...] = Field(description="Points that match no sphere.")
+    agrees_both_ways: bool = Field(description="Every match is the nearest in both directions.")
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def fit_weighted(
         if np.abs(step[:3]).max() < SETTLED and np.abs(step[3:]).max() < SETTLED * scale_mm:
             return rotation, translation_mm
     raise NotConverged(
-        f"the weighted fit did not settle in {MOST_STEPS} steps", got=f"{np.abs(step).max():.3g}"
+        f"the weighted fit did not converge in {MOST_STEPS} steps", got=f"{np.abs(step).max():.3g}"
     )
 
 

@@ -79,7 +79,7 @@ class Camera:
             ideal = ideal + step
             if np.abs(step).max() < UNDISTORT_END:
                 return ideal
-        raise BadMeasurement("the distortion cannot be undone here", got=str(tuple(observed)))
+        raise BadMeasurement("the distortion cannot be removed here", got=str(tuple(observed)))
 
     def direction(self, normalised: Array) -> Array:
         """Unit direction (3,) of the line of sight in tool coordinates."""

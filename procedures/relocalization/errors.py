@@ -13,7 +13,7 @@ class BadImage(DataError):
 
 
 class NoContrast(DataError):
-    """The image is dark or uniform: nothing stands out."""
+    """The image is dark or uniform: it shows no structure."""
 
     code = "STE-002"
     action = "Bring a lit sphere into view; check lens caps and lights, then lengthen the exposure."
@@ -41,10 +41,10 @@ class RaysDoNotMeet(DataError):
 
 
 class WrongSize(DataError):
-    """What both cameras see is too large or too small to be the sphere at its distance."""
+    """The object seen by both cameras is too large or too small to be the sphere at its distance."""
 
     code = "STE-006"
-    action = "Check what is in view: glare, another sphere, or a marker of another diameter."
+    action = "Check what is in view: glare, another sphere, or a marker of a different diameter."
 
 
 class ServoDiverges(DataError):
@@ -58,7 +58,7 @@ class ServoExhausted(DataError):
     """The servo's residual is still above its tolerance after the last allowed step."""
 
     code = "STE-008"
-    action = "Mark this sphere as failed, or check lens, light and arm, then start again."
+    action = "Leave out this sphere, or check lens, light and arm, then start again."
 
 
 class SphereNotInView(DataError):
@@ -69,7 +69,7 @@ class SphereNotInView(DataError):
 
 
 class WrongCamera(DataError):
-    """The calibration belongs to another camera than the one that took the image."""
+    """The calibration belongs to a different camera from the one that took the image."""
 
     code = "STE-010"
     action = "Use the calibration of the mounted head, or calibrate it."
@@ -84,7 +84,7 @@ class Saturated(DataError):
 
 
 class PairNotUsable(DataError):
-    """Repeatedly, images are incomplete or missing, or left and right come from different triggers."""
+    """Images are repeatedly incomplete or missing, or left and right come from different triggers."""
 
     code = "STE-012"
     action = "Check both cameras with ronna-procedure doctor; check cables, trigger and network load."
@@ -94,11 +94,13 @@ class NotTrusted(DataError):
     """A sphere is in view, but too little of it, or too poorly, for a reliable centre."""
 
     code = "STE-013"
-    action = "Remove what hides it, clean sphere and lens, check focus and light, or view it from elsewhere."
+    action = (
+        "Remove the obstruction, clean sphere and lens, check focus and light, or view it from elsewhere."
+    )
 
 
 class HeadTurned(RefusedError):
-    """A camera of the stereo head does not sit where its calibration says."""
+    """A camera of the stereo head is not where its calibration says."""
 
     code = "STE-014"
     action = "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it."

@@ -37,7 +37,8 @@ def check_head(
     unlikeness = median(2.0 * (left - right) / (left + right) for left, right in radii_mm)
     if abs(unlikeness) > LARGEST_UNLIKENESS:
         raise HeadTurned(
-            "a camera of the stereo head has turned: the spheres look larger to one than to the other",
+            "a camera of the stereo head has rotated: the spheres appear larger in one camera than in "
+            "the other",
             limit=f"{LARGEST_UNLIKENESS:.2%}",
             got=f"{abs(unlikeness):.2%}",
         )
@@ -46,7 +47,7 @@ def check_head(
     if gap_mm > limit_mm:
         gap, limit = told_apart(gap_mm, limit_mm, 2)
         raise HeadTurned(
-            "a camera of the stereo head has moved: the lines of sight pass each other",
+            "a camera of the stereo head has moved: the lines of sight do not meet",
             limit=f"{limit} mm",
             got=f"{gap} mm",
         )

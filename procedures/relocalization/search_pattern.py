@@ -38,7 +38,7 @@ def search_pose(
     offsets = search_offsets_mm(rings, ring_step_mm)
     if look >= len(offsets):
         raise SphereNotInView(
-            f"no sphere in {len(offsets)} looks", limit=f"{rings * ring_step_mm:g} mm around the pose"
+            f"no sphere in {len(offsets)} image pairs", limit=f"{rings * ring_step_mm:g} mm around the pose"
         )
     return Transform.of(
         start.target,

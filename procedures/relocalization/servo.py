@@ -87,7 +87,7 @@ class ServoState:
         """
         _require_tool_pose(tool_pose)
         if not self.points_mm:
-            raise BadMeasurement("no look has placed the sphere yet")
+            raise BadMeasurement("the sphere has not been measured yet")
         way_errors_mm = self.settings.way_error * np.array(self.residuals_mm)
         weights = 1.0 / (self.settings.repeatability_mm**2 + way_errors_mm**2)
         step = np.average(self.points_mm, axis=0, weights=weights) - tool_pose.translation_mm

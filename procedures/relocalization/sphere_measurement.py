@@ -96,7 +96,7 @@ def _refuse_even(dark: float, bright: float, full_range: float) -> NoReturn:
     limit, last = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
     if dark >= SATURATED_LEVEL * full_range:
         raise Saturated("the image is saturated", limit=limit, got=last)
-    evenness = "dark all over" if bright <= DARK_LEVEL * full_range else "uniform: it has no contrast"
+    evenness = "completely dark" if bright <= DARK_LEVEL * full_range else "uniform: it has no contrast"
     raise NoContrast(f"the image is {evenness}", limit=limit, got=last)
 
 

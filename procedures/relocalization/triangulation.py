@@ -102,7 +102,9 @@ def triangulate(
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
     """Raise STE-010 unless the calibration is that of the camera with this serial number."""
     if calibration.serial != serial:
-        raise WrongCamera("calibration belongs to another camera", expected=calibration.serial, got=serial)
+        raise WrongCamera(
+            "the calibration belongs to a different camera", expected=calibration.serial, got=serial
+        )
 
 
 def _check(outlines: tuple[SphereImage, SphereImage]) -> None:

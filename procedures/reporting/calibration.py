@@ -45,7 +45,7 @@ class HeadFigures(_Figures):
     created: str
     expires: str
     serials: tuple[str, str]
-    outliers: tuple[int, ...] = Field(description="Looks that were left out.")
+    outliers: tuple[int, ...] = Field(description="Measurements that were left out.")
     image_sigma_px: float
     arm_error_mm: float
     arm_scatter_mm: float
@@ -54,7 +54,7 @@ class HeadFigures(_Figures):
     tool_shift_mm: float
     frame_misfit_mm: float
     flange_from_tool: _Place
-    residuals_px: tuple[tuple[float, ...], ...] = Field(description="Of each look.")
+    residuals_px: tuple[tuple[float, ...], ...] = Field(description="Rms of each measurement.")
 
     @property
     def looks_px(self) -> tuple[tuple[float, bool], ...]:
@@ -140,7 +140,7 @@ class LookFigures(_Figures):
                 f"{self.position_mm[number]:.4f}",
                 f"{sigma_mm:.4f}",
             )
-        yield Figure("lines of sight pass at, µm", micrometres(self.ray_gap_mm))
+        yield Figure("gap of the lines of sight, µm", micrometres(self.ray_gap_mm))
         yield Figure("radius, mm", millimetres(self.radius_mm))
 
 
@@ -169,17 +169,17 @@ class ArmFigures(_Figures):
     def figures(self) -> Iterator[Figure]:
         """As a table."""
         yield Figure("looks", f"{self.looks - self.outliers} used, {self.outliers} left out")
-        yield Figure("looks kept to judge by", str(self.validation_looks))
-        yield Figure("miss at these, nominal arm, mm rms", millimetres(self.before_mm))
+        yield Figure("measurements held out for validation", str(self.validation_looks))
+        yield Figure("error at these, nominal arm, mm rms", millimetres(self.before_mm))
         yield Figure(
             "calibrated arm, mm rms",
             f"{millimetres(self.error_mm)}, expected {millimetres(self.predicted_mm)}",
         )
-        yield Figure("expected of the calibration alone, mm", millimetres(self.model_mm))
+        yield Figure("expected from the calibration alone, mm", millimetres(self.model_mm))
         yield Figure("random error of the arm per axis, mm", millimetres(self.scatter_mm))
         yield Figure("shift of the head's tool centre, mm", millimetres(self.tool_shift_mm))
         unknown = [name for name, one in self.parameters.items() if one.standard_error > NOTHING_LEARNT]
-        yield Figure("not revealed by the looks", ", ".join(unknown) or "nothing")
+        yield Figure("not determined by the measurements", ", ".join(unknown) or "nothing")
         yield Figure("made", self.created[:16].replace("T", " "))
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 
@@ -199,7 +199,7 @@ class ArmCheckFigures(_Figures):
         """As a table."""
         yield Figure("looks", str(self.looks))
         yield Figure(
-            "miss, mm rms",
+            "error, mm rms",
             f"{millimetres(self.error_mm)}, expected {millimetres(self.expected_mm)}",
             "",
             f"{'unchanged' if self.passed else 'CHANGED'}: chi-square {self.statistic:.0f}, "
@@ -235,20 +235,20 @@ class FrameFigures(_Figures):
         """As a table."""
         yield Figure("frame", self.frame)
         yield Figure("poses", f"{self.poses - self.outliers} used, {self.outliers} left out")
-        yield Figure("poses kept to judge by", str(self.validation_poses))
+        yield Figure("poses held out for validation", str(self.validation_poses))
         yield Figure(
-            "miss at these, mm rms",
+            "error at these, mm rms",
             f"{millimetres(self.validation_mm)}, expected {millimetres(self.predicted_mm)}",
         )
         yield Figure(
-            "miss at these, degrees rms",
+            "error at these, degrees rms",
             f"{degrees(self.validation_rad)}, expected {degrees(self.predicted_rad)}",
         )
         for axis, value_mm in zip(AXES, self.tool_from_marker.translation_mm, strict=True):
             yield Figure(f"frame in the tool frame, {axis}, mm", millimetres(value_mm))
         yield Figure("found on this arm, mm", "", millimetres(self.error_mm))
         yield Figure("found on this arm, degrees", "", degrees(self.error_rad))
-        yield Figure("the arm's own share, mm", "", millimetres(self.arm_error_mm))
+        yield Figure("contribution of the arm, mm", "", millimetres(self.arm_error_mm))
         yield Figure("stated error, mm", "", millimetres(self.stated_error_mm))
         yield Figure(
             "arm and tracker, scatter per axis",
@@ -285,18 +285,18 @@ class TipFigures(_Figures):
         """As a table."""
         yield Figure("tool", str(self.tool_number))
         yield Figure("readings", str(self.readings))
-        yield Figure("readings kept to judge by", str(self.validation_readings))
+        yield Figure("readings held out for validation", str(self.validation_readings))
         yield Figure(
-            "miss at these, mm rms",
+            "error at these, mm rms",
             f"{millimetres(self.validation_mm)}, expected {millimetres(self.predicted_mm)}",
         )
         for axis, value_mm in zip(AXES, self.tip_in_head_mm, strict=True):
             yield Figure(f"tip in the tool frame of the head, {axis}, mm", millimetres(value_mm))
-        yield Figure("of these readings, mm", "", millimetres(self.error_mm))
-        yield Figure("stated error, the stand's included, mm", "", millimetres(self.stated_error_mm))
+        yield Figure("from these readings, mm", "", millimetres(self.error_mm))
+        yield Figure("stated error, including the stand, mm", "", millimetres(self.stated_error_mm))
         yield Figure("scatter of a reading per axis, mm", millimetres(self.reading_scatter_mm))
         yield Figure(
-            "divot beside ball by pivoting, mm",
+            "offset of the divot from the ball by pivoting, mm",
             millimetres(math.hypot(*self.gap_mm)),
             millimetres(self.gap_error_mm),
         )

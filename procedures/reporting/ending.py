@@ -37,7 +37,7 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
         where = (
             f" during {running.get('step', 'a step')}" if running is not None and running is not last else ""
         )
-        return Ending("killed", f"The program ended{where} without closing the run, or it still runs.")
+        return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
     inside = closed.get("instrument_in")
     instrument_in = inside if isinstance(inside, str) else None
     outcome = closed.get("outcome")

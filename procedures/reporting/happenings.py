@@ -89,11 +89,11 @@ def _of_kinds(
 
 def _superseded(line: Line) -> str:
     gone = _words(line.get("supersedes"))
-    return f"It was done again; these results hold no longer: {gone}" if gone else ""
+    return f"Repeated; these results are no longer valid: {gone}" if gone else ""
 
 
 def _voided(line: Line) -> str:
-    return f"{line.get('what', '')} These results hold no longer: {_words(line.get('supersedes'))}"
+    return f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
 
 
 def _rested(line: Line) -> str:
@@ -112,8 +112,8 @@ def _doubted(line: Line) -> str:
 def _restarted(line: Line) -> str:
     """What a program that takes the run up found of the one before."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
-    told = f"The program ended before {begun} had ended" if begun else ""
-    return f"{told}; the last line of its journal was torn and is kept aside" if torn else told
+    told = f"The program ended before {begun} was complete" if begun else ""
+    return f"{told}; the last line of its journal was truncated and set aside" if torn else told
 
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
@@ -126,8 +126,8 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.ACKNOWLEDGED: ("fault", _acknowledged),
     Entry.DOUBTED: ("fault", _doubted),
     Entry.RESTARTED: ("fault", _restarted),
-    Entry.ACCEPTED: ("repetition", lambda _line: "The run was taken up again: what was found was accepted"),
-    Entry.MISREAD: ("repetition", lambda line: f"Something else was read back: {line.get('subject', '')}"),
+    Entry.ACCEPTED: ("repetition", lambda _line: "The run was resumed; the findings were accepted"),
+    Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
 }
 _TOLD: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.FINDING: ("finding", lambda line: str(line.get("text", ""))),

@@ -25,8 +25,8 @@ class TargetTruth(BaseModel):
 
     id: str
     application_error_mm: float
-    lateral_mm: float | None = Field(default=None, description="Part across the planned axis.")
-    axial_mm: float | None = Field(default=None, description="Part along it.")
+    lateral_mm: float | None = Field(default=None, description="Component across the planned axis.")
+    axial_mm: float | None = Field(default=None, description="Component along it.")
 
 
 class Truth(BaseModel):
@@ -53,7 +53,7 @@ class TargetOutcome(Values):
     predicted_tre_mm: float = Field(description="Root mean square.")
     application_error_mm: float | None
     measured_error_mm: float | None = Field(
-        default=None, description="By the stereo head in place of the guide, on a phantom."
+        default=None, description="Measured by the stereo head in place of the guide, on a phantom."
     )
 
     @model_serializer(mode="wrap")
@@ -85,7 +85,7 @@ class FinishedRun(RunOutcome):
     left_out: dict[str, str] = Field(default={}, description="Trajectories that were left out, and why.")
     mean_application_error_mm: float | None
     max_application_error_mm: float | None
-    late_cycles: int = Field(description="Late or lost, over all sessions of the robot link.")
+    late_cycles: int = Field(description="Late or lost cycles, over all sessions of the robot link.")
     sim_s: float = Field(description="Theatre time.")
     wall_s: float
     report: str | None = None

@@ -205,7 +205,7 @@ def _read_twice(
     try:
         again = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        reading.note(f"The numbers of the targets could not be read a second time: {error}")
+        reading.note(f"The figures of the targets could not be read a second time: {error}")
         return {"second_text": "", "agree": False}
     files.text(NUMBERS_FILE, text := as_text(again))
     return {"second_text": text, "agree": again == tuple(row.cells for row in rows)}

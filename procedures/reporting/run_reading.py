@@ -83,7 +83,7 @@ def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
     if not found.chain.lines:
         notes.append("There is no journal: the run ended before its theatre was open.")
     if found.chain.torn:
-        notes.append("The last line of the journal is torn: the program ended while it wrote it.")
+        notes.append("The last line of the journal is truncated: the program ended while writing it.")
     return RunReading(run_of(found), _log(folder), tuple(map(str, found.changes)), notes)
 
 

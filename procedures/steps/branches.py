@@ -76,15 +76,15 @@ class Branch:
     ) -> Question:
         """What the operator is asked, with all answers by default. Raises ValueError when nothing is."""
         if self.topic is None:
-            raise ValueError(f"nothing is asked when: {self.event}")
+            raise ValueError(f"no question is defined for: {self.event}")
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
 SPHERE_COUNT = Branch(
     "the CT shows more or fewer spheres than were implanted",
-    "count of the spheres found against the plan",
+    "number of spheres found against the plan",
     ("plan_check",),
-    f"all candidates are shown; fewer only while {FEWEST_SPHERES} remain",
+    f"all candidates are shown; fewer are accepted only if {FEWEST_SPHERES} remain",
     Ending.ASK,
     (WrongMarkerCount,),
     Topic.SPHERE_COUNT,
@@ -92,24 +92,24 @@ SPHERE_COUNT = Branch(
 )
 CT_DISAGREEMENT = Branch(
     "the two estimates of a sphere in the CT differ by more than 0.06 mm",
-    "distance of the two centres",
+    "distance between the two centres",
     ("fiducial_localization",),
-    "the sphere is flagged and weighs less: its covariance grows by what the estimates differ",
+    "the sphere is flagged and weighted less: its covariance grows by the difference",
     Ending.RECORDED,
 )
 SIGHT_LOST = Branch(
     "the tracker loses sight of the reference frame",
-    "frames without it, partial, disturbed or stale",
+    "frames that lack it, or are partial, disturbed or stale",
     ("global_localization",),
-    "nothing moves; the step is repeated when sight is free",
+    "nothing moves; the step is repeated once the line of sight is clear",
     Ending.HOLD,
     (GateFailed,),
 )
 GUARD_UNMET = Branch(
-    "what a guard watches is not as it must be: line of sight, reference, age of data",
+    "a guard's condition is not met: line of sight, reference, age of data",
     "the guards at every checkpoint",
     (),
-    "the case is suspended and waits; then the operator waits on or leaves the step",
+    "the case is suspended and waits; then the operator keeps waiting or leaves the step",
     Ending.ASK,
     (GuardUnmet,),
     Topic.GUARD,
@@ -117,38 +117,39 @@ GUARD_UNMET = Branch(
 )
 HEAD_UNSEEN = Branch(
     "a guide is near a head that the tracker has not seen for 10 s",
-    "theatre time since three known spheres were in their places, under way and at the target",
+    "theatre time since three known spheres were last seen in place, during motions and at the target",
     ("positioning", "at_target"),
-    "the arm stops and the case is suspended: it waits for sight, or the operator goes on without it for as "
-    "long again, or leaves the step",
+    "the arm stops and the case is suspended until the head is seen; or the operator continues without "
+    "it for as long again, or leaves the step",
     Ending.ASK,
     (GuardUnmet,),
     Topic.HEAD_UNSEEN,
     (WAIT, CONTINUE, LEAVE),
 )
 AMBIGUOUS = Branch(
-    "the spheres of CT and room match in several ways, or in none",
+    "the spheres of CT and room match in several ways, or not at all",
     "log-likelihood over the runner-up below ln 10,000",
     ("correspondence",),
-    "both pairings are shown; none is used",
+    "both pairings are shown; neither is used",
     Ending.HOLD,
     (NoUniqueMatch,),
 )
 UNMATCHED_SPHERE = Branch(
-    "a sphere is missing in the room, on a wrong screw, or far from its place",
-    "the CT matches in one way when the count is left aside, with fewer spheres than were implanted",
+    "a sphere is missing in the room, on the wrong screw, or far from its position",
+    "ignoring the count, the CT matches in exactly one way, with fewer spheres than were implanted",
     ("correspondence",),
-    f"it is named; the case goes on with the others while {FEWEST_SPHERES} remain and the operator agrees",
+    f"it is named; the case continues with the others if {FEWEST_SPHERES} remain and the operator agrees",
     Ending.ASK,
     (NoUniqueMatch,),
     Topic.UNMATCHED_SPHERE,
     (LEAVE_OUT, HOLD),
 )
 SPHERE_FAILED = Branch(
-    "the stereo head cannot measure a sphere: not in the field, hidden, too dark, no end of the servo",
-    "three rings of 5 mm, other exposures, 15 steps of the servo",
+    "the stereo head cannot measure a sphere: out of the field of view, hidden, too dark, servo does "
+    "not converge",
+    "three search rings of 5 mm, other exposures, 15 servo steps",
     ("relocalization",),
-    f"left out while {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
+    f"left out if {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
     Ending.ASK,
     (SphereNotFound, ServoDiverges, ServoExhausted, Saturated),
     Topic.SPHERE,
@@ -158,23 +159,23 @@ WRONG_SPHERE = Branch(
     "a sphere is not where the tracker saw it",
     "fine against coarse position, 3 mm",
     ("relocalization",),
-    "another sphere, or the patient moved: localize with the tracker again",
+    "wrong sphere, or the patient moved: localize with the tracker again",
     Ending.HOLD,
     (GateFailed,),
 )
 MOVED_SPHERE = Branch(
     "the fit disagrees with its own error budget, and one sphere alone explains it",
-    "chi-square gate, then leaving out one at a time",
+    "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
-    "the sphere is named; the registration is made without it when the operator agrees",
+    "the sphere is named; registration without it if the operator agrees",
     Ending.ASK,
     (GateFailed,),
     Topic.MOVED_SPHERE,
     (LEAVE_OUT, HOLD),
 )
 FIT_DISAGREES = Branch(
-    "the fit disagrees with its own error budget, and no one sphere explains it",
-    "chi-square gate, then leaving out one at a time",
+    "the fit disagrees with its own error budget, and no single sphere explains it",
+    "chi-square gate, then leaving out one sphere at a time",
     ("registration",),
     "localize again",
     Ending.HOLD,
@@ -185,17 +186,18 @@ REFERENCE_MOVED = Branch(
     "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
     "guide moves and while it is at its target",
     ("relocalization", "tool_change", "positioning", "at_target", "retreat"),
-    "the arm stops; the localization is void: home, the stereo head is mounted again, and the tracker "
-    "localizes anew. After a small move under the guide only the registrations are, and may follow it",
+    "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
+    "the tracker localizes again. After a small move with the guide mounted, only the registrations "
+    "are void, and may follow the move",
     Ending.HOLD,
     (BaseShifted, PatientMoved),
 )
 CART_MISPLACED = Branch(
-    "the cart stands elsewhere than `ronna-plan place` proposed",
-    "place.json of the case, against frame on the arm and spheres as the tracker sees them",
+    "the cart is not where `ronna-plan place` proposed",
+    "place.json of the case against the frame on the arm and the spheres, both as seen by the tracker",
     ("cart_lock",),
-    f"how far to push it is told; it is placed again, {PLACINGS} times at most, or stays when the operator "
-    "says so: the path check judges the real place",
+    f"the correction is shown; the cart is placed again, {PLACINGS} times at most, or stays if the "
+    "operator says so: the path check judges the actual position",
     Ending.ASK,
     (CartMisplaced,),
     Topic.CART_PLACE,
@@ -203,31 +205,31 @@ CART_MISPLACED = Branch(
 )
 CART_UNLOCKED = Branch(
     "the cart is not locked",
-    "nobody confirms it, or the frame on the arm moves against the spheres while somebody leans on the cart; "
-    "0.3 mm",
+    "nobody confirms it, or the frame on the arm moves against the spheres while someone leans on the "
+    "cart; 0.3 mm",
     ("cart_lock",),
-    "nothing is localized and nothing moves; it is locked, and leaned on again",
+    "nothing is localized and nothing moves; it is locked and leaned on again",
     Ending.HOLD,
     (CartNotLocked,),
 )
 CART_MOVED = Branch(
-    "the cart or the tracker has moved, and what depends on its place is void",
-    "the frame on the arm by tracker and arm, as above",
+    "the cart or the tracker has moved; whatever depends on its position is void",
+    "the frame on the arm according to tracker and arm, as above",
     ("relocalization", "tool_change", "tool_check", "positioning", "at_target", "retreat"),
-    "when the operator agrees the arm goes home, the cart is locked again, and the case goes on from the "
-    "global localization; CT and plan stand, and what was done at finished targets. When all are finished "
-    "the arm goes home and the case ends",
+    "if the operator agrees, the arm goes home, the cart is locked again and the case continues from "
+    "the global localization; CT, plan and finished targets remain valid. If all are finished, the arm "
+    "goes home and the case ends",
     Ending.ASK,
     (BaseShifted,),
     Topic.CART_MOVED,
     (GO_ON, HOLD),
 )
 MOVE_FOLLOWED = Branch(
-    "with the guide mounted the head has moved by up to 5 mm and 2 degrees, as one body, and lies still",
-    "60 frames of the tracker, arm at home, with the frame on the arm where it was",
+    "with the guide mounted, the head has moved by up to 5 mm and 2 degrees as a rigid body, and is at rest",
+    "60 tracker frames, arm at home, frame on the arm unmoved",
     ("registration",),
-    "the registration follows the measured move when the operator agrees, with its error in the prediction; "
-    "else the localization is void",
+    "if the operator agrees, the registration follows the measured move and the prediction includes "
+    "its error; otherwise the localization is void",
     Ending.ASK,
     (PatientMoved,),
     Topic.MOVE_FOLLOWED,
@@ -237,26 +239,26 @@ BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
     "propagation of all errors to the target",
     ("registration",),
-    "the trajectory is refused; the others go on without it when the operator agrees",
+    "the trajectory is refused; the others continue without it if the operator agrees",
     Ending.ASK,
     (GateFailed,),
     Topic.MARGIN,
     (LEAVE_OUT, HOLD),
 )
 UNREACHABLE = Branch(
-    "a trajectory cannot be reached by its strategy: out of range, singular, not seen, not clear at any free "
-    "angle",
+    "a trajectory cannot be reached with its strategy: out of range, singular, not seen, or not clear "
+    "at any free angle",
     "every pose and motion, at up to 90 degrees about the axis",
     ("path_check",),
-    "a free angle that works is taken and said; else another strategy that serves it, or the others go on "
-    "without it, when the operator agrees",
+    "a working free angle is used and reported; otherwise, if the operator agrees, another strategy "
+    "that reaches it, or the others continue without it",
     Ending.ASK,
     (NotReachable,),
     Topic.REACH,
     (*(use(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
 )
 NOT_CLEAR_NOW = Branch(
-    "with the fine registration the way to a target is not clear or out of range",
+    "with the fine registration, the path to a target is not clear or out of range",
     "the same checks, right before the motion",
     ("positioning",),
     "nothing moves; the trajectory is named",
@@ -267,34 +269,34 @@ ARM_FAULT = Branch(
     "the arm is in fault: late packets, protective stop, following error, controller",
     "driver and monitor, every cycle",
     (),
-    "safe stop; nothing begins before it is acknowledged. A mounted guide is checked at the gauge again "
-    "before the next target",
+    "safe stop; nothing starts until the fault is acknowledged. A mounted guide is checked at the "
+    "gauge again before the next target",
     Ending.HOLD,
 )
 KEPT_REGISTRATION = Branch(
-    "a registration was made before the arm was in fault",
-    "faults that were acknowledged",
+    "a registration is older than a fault of the arm",
+    "acknowledged faults",
     ("positioning",),
-    "it is kept only when the operator says so",
+    "it is kept only if the operator says so",
     Ending.ASK,
     (GateFailed,),
     Topic.REGISTRATION_KEPT,
     (YES, NO),
 )
 WRONG_TOOL = Branch(
-    "another tool than the one that was asked for is mounted after an exchange",
+    "the wrong tool is mounted after an exchange",
     "the controller's inputs",
     ("tool_change", "global_localization"),
-    f"it is mounted again and read again, {MOUNTINGS} times at most; nothing moves",
+    f"the tool is mounted and checked again, {MOUNTINGS} times at most; nothing moves",
     Ending.ASK,
     (WrongTool,),
     Topic.TOOL_CHANGE,
     (YES, NO),
 )
 TOOL_BESIDE_GAUGE = Branch(
-    "the mounted guide is not as it was when its tip was calibrated: bent, badly seated, another mandrel, or "
-    "the arm sags under another load than it was told",
-    "dials of a gauge on the table, 0.05 mm and 0.1 deg beside the tool's record",
+    "the mounted guide is not as it was when its tip was calibrated: bent, badly seated, wrong "
+    "mandrel, or the arm sags because the configured load is wrong",
+    "dials of a gauge on the table, 0.05 mm and 0.1 deg from the tool's record",
     ("tool_check",),
     "it is mounted again and checked again; nothing moves towards the patient",
     Ending.HOLD,
@@ -302,40 +304,43 @@ TOOL_BESIDE_GAUGE = Branch(
 )
 WRONG_STOP = Branch(
     "the depth stop of the instrument is set wrong",
-    "what is read off its scale against what was computed, 0.1 mm",
+    "the reading of its scale against the computed value, 0.1 mm",
     ("at_target",),
-    f"it is set again and read again, {SETTINGS} times at most; no instrument goes in",
+    f"it is set and read again, {SETTINGS} times at most; no instrument is inserted",
     Ending.ASK,
     (DepthStopWrong,),
     Topic.DEPTH_STOP,
     (YES, NO),
 )
 WORK_BEGUN = Branch(
-    "the guide is led again to where hands have worked through it: after a move, a restart, a repeat",
-    "the journal, which says that a stage begins before hands do anything",
+    "the guide returns to a target where it has already been worked through: after a move, a restart, "
+    "a repeat",
+    "the journal, which records each stage before it begins",
     ("at_target",),
-    "what was done there is said; the operator says from which stage the work goes on, which may be one that "
-    "was done",
+    "the work done there is listed; the operator chooses the stage to continue from, possibly one "
+    "already done",
     Ending.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
     (FINISHED, *(from_stage(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
 )
 GUIDE_PUSHED = Branch(
-    "somebody pushes or pulls the guide, or the arm",
-    "the frame on the mount, which the tracker sees, and the joints, against how the guide was held; 0.2 mm",
+    "someone pushes or pulls the guide, or the arm",
+    "the frame on the mount as seen by the tracker, and the joints, against the held pose of the "
+    "guide; 0.2 mm",
     ("at_target",),
-    "it is told at once; the case is suspended until both are let go, or the operator leaves the step",
+    "reported immediately; the case is suspended until guide and arm are released, or the operator "
+    "leaves the step",
     Ending.ASK,
     (GuardUnmet,),
     Topic.GUARD,
     (WAIT, LEAVE),
 )
 INSTRUMENT_INSIDE = Branch(
-    "the arm is to move while an instrument is in the guide, or may be: also after a restart",
-    "the journal, which says that it goes in before it does",
+    "the arm must move while an instrument is, or may be, in the guide: also after a restart",
+    "the journal, which records an insertion before it begins",
     ("tool_check", "at_target", "retreat"),
-    "nothing moves before the operator has said that it is out",
+    "nothing moves until the operator has confirmed that it is out",
     Ending.ASK,
     (NotConfirmed,),
     Topic.INSTRUMENT_OUT,
@@ -343,9 +348,9 @@ INSTRUMENT_INSIDE = Branch(
 )
 ABORTED = Branch(
     "the operator ends the case",
-    "any checkpoint, any question of a rest",
+    "any checkpoint, any question of a pause",
     (),
-    "the arm stops; the way out is along the tool axis, then home, when the operator says so",
+    "the arm stops; it leaves along the tool axis, then goes home, when the operator says so",
     Ending.ABORT,
     (OperatorAborted,),
 )

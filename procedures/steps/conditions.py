@@ -19,7 +19,7 @@ def carries(tool: MountedTool) -> Callable[[StepContext], tuple[str, ...]]:
         if workcell.tool is not tool:
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}")
         if workcell.insertion is not None:
-            reasons.append(f"the guide is held before the entry of {workcell.insertion.trajectory}")
+            reasons.append(f"the guide is held in front of the entry of {workcell.insertion.trajectory}")
         return tuple(reasons)
 
     return unmet
@@ -37,7 +37,9 @@ def exchangeable(context: StepContext) -> tuple[str, ...]:
 def localizable(context: StepContext) -> tuple[str, ...]:
     """Nothing that the localizations descend from is repeated when they could not be made again."""
     if context.workcell.tool is MountedTool.GUIDE:
-        return ("the arm carries the guide: with another result the spheres could not be localized again",)
+        return (
+            "the arm carries the guide: if this result changed, the spheres could not be localized again",
+        )
     return ()
 
 
@@ -45,7 +47,7 @@ def away_from_head(context: StepContext) -> tuple[str, ...]:
     """Nobody leans on the cart, or works at the clamp, while the arm reaches over the head."""
     insertion = context.workcell.insertion
     if insertion is not None:
-        return (f"the guide is held before the entry of {insertion.trajectory}",)
+        return (f"the guide is held in front of the entry of {insertion.trajectory}",)
     return () if context.workcell.at_home else ("the arm is not home: send it there first (home)",)
 
 
@@ -54,8 +56,8 @@ def inserted(context: StepContext) -> tuple[str, ...]:
     insertion = context.workcell.insertion
     if insertion is not None and insertion.trajectory == context.trajectory:
         return ()
-    where = "on no axis" if insertion is None else f"held before the entry of {insertion.trajectory}"
-    return (f"the guide is {where}, not before that of {context.trajectory}",)
+    where = "on no axis" if insertion is None else f"held in front of the entry of {insertion.trajectory}"
+    return (f"the guide is {where}, not in front of that of {context.trajectory}",)
 
 
 def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:

@@ -28,7 +28,7 @@ def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] 
     if stored is None:
         return None
     if key.name == CheckedTool.kind:
-        return ("move home to the gauge and back; checked for clearance right before",)
+        return ("move from home to the gauge and back; clearance is checked right before",)
     paths = stored.result
     motions = [one for one in paths.motions if _belongs(one, key)]
     if workcell.at_home or not motions or motions[0].start != HOME:
@@ -37,9 +37,7 @@ def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] 
     if over is None:
         return "the arm is not home; from home it would", *_told(motions, key)
     reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
-    return f"the arm stands over sphere {over + 1}; from there", *_told(
-        motions[max(reached, default=0) :], key
-    )
+    return f"the arm is over sphere {over + 1}; from there", *_told(motions[max(reached, default=0) :], key)
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:

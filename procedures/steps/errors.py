@@ -1,4 +1,4 @@
-"""What is found wrong with the cart, with tools and instruments."""
+"""Errors of the cart, the tools and the instruments."""
 
 from __future__ import annotations
 
@@ -6,41 +6,44 @@ from ronna_hw.errors import LimitError, RefusedError
 
 
 class CartNotLocked(RefusedError):
-    """Nobody says that the cart is locked, or it rolls when somebody leans on it."""
+    """Nobody confirmed that the cart is locked, or it rolls when leaned on."""
 
     code = "PRO-041"
-    action = "Close the brakes of every wheel, or set the cart on its feet, then repeat the step."
+    action = "Lock the brakes of every wheel, or lower the cart onto its feet, then repeat the step."
 
 
 class CartMisplaced(RefusedError):
-    """The cart stands farther from its proposed place than that place may be missed by."""
+    """The cart is farther from its proposed position than the tolerance allows."""
 
     code = "PRO-042"
-    action = "Push the cart as told and repeat the step, or make a map from here: ronna-plan place."
+    action = "Push the cart as indicated and repeat the step, or make a map from here: ronna-plan place."
 
 
 class DepthStopWrong(LimitError):
-    """The depth stop of the instrument reads differently from what was computed for the trajectory."""
+    """The depth stop of the instrument is not at the setting computed for the trajectory."""
 
     code = "TOOL-004"
-    action = "Set the depth stop to what is expected, then repeat the step; no instrument goes in before."
+    action = (
+        "Set the depth stop to the expected value, then repeat the step; no instrument is inserted until "
+        "then."
+    )
     exit_code = RefusedError.exit_code
 
 
 class ToolBesideGauge(LimitError):
-    """The mounted guide is beside its record: bent, badly seated, another mandrel, or the arm sags."""
+    """The mounted guide does not match its record: bent, badly seated, wrong mandrel, or the arm sags."""
 
     code = "TOOL-005"
     action = (
-        "Read the dials again, or seat the guide and its mandrel again on the parked arm, then repeat "
-        "tool_check; else calibrate the guide."
+        "Read the dials again, or reseat the guide and its mandrel on the parked arm, then repeat "
+        "tool_check; if it still differs, calibrate the guide."
     )
     exit_code = RefusedError.exit_code
 
 
 class ToolSeenElsewhere(LimitError):
-    """The tracker does not see the frame of the mounted tool where the tool's record says, or not at all."""
+    """The tracker sees the frame of the mounted tool off its recorded position, or not at all."""
 
     code = "TOOL-006"
-    action = "See that it is the right tool, well seated and in the tracker's sight; repeat tool_check."
+    action = "Check that it is the right tool, properly seated and visible to the tracker; repeat tool_check."
     exit_code = RefusedError.exit_code

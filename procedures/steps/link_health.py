@@ -13,10 +13,10 @@ from procedures.engine.result import Values
 class LinkHealth(Values):
     """Counters, turnaround and jitter since the arm was last activated. Times are host time."""
 
-    lock_step: bool = Field(description="Theatre time stood still between telegrams: no real-time figure.")
+    lock_step: bool = Field(description="Theatre time stood still between telegrams: not a real-time figure.")
     cycles: int = Field(description="Telegrams that were answered.")
-    late_cycles: int = Field(description="Replies that came too late, as the controller says.")
-    lost_cycles: int = Field(description="Cycles missing in the count of the telegrams.")
+    late_cycles: int = Field(description="Replies that came too late, according to the controller.")
+    lost_cycles: int = Field(description="Cycles missing from the telegram counter.")
     rejected_telegrams: int = Field(description="Telegrams that were not understood.")
     foreign_telegrams: int = Field(description="Telegrams from another sender.")
     turnaround_median_us: float = Field(description="From telegram to reply.")

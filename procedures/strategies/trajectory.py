@@ -37,7 +37,7 @@ class Trajectory:
         if not all(map(math.isfinite, numbers)):
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
         if self.depth_mm < SHORTEST_MM:
-            raise BadTrajectory(f"entry and target of trajectory {self.identifier} are one point")
+            raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def held(self, beyond_mm: float) -> Trajectory:
         """The same with the tool at rest so far beyond the target."""

@@ -97,9 +97,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "quartiles",
             ),
             rows,
-            "Depth of the target below the skin, along the trajectory. Published: RONNA G3 on a phantom, one"
-            " arm. It is compared with what is nearest to it: the x-shaped frame, the thesis' OCS."
-            f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
+            "Depth of the target below the skin, along the trajectory. Published: RONNA G3 on a "
+            "phantom, one arm. Compared with the closest case here: the x-shaped frame, the thesis' "
+            f"OCS. {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
         )
     ]
 

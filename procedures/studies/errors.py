@@ -16,14 +16,16 @@ class LedgerUnreadable(DataError):
     """The file of finished units cannot be read."""
 
     code = "STU-002"
-    action = "Choose another --out: the units in this folder cannot be told from those of another study."
+    action = (
+        "Choose another --out: the units in this folder cannot be distinguished from those of another study."
+    )
 
 
 class SchedulerUnreachable(ConnectError):
     """No Dask scheduler at this address."""
 
     code = "STU-003"
-    action = "Start one with `dask scheduler`, or leave --scheduler out to use this computer's cores."
+    action = "Start one with `dask scheduler`, or omit --scheduler to use this computer's cores."
 
 
 class ExtraMissing(ConfigurationError):
@@ -51,7 +53,7 @@ class NotForJudging(ConfigurationError):
     """A family meant for tuning was named for evaluating the localizer."""
 
     code = "STU-007"
-    action = "Remove it from the judging families, or state its purpose in the phantom."
+    action = "Remove it from the evaluation families, or state its purpose in the phantom."
 
 
 class TrackerNotSimulated(DataError):
@@ -62,42 +64,42 @@ class TrackerNotSimulated(DataError):
 
 
 class PoseNotSolved(DataError):
-    """A drawn arm does not settle at a planned pose: the pose is singular or out of reach."""
+    """A random arm does not converge to a planned pose: the pose is singular or out of reach."""
 
     code = "STU-009"
     action = "Use another --seed and report this one: the study plans its poses clear of singularities."
 
 
 class NoRunToTime(ConfigurationError):
-    """A folder whose times are asked for is no run's."""
+    """A folder given to `times` is not a run folder."""
 
     code = "STU-011"
-    action = "Name folders that ronna-procedure run has left; ronna-procedure list shows them."
+    action = "Give folders written by ronna-procedure run; ronna-procedure list shows them."
 
 
 class PhantomOutOfReach(DataError):
-    """The arm does not reach the phantom in one of its places."""
+    """The arm does not reach the phantom at one of its positions."""
 
     code = "STU-010"
-    action = "The places are fixed: report the strategy and the trajectory."
+    action = "The positions are fixed: report the strategy and the trajectory."
 
 
 class MethodRefused(ConfigurationError):
-    """An own method that cannot be used: not found, of another kind, or called otherwise."""
+    """A user method cannot be used: not found, of another kind, or with another signature."""
 
     code = "STU-012"
     action = "docs/how-to/own-methods.md shows one of each kind."
 
 
 class MethodFailed(DataError):
-    """An own method raised an error, or ended the process that it ran in."""
+    """A user method raised an error, or ended its process."""
 
     code = "STU-013"
-    action = "Correct the method and start again in another --out: a changed file is another study."
+    action = "Correct the method and start again with another --out: a changed file makes another study."
 
 
 class MethodAnswerWrong(DataError):
-    """The answer of an own method is none of its kind."""
+    """A user method returned something that is not a result of its kind."""
 
     code = "STU-014"
     action = "Correct what it returns; docs/how-to/own-methods.md shows one of each kind."

@@ -175,10 +175,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 bounds.column("gate alarms"),
             ),
             formulas,
-            f"FLE {FLE_MM} mm, half of its variance in either space, target {TARGET_BELOW_MM:g} mm below the"
-            f" markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. FRE is a"
-            f" residual, never an accuracy. {bounds.NOTE} Those of the TRE: Student, from the spread of its"
-            " squares.",
+            f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
+            f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
+            f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
+            "spread of its squares.",
         ),
         Table(
             "What weighting by covariances gains",

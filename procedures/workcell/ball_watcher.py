@@ -125,8 +125,8 @@ class BallWatcher:
 
     def _observation(self, seen: Look, orientation: int | None) -> Observation:
         workcell = self.workcell
-        assert seen.left is not None, "a look without outlines is rejected"
-        assert seen.right is not None, "a look without outlines is rejected"
+        assert seen.left is not None, "a measurement without outlines is rejected"
+        assert seen.right is not None, "a measurement without outlines is rejected"
         joints = workcell.joints_rad()
         flange = workcell.arm.kinematics.forward(joints)
         return Observation(

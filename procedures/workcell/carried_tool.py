@@ -23,7 +23,9 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
         raise AnotherArm(
-            f"calibration {record.identifier} is of another arm", expected=kinematics.name, got=record.arm
+            f"calibration {record.identifier} belongs to another arm",
+            expected=kinematics.name,
+            got=record.arm,
         )
     return CalibratedArm(kinematics, ArmDeviations.of(record))
 

@@ -9,7 +9,7 @@ class WrongTool(LimitError):
     """The controller's inputs report a different tool from the one that the step needs."""
 
     code = "PRO-009"
-    action = "Mount the tool that is named, then repeat the step. No motion until then."
+    action = "Mount the named tool, then repeat the step. No motion until then."
     exit_code = RefusedError.exit_code
 
 
@@ -21,7 +21,7 @@ class InstrumentInside(RefusedError):
 
 
 class TipOffAxis(LimitError):
-    """The guide is not on the axis along which it has to be withdrawn."""
+    """The guide is not on the axis along which it must be withdrawn."""
 
     code = "PRO-015"
     action = "Do not move the arm. Free the guide by hand, then find out what moved."
@@ -29,28 +29,29 @@ class TipOffAxis(LimitError):
 
 
 class InstrumentInGuide(RefusedError):
-    """An instrument is in the guide, beyond the entry: nothing moves at all."""
+    """An instrument is in the guide, beyond the entry: nothing may move."""
 
     code = "TOOL-001"
-    action = "Take the instrument out of the guide, and confirm that it is out."
+    action = "Remove the instrument from the guide and confirm that it is out."
 
 
 class NoToolRecord(ConfigurationError):
-    """The theatre file has no record of a tool that the case needs, or one that does not fit the others."""
+    """The theatre file has no record of a tool that the case needs, or one that is inconsistent with the
+    others."""
 
     code = "TOOL-002"
     action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
 
 
 class ForeignTool(RefusedError):
-    """A tool record was made on another flange, or with another tip than the calibration that is in use."""
+    """A tool record was made on another flange, or with a tip calibration other than the one in use."""
 
     code = "TOOL-003"
     action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
 
 
 class SphereNotFound(RefusedError):
-    """The stereo head does not see a sphere where it should be, nor around it."""
+    """The stereo head sees no sphere at its expected position or around it."""
 
     code = "PRO-008"
     action = "Check that the sphere is mounted, lit and unobstructed, lenses uncovered; or plan without it."

@@ -79,4 +79,6 @@ def _insertion(line: Line) -> Insertion:
     try:
         return Insertion.from_plain(str(line["trajectory"]), line["axis"])
     except (KeyError, TypeError, ValueError) as error:
-        raise JournalCorrupt(f"line {line.get('sequence')} does not say where the guide went") from error
+        raise JournalCorrupt(
+            f"line {line.get('sequence')} does not give the position of the guide"
+        ) from error

@@ -64,7 +64,7 @@ class ToolMount:
         if tool is MountedTool.UNKNOWN:
             known = (f"{each}, number {self._number(each)}" for each in list(MountedTool)[1:])
             raise WrongTool(
-                "the mounted tool is none that is calibrated, or has not been checked",
+                "the mounted tool is not a calibrated one, or has not been checked",
                 expected=" or ".join(known),
                 got="nothing read yet"
                 if self._reported is None

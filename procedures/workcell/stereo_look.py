@@ -71,7 +71,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration) -> Look:
         reading = stereo.grab_pair()
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
         raise PairNotUsable(
-            "no pair of images can be used",
+            "no usable pair of images",
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
             got=f"the pair is {reading.validity}: {_sides(reading)}",
         )

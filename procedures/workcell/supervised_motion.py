@@ -18,11 +18,11 @@ from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
 
 IN_WORDS = {
-    "go": "to the next place, by way of home where need be",
+    "go": "to the next pose, via home if necessary",
     "home": "home",
     "back": "back the way the arm came",
-    "step": "straight to the next place",
-    "settle": "to the next place, each joint from its own side",
+    "step": "directly to the next pose",
+    "settle": "to the next pose, each joint arriving from its own side",
     "line": "in a straight line",
     "insert": "along the axis to where the guide is held",
     "withdraw": "out along the axis",
@@ -93,9 +93,7 @@ class SupervisedMotion:
 
         checkpoint = self._checkpoint
         if checkpoint is None:
-            raise NotConfirmed(
-                f"the motion {what!r} has nobody to confirm it", expected="a case that is open"
-            )
+            raise NotConfirmed(f"nobody can confirm the motion {what!r}", expected="a case that is open")
 
         named = f"the motion {what!r}" + (f" ({IN_WORDS[what]})" if what in IN_WORDS else "")
 
@@ -116,4 +114,4 @@ class SupervisedMotion:
                 return self._log.record(what, to, watched, trajectory, **more)
             except MotionInterrupted:
                 self._confirmed = False
-                checkpoint.stopped(named, "plans it anew from where the arm stands")
+                checkpoint.stopped(named, "re-plans it from the arm's present position")

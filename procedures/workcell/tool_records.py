@@ -48,7 +48,7 @@ class ToolRecords:
             raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
         if found.purpose not in GUIDES or found.bore is None or found.gauge is None:
             raise NoToolRecord(
-                f"tool record {found.identifier} is no guide's",
+                f"tool record {found.identifier} is not that of a guide",
                 expected=" or ".join(one.value for one in GUIDES),
                 got=found.purpose.value,
             )
@@ -62,7 +62,7 @@ class ToolRecords:
             numbers = {GUIDE: calibrations.tool_tip.tool_number, STEREO_HEAD: STEREO_HEAD_NUMBER}
             if record.number != numbers.get(name, record.number):
                 raise NoToolRecord(
-                    f"tool record {record.identifier} has another number than the {name}",
+                    f"tool record {record.identifier} has a different number from the {name}",
                     expected=str(numbers[name]),
                     got=str(record.number),
                 )
@@ -75,7 +75,7 @@ def check_flange(record: ToolRecord, flange: str) -> None:
     """Raises TOOL-003 unless a tool was measured on that flange."""
     if record.flange != flange:
         raise ForeignTool(
-            f"tool record {record.identifier} is of another flange",
+            f"tool record {record.identifier} belongs to another flange",
             expected=flange or "a name: the theatre file has no key `flange`",
             got=record.flange,
         )
@@ -88,5 +88,6 @@ def check_tip(record: ToolRecord, tip: ToolTipCalibration) -> None:
             f"tool record {record.identifier} refers to another calibration of its tip",
             expected=tip.identifier,
             got=record.tip or "none",
-            action="Read the gauge with this tool, then ronna-tool renew: it dates the record for that tip.",
+            action="Read the gauge with this tool, then run ronna-tool renew, which updates the record for "
+            "that tip.",
         )

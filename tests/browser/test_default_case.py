@@ -40,7 +40,7 @@ def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_witho
     mount(case, NO_TOOL)  # somebody takes the stereo head off while the arm is about to move
     answer(page, patient="default-7")
     page.wait_for_selector(".state >> text=suspended")
-    page.wait_for_selector("section.question >> text=mount that again")
+    page.wait_for_selector("section.question >> text=mount the stereo head again")
     mount(case, STEREO_HEAD)
     assert page.locator(".answers button").first.get_attribute("data-answer") == "wait"
     answer(page, patient="default-7")

@@ -198,7 +198,7 @@ def test_another_proposed_place_is_noticed_and_the_lock_that_was_compared_with_i
     (guard,) = placed.checkpoint.guards
     assert guard.unmet() is None  # what was compared is the same
     place.write_text(json.dumps(PLACE | {"free_mm": 400.0}))
-    with pytest.raises(InputChanged, match=r"place\.json has changed since cart_lock: another place"):
+    with pytest.raises(InputChanged, match=r"place\.json has changed since cart_lock: another position"):
         placed.run_to()
     assert str(placed.upcoming) == "cart_lock"
 
@@ -211,7 +211,7 @@ def test_a_proposed_place_that_is_gone_suspends_the_case_and_differs_after_a_res
     comparison = Comparison()
     compare_inputs(placed, comparison)
     (differs,) = comparison.differences
-    assert differs.startswith("proposed place: recorded 01-cart_lock, found no place")
+    assert differs.startswith("proposed position: recorded 01-cart_lock, found no position")
 
 
 @pytest.mark.hazard(1)

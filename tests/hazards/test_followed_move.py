@@ -98,7 +98,7 @@ def test_what_is_agreed_to_follows_the_head_and_says_what_that_costs(tmp_path: P
     assert engine.case.was_superseded(engine.order.find(f"registration:{LAST}"))
     predicted, former = after.result.prediction(FIRST), before.result.prediction(FIRST)
     assert predicted.rms_mm > former.rms_mm
-    assert predicted.budget[-2].source == "measured move of the head"
+    assert predicted.budget[-2].source == "measured head movement"
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.MOVE_FOLLOWED]
     assert "2.29 mm and 0.50 deg" in question.subject
     assert any("follows a move of the head" in text for text in findings(cell))

@@ -42,7 +42,7 @@ def test_recorded_looks_are_computed_again_into_records_for_the_theatre_file(
 
 def test_the_table_names_what_the_looks_do_not_reveal(looks: Path, tmp_path: Path) -> None:
     done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out")
-    assert "not revealed by the looks" in done.stdout
+    assert "not determined by the measurements" in done.stdout
     assert "A1 offset" in done.stdout
 
 

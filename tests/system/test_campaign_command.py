@@ -87,7 +87,7 @@ def test_what_an_interrupted_campaign_has_kept_is_told(
     monkeypatch.setattr(RegistrationStudy, "run", interrupted_in_the_third)
     ended = in_this_process(app, "registration", "--runs", "2", "--workers", "1", "--out", tmp_path)
     assert ended.returncode == 130
-    assert ended.stderr == f"2 units kept in {tmp_path}; the same command goes on\ninterrupted\n"
+    assert ended.stderr == f"2 units kept in {tmp_path}; the same command continues\ninterrupted\n"
 
 
 @pytest.mark.slow

@@ -48,6 +48,6 @@ def test_the_guide_reaches_the_target_in_a_head_that_moved_and_the_run_replays(
     assert new.payload["followed"]["way_mm"] == pytest.approx(MOVE_MM, abs=0.15)
     (target,) = json.loads((run / "report" / "truth.json").read_text())["targets"]
     assert target["application_error_mm"] <= LARGEST_ERROR_MM
-    assert "It follows a move of the head by" in (run / "report.html").read_text()
+    assert "It follows a head movement of" in (run / "report.html").read_text()
     replayed = commands.run("ronna-procedure", "replay", str(run), timeout_s=300)
     assert replayed.returncode == 0, replayed.stdout

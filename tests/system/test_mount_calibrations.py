@@ -44,7 +44,7 @@ def test_stored_looks_are_computed_again_into_a_record_for_the_theatre_file(
     assert records["tracker_frame"]["identifier"] == payload["calibration"]
     assert payload["error_mm"] < 0.05
     shown = in_this_process(app, *run)
-    assert "the arm's own share, mm" in shown.stdout
+    assert "contribution of the arm, mm" in shown.stdout
 
 
 def test_stored_looks_can_be_written_into_the_theatre_file_at_once(looks: Path, tmp_path: Path) -> None:
@@ -90,7 +90,7 @@ def test_stored_readings_are_computed_again_into_a_record_of_the_tip(readings: P
     records = tomllib.loads((Path(payload["folder"]) / "calibration.toml").read_text())["calibration"]
     assert records["tool_tip"]["identifier"] == payload["calibration"]
     assert payload["stated_error_mm"] < 0.05
-    assert "divot beside ball by pivoting, mm" in in_this_process(app, *run).stdout
+    assert "offset of the divot from the ball by pivoting, mm" in in_this_process(app, *run).stdout
 
 
 def test_readings_that_were_lost_are_told_with_the_number_that_is_needed(

@@ -155,7 +155,7 @@ TEMPLATE = "template_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0], 
     ("text", "said"),
     [
         (TEMPLATE.replace(", [0.0, 0.0, 95.0]", ""), "template_mm has 3 spheres, 4 are implanted"),
-        (TEMPLATE.replace("95.0", "5.0"), "two spheres of template_mm are one"),
+        (TEMPLATE.replace("95.0", "5.0"), "two spheres of template_mm coincide"),
         (TEMPLATE.replace("95.0", "nan"), "template_mm"),
     ],
 )

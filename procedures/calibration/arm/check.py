@@ -42,7 +42,7 @@ class ArmCheck:
         if not self.passed:
             error, limit = told_apart(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
-                f"the looks are not as calibration {self.calibration} says",
+                f"the measurements do not match calibration {self.calibration}",
                 limit=f"{limit} mm rms expected",
                 got=f"{error} mm",
             )
@@ -63,7 +63,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
     count, spheres = len(looks.joints_rad), looks.spheres
-    require_count(count, LEAST_VALIDATION, "too few looks to check the arm")
+    require_count(count, LEAST_VALIDATION, "too few measurements to check the arm")
     flange = flange_poses(kinematics.chain, ArmDeviations.of(record), looks.joints_rad, looks.flanks)
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     seen = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]

@@ -65,9 +65,9 @@ class ArmFit:
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
     """The arm that explains the looks. Raises CAL-002, CAL-003, CAL-004."""
     count = len(looks.joints_rad)
-    require_count(count, LEAST_LOOKS, "too few looks to calibrate an arm")
+    require_count(count, LEAST_LOOKS, "too few measurements to calibrate an arm")
     rotations = model.rotations(looks)
-    require_spread(rotations, "the orientations of the looks hardly vary")
+    require_spread(rotations, "the orientations of the measurements hardly vary")
     stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
     values = _start(model, looks)
     scatter, used = FIRST_SCATTER_MM, np.ones(count, dtype=bool)
@@ -81,7 +81,7 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     if scatter > LARGEST_SCATTER_MM:
         raise DoesNotFit(
-            "spheres seem to move from look to look",
+            "spheres seem to move between measurements",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
             got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
         )

@@ -27,23 +27,23 @@ class SphereLook(Strict):
 
     sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
-    flanks: Flanks = Field(description="The direction in which each joint arrived.")
+    flanks: Flanks = Field(description="Direction from which each joint arrived.")
     point_mm: Numbers3 = Field(description="The sphere in the tool frame of the record in use.")
-    covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Of that point.")
-    validation: bool = Field(description="Kept from the identification, to judge it.")
+    covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Covariance of that point.")
+    validation: bool = Field(description="Held out from the identification, for validation.")
 
 
 class ArmLooks(Strict):
     """All looks of one calibration, and the records they were taken with."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the looks were taken.")
+    created: datetime = Field(description="When the measurements were taken.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     tool_tip: ToolTipCalibration | None = Field(default=None, description="The tip record in use.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
-    looks: tuple[SphereLook, ...] = Field(description="The looks.")
+    looks: tuple[SphereLook, ...] = Field(description="The measurements.")
 
     @field_validator("arm")
     @classmethod
@@ -51,7 +51,7 @@ class ArmLooks(Strict):
         try:
             kinematics_named(name)
         except ValueError as error:
-            raise ValueError(f"no arm is called {name!r}") from error
+            raise ValueError(f"there is no arm named {name!r}") from error
         return name
 
 

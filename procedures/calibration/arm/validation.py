@@ -42,7 +42,7 @@ class ArmValidation:
 def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     """Judge a fit by looks that it has not seen. Raises CAL-002, CAL-004, CAL-011."""
     count = len(looks.joints_rad)
-    require_count(count, LEAST_VALIDATION, "too few looks to validate the arm")
+    require_count(count, LEAST_VALIDATION, "too few measurements to validate the arm")
     _require_both_sides(fit)
     model, rotations = fit.model, fit.model.rotations(looks)
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
@@ -52,9 +52,9 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     if model_mm > LARGEST_ERROR_MM:
         worst = np.argsort(fit.learnt)[::-1][:3]
         raise Unobservable(
-            "the looks do not reveal enough of the arm: least of all "
+            "the measurements do not determine enough of the arm: least of all "
             + ", ".join(model.names[number] for number in worst),
-            limit=f"{LARGEST_ERROR_MM:g} mm where it was not looked",
+            limit=f"{LARGEST_ERROR_MM:g} mm where nothing was measured",
             got=f"{beyond(model_mm, LARGEST_ERROR_MM, 2)} mm",
         )
     whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
@@ -62,7 +62,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     if statistic > limit:
         got, refused_from = told_apart(statistic, limit, 0)
         raise DoesNotFit(
-            "the identified arm does not hold for looks that it has not seen",
+            "the identified arm does not hold for measurements that it was not fitted to",
             limit=f"chi-square {refused_from}",
             got=f"{got}: {_rms(misses):.3f} mm",
         )
@@ -84,8 +84,9 @@ def _require_both_sides(fit: ArmFit) -> None:
     ]
     if unknown:
         raise Unobservable(
-            f"the looks do not reveal the {', '.join(unknown)}: their joints arrived from one side",
-            limit=f"{LEAST_LEARNT:g} of what was not known before",
+            f"the measurements do not determine the {', '.join(unknown)}: these joints arrived from one "
+            "side only",
+            limit=f"{LEAST_LEARNT:g} of the prior uncertainty",
             got="all of it",
         )
 

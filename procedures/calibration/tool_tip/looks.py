@@ -31,17 +31,21 @@ class BallLook(Strict):
     """The stereo head over the ball, in one orientation."""
 
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
-    robot_from_flange: PoseRecord = Field(description="Pose robot <- flange, by the arm's record or nominal.")
+    robot_from_flange: PoseRecord = Field(
+        description="Pose robot <- flange, from the arm's record or nominal."
+    )
     ball_mm: Numbers3 = Field(description="The ball in the tool frame of the head's record.")
 
 
 class DivotReading(Strict):
     """The guide's tip in the divot, in the orientation of a look at the ball."""
 
-    look: int = Field(ge=0, description="Number of that look.")
+    look: int = Field(ge=0, description="Number of that measurement.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
-    robot_from_flange: PoseRecord = Field(description="Pose robot <- flange, by the arm's record or nominal.")
-    dials_mm: Numbers3 = Field(description="The divot beside the place of the ball's centre, robot axes.")
+    robot_from_flange: PoseRecord = Field(
+        description="Pose robot <- flange, from the arm's record or nominal."
+    )
+    dials_mm: Numbers3 = Field(description="Offset of the divot from the ball's centre, robot axes.")
 
 
 class TipLooks(Strict):
@@ -53,9 +57,9 @@ class TipLooks(Strict):
     stereo_head: StereoHeadCalibration = Field(description="The record of the head in use.")
     start: ToolTipCalibration = Field(description="The record of the tip in use, or the drawing.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
-    looks: tuple[BallLook, ...] = Field(description="The looks at the ball, in the order they were taken.")
-    readings: tuple[DivotReading, ...] = Field(description="The readings, at most one for each look.")
-    validation: tuple[int, ...] = Field(description="Numbers of the looks that are kept to judge by.")
+    looks: tuple[BallLook, ...] = Field(description="The measurements of the ball, in order.")
+    readings: tuple[DivotReading, ...] = Field(description="The readings, at most one for each measurement.")
+    validation: tuple[int, ...] = Field(description="Numbers of the measurements held out for validation.")
 
 
 def kept_apart(count: int, validation: int) -> tuple[int, ...]:

@@ -60,7 +60,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     change_mm = float(np.linalg.norm(head.apply(fit.tip_mm) - before.translation_mm))
     if change_mm > FAR_MM:
         raise FarFromRecord(
-            "the tip is not where its record has it",
+            "the tip is not at its recorded position",
             limit=f"{FAR_MM:g} mm",
             got=f"{beyond(change_mm, FAR_MM, 1)} mm",
         )
@@ -94,8 +94,8 @@ def require_plausible(dials_mm: tuple[float, float, float]) -> None:
     """Raise CAL-018 for what three dials in millimetres cannot show."""
     if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
         raise ReadingImplausible(
-            "the dials cannot have shown this",
-            limit=f"{DIALS_TRAVEL_MM:g} mm either way on each",
+            "the dials cannot show this",
+            limit=f"each within ±{DIALS_TRAVEL_MM:g} mm",
             got=" ".join(f"{value:g}" for value in dials_mm),
         )
 
@@ -104,7 +104,7 @@ def _require_plausible(observed: TipLooks) -> None:
     numbers = [one.look for one in observed.readings]
     if len(set(numbers)) < len(numbers) or any(number >= len(observed.looks) for number in numbers):
         raise BadObservations(
-            "each reading of the dials needs a look of its own", expected=f"0 to {len(observed.looks) - 1}"
+            "each reading of the dials needs its own measurement", expected=f"0 to {len(observed.looks) - 1}"
         )
     for one in observed.readings:
         require_plausible(one.dials_mm)

@@ -69,30 +69,32 @@ def fit_tip(pairs: TipPairs) -> TipFit:
     )
     if scatter > LARGEST_SCATTER_MM:
         raise DoesNotFit(
-            "the readings do not put the tip in one place",
+            "the readings do not agree on one tip position",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
             got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
-            action="Check that stand, guide and dials are rigid, and x, y, z not mixed up; then repeat.",
+            action="Check that stand, guide and dials are rigid and that x, y and z are not mixed up; then "
+            "repeat.",
         )
     gap, gap_error, pivot_scatter = _pivoted_gap(pairs)
     if pivot_scatter > LARGEST_PIVOT_SCATTER_MM:
         raise DoesNotFit(
-            "pivoting does not tell whether the divot is where the ball was: the readings scatter too much",
+            "pivoting cannot show whether the divot is where the ball was: the readings scatter too much",
             limit=f"{LARGEST_PIVOT_SCATTER_MM:g} mm per axis",
             got=f"{beyond(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
             action="Check that stand, guide and dials are rigid; then repeat.",
         )
     if SURE * gap_error > MOST_OPEN_MM:
         raise DoesNotFit(
-            "pivoting does not tell whether the divot is where the ball was: too few orientations, or alike",
-            limit=f"{MOST_OPEN_MM:g} mm left open",
+            "pivoting cannot show whether the divot is where the ball was: too few orientations, or "
+            "too similar",
+            limit=f"an uncertainty of {MOST_OPEN_MM:g} mm",
             got=f"{beyond(SURE * gap_error, MOST_OPEN_MM, 2)} mm",
             action="Tilt the guide farther to all sides, or read more orientations; then repeat.",
         )
     limit = max(LARGEST_GAP_MM, SURE * gap_error)
     if np.linalg.norm(gap) > limit:
         raise BallAndDivotApart(
-            "by pivoting, the divot is not where the ball was",
+            "according to the pivoting, the divot is not where the ball was",
             limit=f"{limit:.2f} mm",
             got=f"{beyond(float(np.linalg.norm(gap)), limit, 2)} mm",
         )
@@ -115,7 +117,7 @@ def _require_usable(pairs: TipPairs) -> None:
     turned = float(Rotation.from_matrix(between).magnitude().max())
     if turned > SAME_ORIENTATION_RAD:
         raise DoesNotFit(
-            "head and tip were not brought there in the same orientation",
+            "head and tip were not moved there in the same orientation",
             limit=f"{np.degrees(SAME_ORIENTATION_RAD):g} deg",
             got=f"{beyond(math.degrees(turned), math.degrees(SAME_ORIENTATION_RAD), 1)} deg",
         )

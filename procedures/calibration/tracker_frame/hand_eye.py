@@ -112,22 +112,23 @@ def _require_solvable(pairs: PosePairs) -> None:
     apart = np.abs(_turns_rad(flange) - _turns_rad(marker))
     if np.median(apart) > TURNS_AGREE_RAD:
         raise FrameNotCarried(
-            "the reference frame that the tracker sees does not turn as the flange does",
+            "the tool tracked as the reference frame does not rotate with the flange",
             limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
             got=f"{beyond(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)} deg",
         )
-    action = "Let the arm turn the frame about axes in all directions, by 20 degrees or more."
-    require_spread(flange, "the poses turn the frame about nearly parallel axes, or hardly at all", action)
+    action = "Have the arm rotate the frame about axes in all directions, by at least 20 degrees."
+    require_spread(flange, "the poses rotate the frame about nearly parallel axes, or hardly at all", action)
 
 
 def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_]) -> None:
     if scatter_mm > LARGEST_SCATTER_MM or scatter_rad > LARGEST_SCATTER_RAD:
         raise DoesNotFit(
-            "no place of the frame on the flange explains what arm and tracker say",
+            "no pose of the frame on the flange explains the data of arm and tracker",
             limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
             got=f"{beyond(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
             f"{beyond(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
-            action="Check that frame, mount and tracker's stand are rigid and the arm variant is right.",
+            action="Check that the frame, the mount and the tracker's stand are rigid and the arm variant is "
+            "right.",
         )
     require_consistent(used, MOST_OUTLIERS, "poses")
 

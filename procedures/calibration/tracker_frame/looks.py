@@ -38,9 +38,11 @@ class Use(StrEnum):
 class FrameLook(Strict):
     """One pose at rest, and the mean of what the tracker measured there."""
 
-    use: Annotated[Use, Field(strict=False)] = Field(description="What the look is for.")
+    use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
-    robot_from_flange: PoseRecord = Field(description="Pose robot <- flange, by the arm's record or nominal.")
+    robot_from_flange: PoseRecord = Field(
+        description="Pose robot <- flange, from the arm's record or nominal."
+    )
     tracker_from_marker: PoseRecord = Field(description="Mean pose tracker <- reference frame.")
     frames: Annotated[int, Field(ge=1)] = Field(description="Measurements that show the frame.")
 
@@ -49,12 +51,12 @@ class FrameLooks(Strict):
     """All looks of one calibration, and the records they were taken with."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
-    created: datetime = Field(description="When the looks were taken.")
+    created: datetime = Field(description="When the measurements were taken.")
     arm: str = Field(description="Name of the arm's kinematic model.")
     stereo_head: StereoHeadCalibration = Field(description="The record of the head on the same mount.")
-    start: TrackerFrameCalibration = Field(description="The record that was in use, or the drawing.")
+    start: TrackerFrameCalibration = Field(description="The record in use, or the drawing.")
     arm_record: ArmCalibration | None = Field(default=None, description="The record of the arm in use.")
-    looks: tuple[FrameLook, ...] = Field(description="The looks, in the order in which they were taken.")
+    looks: tuple[FrameLook, ...] = Field(description="The measurements, in order.")
 
 
 @dataclass(frozen=True)

@@ -100,8 +100,8 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
     """Raise CAL-002 without a return, CAL-016 when the frame was not where it was before."""
     if len(returns) < 2:
         raise TooFewPoses(
-            "the arm did not return to its first pose, so it is unknown whether the tracker stood still",
-            expected="at least 2 looks from there",
+            "the arm did not return to its first pose, so tracker stability is unknown",
+            expected="at least 2 measurements from there",
             got=str(len(returns)),
         )
     for (number, before), (later, after) in combinations(enumerate(returns, start=1), 2):
@@ -109,7 +109,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
         moved_mm, moved_rad = _change(was, now, limited=False)
         if moved_mm > MOVED_MM or moved_rad > MOVED_RAD:
             raise TrackerMoved(
-                f"tracker, arm or frame moved between looks {number} and {later} at the first pose",
+                f"tracker, arm or frame moved between measurements {number} and {later} at the first pose",
                 limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
                 got=f"{beyond(moved_mm, MOVED_MM, 2)} mm and "
                 f"{beyond(math.degrees(moved_rad), math.degrees(MOVED_RAD), 2)} deg",
@@ -144,7 +144,7 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
         raise FarFromRecord(
-            "the reference frame is not where its record has it",
+            "the reference frame is not at its recorded pose",
             limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
             got=f"{beyond(apart_mm, FAR_MM, 1)} mm and "
             f"{beyond(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",

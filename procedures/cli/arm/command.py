@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="ronna-arm",
-    help="The arm: calibrate its geometry by spheres at rest, check that the calibration still holds.",
+    help="The arm: calibrate its geometry with stationary spheres, check that the calibration still holds.",
     epilog="Example: ronna-arm calibrate --sim --scene mini",
     no_args_is_help=True,
     add_completion=False,
@@ -27,23 +27,23 @@ app = typer.Typer(
 
 @app.callback()
 def arm() -> None:
-    """The arm: calibrate its geometry by spheres at rest, check that the calibration still holds."""
+    """The arm: calibrate its geometry with stationary spheres, check that the calibration still holds."""
 
 
 @app.command("calibrate")
 @with_option_records
 def calibrate_arm(
     asked: CalibrationOptions,
-    looks: Annotated[int, typer.Option(min=60, max=300, help="Looks to identify the arm with.")] = 90,
+    looks: Annotated[int, typer.Option(min=60, max=300, help="Measurements for the identification.")] = 90,
     validation: Annotated[
-        int, typer.Option(min=12, max=100, help="More looks, kept apart to judge the result by.")
+        int, typer.Option(min=12, max=100, help="Further measurements, held out for validation.")
     ] = 24,
 ) -> None:
-    """Identify links, joints, gravity, backlash and the head on the flange from looks at spheres at rest.
+    """Identify links, joints, gravity, backlash and the head on the flange by measuring stationary spheres.
 
-    The tracker says where the spheres are. The arm moves, after a confirmation. Exit codes: 0 done, 1 the
-    looks do not give a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not
-    confirmed, 130 interrupted.
+    The tracker locates the spheres. The arm moves after a confirmation. Exit codes: 0 done, 1 the
+    measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
+    stop, 7 not confirmed, 130 interrupted.
     """
     request = asked.request()
     from procedures.cli.arm.files import KIND
@@ -57,12 +57,12 @@ def calibrate_arm(
 @with_option_records
 def check(
     asked: MeasuringOptions,
-    looks: Annotated[int, typer.Option(min=12, max=100, help="Looks to judge by.")] = 24,
+    looks: Annotated[int, typer.Option(min=12, max=100, help="Measurements for the check.")] = 24,
 ) -> None:
-    """Look at spheres from a few poses: is the arm still as its calibration record says?
+    """Measure spheres from a few poses: does the arm still match its calibration record?
 
-    With --sim the theatre is a calibrated one. Exit codes: 0 it is, 3 it has changed or has no record, others
-    as in `calibrate`.
+    With --sim the theatre has a calibrated arm. Exit codes: 0 it does, 3 it has changed or has no record,
+    others as in `calibrate`.
     """
     from procedures.calibration.arm.check import check_arm
     from procedures.cli.arm import files

@@ -65,7 +65,7 @@ def without_arm(of_theatre: Calibrations) -> Calibrations:
 KIND = CalibrationKind(
     name="arm",
     title="Calibration of the arm",
-    activity="looking at the spheres",
+    activity="measuring the spheres",
     looks_type=ArmLooks,
     looks_file=LOOKS_FILE,
     observed=lambda case: case.get(ObservedSpheres).result.observed,

@@ -137,7 +137,10 @@ def show(
     told = (
         f"written to {written}"
         if written
-        else f"put calibration.toml into the theatre file, or use --write; --sim takes --calibration {folder}"
+        else (
+            "copy calibration.toml into the theatre file, or use --write; with --sim use --calibration "
+            f"{folder}"
+        )
     )
     console.tell(f"records in {folder}: {told}")
     for warning in kind.warnings(payload):

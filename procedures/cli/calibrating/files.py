@@ -71,8 +71,8 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():
         if tip is not None and tool.get("tip", tip) != tip:
             console.tell(
-                f"record {tool['identifier']} refers to the former tip, and no case begins with it: read the "
-                f"gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
+                f"record {tool['identifier']} refers to the former tip, so no case can start with it: "
+                f"read the gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
                 "--write FILE --by NAME --gauge-mm X Y Z UPPER_X UPPER_Y"
             )
 
@@ -81,7 +81,7 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
     """The same with new entries in whichever tables."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
-            f"{target} is not in the folder of {source.name}, where its relative paths begin",
+            f"{target} is not in the folder of {source.name}, which its relative paths refer to",
             action="Name a file in the folder of the theatre file.",
         )
     read_toml(source, BadTheatreFile)  # within bounds

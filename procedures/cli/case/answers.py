@@ -63,7 +63,7 @@ def _mistake(key: str, word: str) -> str | None:
     if name not in set(Topic):
         return f"there is no topic {name!r}, only {', '.join(Topic)}"
     known = ANSWER_WORDS[Topic(name)]
-    return None if word in known else f"{key} is answered by {words(known)}, not by {word!r}"
+    return None if word in known else f"{key} accepts {words(known)}, got {word!r}"
 
 
 class AnsweringOperator:

@@ -54,7 +54,7 @@ def _run(engine: Engine, argument: str, say: Say) -> None:
 def why_not_up_to(engine: Engine, key: StepKey) -> str:
     """Why a case cannot be run up to a step; empty when it can."""
     if engine.case.stands(key):
-        return f"{key} is done already"
+        return f"{key} is already done"
     reason = engine.course.left_out(key)
     return "" if reason is None else f"{key.trajectory} was left out: {reason}"
 
@@ -70,7 +70,7 @@ def _to(engine: Engine, argument: str, say: Say) -> None:
 def _back(engine: Engine, argument: str, say: Say) -> None:
     key = engine.order.find(argument)
     if not engine.case.stands(key):
-        raise StepRefused(f"{key} is no checkpoint: it is not done", action="run or to goes forward.")
+        raise StepRefused(f"{key} is not done, so it cannot be repeated", action="Use run or to instead.")
     if not engine.why_refused(key):
         gone = ", ".join(record.identifier for record in engine.course.superseded_by(key))
         say(f"a new result of {key} supersedes {gone}")
@@ -83,11 +83,9 @@ def _skip(engine: Engine, argument: str, _say: Say) -> None:
     key = _named(engine, argument)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]
-    why = (
-        f"{', '.join(readers)} read its result" if readers else "the case is not finished without its result"
-    )
+    why = f"{', '.join(readers)} read its result" if readers else "the case cannot finish without its result"
     raise StepRefused(
-        f"{key} cannot be skipped: {why}", action="A trajectory can be left out where it is asked."
+        f"{key} cannot be skipped: {why}", action="A trajectory can be left out when the case asks about it."
     )
 
 
@@ -97,10 +95,10 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
         say("the case is finished")
         return
     if engine.case.stands(key):
-        say(f"{key} is done and its result stands; back {key} repeats it")
+        say(f"{key} is done and its result is valid; back {key} repeats it")
         return
     unmet = engine.why_refused(key)
-    say(f"{key}: " + ("may begin" if not unmet else "refused: " + "; ".join(unmet)))
+    say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
 
 
 def _dry(engine: Engine, argument: str, say: Say) -> None:
@@ -109,11 +107,11 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
     key = _named(engine, argument)
     _why(engine, str(key), say)
     if not engine.order.spec(key).moves:
-        say("it moves nothing")
+        say("this step moves nothing")
         return
     motions = would_move(engine.case, key, engine.setting.workcell)
     if motions is None:
-        say("it moves the arm; how is known after path_check")
+        say("this step moves the arm; its motions are known after path_check")
         return
     for motion in motions:
         say(f"  {motion}")
@@ -121,11 +119,11 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
 
 def _pause(engine: Engine, _argument: str, say: Say) -> None:
     engine.checkpoint.pause()
-    say("the case rests before the next step; while a step runs Ctrl-C pauses it")
+    say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
 
 
 def _resume(_engine: Engine, _argument: str, say: Say) -> None:
-    say("nothing is paused; next or to goes on")
+    say("nothing is paused; next or to continues")
 
 
 def _home(engine: Engine, _argument: str, say: Say) -> None:
@@ -135,7 +133,7 @@ def _home(engine: Engine, _argument: str, say: Say) -> None:
 
 def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
     if not argument:
-        raise UsageMistake("acknowledge needs the name of the person", action="acknowledge YOUR-NAME")
+        raise UsageMistake("acknowledge needs your name", action="acknowledge YOUR-NAME")
     if argument in engine.setting.workcell.devices:
         raise UsageMistake(
             f"{argument} is a device, expected the name of the person who acknowledges",
@@ -177,17 +175,17 @@ def _named(engine: Engine, argument: str) -> StepKey:
 
 
 COMMANDS: dict[str, Command] = {
-    "list": Command("", "every step, and what stands", _list),
+    "list": Command("", "every step and its status", _list),
     "next": Command("", "run the next step", _next),
-    "run": Command("STEP", "run a step that may begin", _run),
+    "run": Command("STEP", "run a step that can start", _run),
     "to": Command("STEP", "run up to and including a step", _to),
     "back": Command("STEP", "repeat a step; shows what that supersedes", _back),
-    "skip": Command("[STEP]", "refused: every result is read later", _skip),
-    "why": Command("[STEP]", "why a step may not begin now", _why),
-    "dry": Command("[STEP]", "what a step would move; nothing moves", _dry),
-    "pause": Command("", "rest before the next step", _pause),
-    "resume": Command("", "go on where the case is paused", _resume),
-    "home": Command("", "bring an instrument out along its axis, then park", _home),
+    "skip": Command("[STEP]", "refused: every result is needed later", _skip),
+    "why": Command("[STEP]", "why a step cannot start now", _why),
+    "dry": Command("[STEP]", "the motions of a step; nothing moves", _dry),
+    "pause": Command("", "pause before the next step", _pause),
+    "resume": Command("", "continue a paused case", _resume),
+    "home": Command("", "have an instrument removed, retreat along the axis, then park", _home),
     "acknowledge": Command("YOUR-NAME", "recover the devices that are in fault", _acknowledge),
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),

@@ -87,7 +87,7 @@ def _wants_raw(folder: Path) -> bool:
 def _keep_raw(folder: Path, *, at_once: bool) -> None:
     """Pictures and frames as files, again after each session of a run; those of before stay until then."""
     way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
-    later = f"raw readings of this session were not written: {way}"
+    later = f"raw readings of this session were not written; to write them: {way}"
     if at_once:
         tell(later)
         return
@@ -102,7 +102,7 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
             kept.rename(beside / FORMER)
         fresh.rename(kept)
         if not whole:
-            tell(f"{kept} ends at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has the rest")
+            tell(f"{kept} stops at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has everything")
     except KeyboardInterrupt:  # the run has ended: only this was left of it
         tell(later)
     except Exception as problem:  # a damaged tape must not hide how the run has ended
@@ -128,10 +128,11 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
         run = shlex.quote(str(folder))
         if any(line["entry"] == Entry.MOTION for line in read_chain(folder / JOURNAL_FILE).lines):
             tell(
-                f"the arm stands where it stopped: ronna-procedure home {run} or ronna-procedure resume {run}"
+                f"the arm is where it stopped; continue with ronna-procedure home {run} or "
+                f"ronna-procedure resume {run}"
             )
         else:
-            tell(f"nothing has moved; ronna-procedure resume {run} goes on")
+            tell(f"nothing has moved; continue with ronna-procedure resume {run}")
 
 
 @contextlib.contextmanager

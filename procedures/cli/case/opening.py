@@ -51,8 +51,8 @@ if TYPE_CHECKING:
     from ronna_hw.theatre import Theatre
 
 NOBODY_ANSWERS = (
-    "warning: standard input is no terminal, so nobody can answer and no question goes on: "
-    "run it at a terminal, with --console, or give --answers FILE"
+    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
+    "with --console, or with --answers FILE"
 )
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
@@ -174,7 +174,7 @@ def opened_engine(
             raise
         finally:
             if engine.instrument_in is not None:
-                tell(f"an instrument is still in {engine.instrument_in}: the arm rests and does not move")
+                tell(f"an instrument is still in {engine.instrument_in}: the arm does not move")
             with interruption_deferred():
                 engine.close(outcome, ended_by)
 

@@ -19,7 +19,7 @@ from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
 
 AGAIN = "again"
-ONE_NUMBER = f"one number in mm, such as 0.01, without unit; {NOBODY_READS} ends the step."
+ONE_NUMBER = f"one number in mm without unit, such as 0.01; {NOBODY_READS} ends the step."
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
@@ -187,7 +187,10 @@ def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
         while (typed := _typed(write, words((YES, AGAIN)), None).lower()) != AGAIN:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
-            _say(f"{typed!r} is not an answer: {YES} if this was read off, {AGAIN} to type all again.")
+            _say(
+                f"{typed!r} is not an answer: {YES} if these are the readings, {AGAIN} to type them all "
+                "again."
+            )
 
 
 def _typed_number(write: WritePrompt, what: str, plausible: tuple[float, float] | None) -> float | None:
@@ -198,9 +201,9 @@ def _typed_number(write: WritePrompt, what: str, plausible: tuple[float, float] 
             if plausible is None or plausible[0] <= number <= plausible[1]:
                 return number
             low, high = plausible
-            _say(f"{number:g} cannot be: between {low:g} and {high:g}; type {ONE_NUMBER}")
+            _say(f"{number:g} is implausible: expected {low:g} to {high:g}; type {ONE_NUMBER}")
             continue
-        _say(f"{typed!r} is not it: {ONE_NUMBER}")
+        _say(f"{typed!r} is not a reading: type {ONE_NUMBER}")
     return None
 
 

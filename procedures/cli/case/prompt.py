@@ -22,7 +22,9 @@ from ronna_hw.errors import RonnaError
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
-HELD = "the case is held, the arm rests: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
+HELD = (
+    "the case is held, the arm is at rest: run STEP, why, back STEP, home, acknowledge YOUR-NAME, abort, quit"
+)
 PAUSED = "paused> "
 AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}"
 ACKNOWLEDGE = "acknowledge"
@@ -74,7 +76,9 @@ class Prompt:
             elif name in QUIT:
                 if engine.instrument_in is None:
                     return False
-                self._say(f"an instrument is in {engine.instrument_in}: home has it taken out, then parks")
+                self._say(
+                    f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
+                )
             elif self._resumes and (name == "resume" or engine.upcoming is None):
                 return True
             else:
@@ -99,7 +103,7 @@ class Prompt:
                 except NOTHING_DONE as mistake:
                     fail_with(mistake)
             else:
-                rests = f"{name} is not for a case that is paused" if name in COMMANDS else None
+                rests = f"{name} is not available while the case is paused" if name in COMMANDS else None
                 self._say(f"{rests or _unknown(name, (*AT_PAUSE, *LOOKING))}; {AT_PAUSE_CHOICES}")
         return question.silence
 
@@ -123,7 +127,7 @@ class Prompt:
                 fail_with(error)
         else:
             if name == ACKNOWLEDGE and not engine.faults.now:
-                self._say(f"the arm is at rest; {'resume' if self._resumes else 'next'} goes on")
+                self._say(f"the arm is at rest; {'resume' if self._resumes else 'next'} continues")
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
@@ -133,7 +137,7 @@ class Prompt:
         for fault in faults.values():
             if fault not in str(error):
                 self._say(fault)
-        self._say(f"{HELD}; resume goes on" if self._resumes else HELD)
+        self._say(f"{HELD}; resume continues" if self._resumes else HELD)
 
     def _command(self, engine: Engine) -> str | None:
         if self._meanwhile is None:

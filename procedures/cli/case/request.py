@@ -113,7 +113,7 @@ def check_request(request: CaseRequest) -> None:
 def require_folder(out: Path) -> None:
     """Raise CLI-005 where runs are to be kept in what is a file."""
     if out.exists() and not out.is_dir():
-        raise PathProblem(f"--out: {out} is a file", expected="a folder, which need not exist")
+        raise PathProblem(f"--out: {out} is a file", expected="a folder, which may be new")
 
 
 def new_run_folder(request: CaseRequest) -> Path:

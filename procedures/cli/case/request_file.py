@@ -28,7 +28,7 @@ class CalibrationFile(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
-    days: int = Field(ge=1, description="How long its records hold.")
+    days: int = Field(ge=1, description="Validity of its records.")
     write: Path | None = Field(default=None, description="Theatre file to write, with the new records.")
 
 
@@ -49,13 +49,17 @@ class RequestFile(BaseModel):
     records: tuple[Path, ...] = ()
     strategy: str | None = Field(default=None, description="Of a case.")
     measure_targets: bool = False
-    keep_raw: bool = Field(default=False, description="Pictures and frames of the tracker as files.")
+    keep_raw: bool = Field(
+        default=False, description="Whether pictures and tracker frames are kept as files."
+    )
     speed: str
     faults: Path | None = None
     config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
     case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
     plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
-    calibration: CalibrationFile | None = Field(default=None, description="What is no case.")
+    calibration: CalibrationFile | None = Field(
+        default=None, description="What to calibrate, if it is not a case."
+    )
 
 
 def write_request(request: CaseRequest | CalibrationRun, folder: Path) -> None:
@@ -137,7 +141,7 @@ def read_request(folder: Path) -> CaseRequest | CalibrationRun:
             write=asked.write,
         )
     if content.strategy is None:
-        raise BadRequestFile(f"{path}: it names neither the strategy of a case nor a calibration")
+        raise BadRequestFile(f"{path} names neither the strategy of a case nor a calibration")
     return CaseRequest(
         out=folder.parent,
         choice=choice,

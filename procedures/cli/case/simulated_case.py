@@ -48,7 +48,7 @@ class SimulatedCase:
 
         That of the theatre as soon as it is refused; PRC-001 when they are not in time.
         """
-        assert self._phantom is not None, "no patient was wanted"
+        assert self._phantom is not None, "this theatre has no patient"
         limit_s = time.monotonic() + PHANTOM_TIMEOUT_S
         while True:
             try:
@@ -59,7 +59,7 @@ class SimulatedCase:
                     self.await_theatre()  # it was refused: nobody needs the patient
                 if time.monotonic() > limit_s:
                     raise ChildNotReady(
-                        "ronna-sim phantom did not end",
+                        "ronna-sim phantom did not finish",
                         expected="the phantom CT",
                         limit=f"{PHANTOM_TIMEOUT_S:g} s",
                     ) from None

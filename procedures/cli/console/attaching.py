@@ -49,7 +49,7 @@ def check_port(port: int) -> None:
         except OSError as error:
             raise UsageMistake(
                 f"--console-port {port} cannot be used: {error.strerror}",
-                action="Give another port, or leave the option out: any free one is taken.",
+                action="Give another port, or omit the option to use any free one.",
             ) from error
 
 

@@ -133,7 +133,7 @@ class Desk:
             self._notice_lapse()
             late = order.expires_s is not None and self._now_s() > order.expires_s
             if late and not isinstance(order, Stop):
-                return "that came too late"
+                return "the order came too late"
             refused = self._refused(order)
             self._changed.notify_all()
             return refused
@@ -153,7 +153,7 @@ class Desk:
         if not self._seat.held_by(order.session):
             return "you are not in the operator's seat"
         if isinstance(order, Release):
-            self._vacate("the operator left it")
+            self._vacate("the operator left the seat")
             return ""
         if self._engine is None:
             return "the theatre is not open yet"
@@ -179,11 +179,11 @@ class Desk:
                         self._settle(self._standing.question.silence, order.session)
                 self._wish = Wish("abort", by=name, vacated=vacated)
             case _ if self._waiting_for is None:
-                return "the engine is not waiting for this: a step is running, or a question stands"
+                return "the engine is not waiting for an order: a step is running, or a question is open"
             case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if (
                 seen != self._waiting_for
             ):
-                return f"that is past: the next step is {self._waiting_for}"
+                return f"out of date: the next step is now {self._waiting_for}"
             case Next():
                 self._wish = Wish("next", by=name, vacated=vacated)
             case RunTo(step=step):
@@ -202,17 +202,17 @@ class Desk:
         engine = self._engine
         if engine is None:
             return "the theatre is not open yet: nothing moves"
-        engine.checkpoint.pause(f"{self._seat.holder or 'somebody at the console'} stopped the arm")
+        engine.checkpoint.pause(f"{self._seat.holder or 'someone at the console'} stopped the arm")
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
     def _answer(self, order: Answer) -> str:
         standing = self._standing
         if standing is None or standing.question.number != order.question or standing.answer is not None:
-            return "that question does not stand any more"
+            return "that question is no longer open"
         question = standing.question
         if order.shown != standing.shown:
-            return "what was shown is not what is asked"
+            return "the question shown is not the question asked"
         if order.answer not in question.answers:
             return f"{order.answer!r} is not an answer"
         read_back = question.read_back
@@ -227,7 +227,7 @@ class Desk:
                 return f"type {', '.join(question.reads)}"
             low, high = question.plausible_mm or (-math.inf, math.inf)
             if wrong := [f"{one:g}" for one in order.readings if not low <= one <= high]:
-                return f"{', '.join(wrong)} cannot be: between {low:g} and {high:g}"
+                return f"{', '.join(wrong)} is implausible: expected {low:g} to {high:g}"
             standing.readings = order.readings
         self._settle(order.answer, order.session)
         return ""
@@ -239,7 +239,7 @@ class Desk:
 
     def _notice_lapse(self) -> None:
         if self._seat.lapsed:
-            self._vacate("the operator's page was not heard of for 10 s")
+            self._vacate("the operator's page has not responded for 10 s")
 
     def _vacate(self, reason: str) -> None:
         """The seat is free, and what its holder ordered counts no more, save the end of the case."""

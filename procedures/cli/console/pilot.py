@@ -18,8 +18,8 @@ from ronna_hw.errors import RonnaError
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
-WITHOUT = "the console has ended; continuing runs the case on from this terminal"
-HELD = "the case is held, the arm rests; the operator at the console says how it goes on"
+WITHOUT = "the console has ended; continuing runs the case from this terminal"
+HELD = "the case is held, the arm is at rest; the operator at the console decides how to continue"
 LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
 
 
@@ -71,7 +71,7 @@ class Pilot:
         question = Question(
             Topic.READING,
             task.subject,
-            f"type {', '.join(task.reads)}, as it is shown; {NOBODY} ends the step",
+            f"type {', '.join(task.reads)} as displayed; {NOBODY} ends the step",
             (READ, NOBODY),
             timeout_s=None,
             reads=task.reads,

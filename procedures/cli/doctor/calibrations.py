@@ -21,7 +21,7 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
     """One for each record; that there are none is a problem where the file has what a case needs to move."""
     if theatre.calibration is None:
         needed = bool(theatre.robot) and theatre.stereo is not None
-        advice = "Add [calibration]: without its records no case can be run." if needed else ""
+        advice = "Add [calibration]: no case can run without its records." if needed else ""
         yield Diagnostic("calibrations", not needed, "none in the theatre file", advice)
         return
     for name, record in theatre.calibration.records.items():
@@ -60,6 +60,6 @@ def _implausible(theatre: TheatreFile) -> str:
     if weight_mm < tip_mm:
         return ""
     return (
-        f"The tip of the {GUIDE} is {tip_mm:.0f} mm from the flange, its centre of gravity {weight_mm:.0f} "
-        f"mm: look at [calibration.tool_tip] and [tools.{GUIDE}]."
+        f"The tip of the {GUIDE} is {tip_mm:.0f} mm from the flange, its centre of gravity "
+        f"{weight_mm:.0f} mm: check [calibration.tool_tip] and [tools.{GUIDE}]."
     )

@@ -27,7 +27,7 @@ def _packages() -> Diagnostic:
     from ronna_hw.host.own_packages import foreign_packages
 
     if foreign := foreign_packages():
-        advice = "Run in an environment where no other package has these names."
+        advice = "Use an environment in which no other package has these names."
         return Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
     return Diagnostic("packages", True, "ours")
 

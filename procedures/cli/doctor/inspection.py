@@ -86,26 +86,26 @@ def _seen_by_tracker(
         seen = sum(frame.tool(tool).validity is Validity.OK for frame in frames)
         needed = calibrations is not None and tool == calibrations.tracker_frame.tool
         yield Diagnostic(
-            f"{subject}sight of {tool}",
+            f"{subject}visibility of {tool}",
             seen > len(frames) // 2 or not needed,
             f"in {seen} of {len(frames)} frames",
             ""
             if seen == len(frames)
-            else "Clear the line between the tracker and the arm; turn the cart or the unit.",
+            else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
         )
     spheres = _usual_count(frames)
     yield Diagnostic(
-        f"{subject}spheres in sight",
+        f"{subject}spheres in view",
         True,
         f"{spheres}",
-        "" if spheres >= LEAST_SPHERES else f"A case needs {LEAST_SPHERES} or more on the head.",
+        "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head.",
     )
     if calibrations is not None and calibrations.tracker_frame.tool not in tracker.tools:
         yield Diagnostic(
             f"{subject}reference frame",
             False,
             f"{calibrations.tracker_frame.tool} is not among the loaded tools {', '.join(tracker.tools)}",
-            "Name it in the tracker's options, as in the record of the tracker frame.",
+            "Name it in the tracker's options as in the tracker frame record.",
         )
 
 

@@ -131,7 +131,7 @@ def _looks_at_endpoints(texts: Sequence[str]) -> Iterator[tuple[str, Look]]:
         drivers = [name for name, probe in probes.items() if endpoint.scheme in probe.endpoint_schemes]
         if len(drivers) > 1:
             raise BadEndpoint(
-                f"{endpoint}: {' and '.join(drivers)} can look at this kind of endpoint",
+                f"{endpoint}: {' and '.join(drivers)} can check this kind of endpoint",
                 action="Name the driver in a theatre file, and use --config.",
             )
         asked.setdefault(drivers[0], []).append(endpoint)

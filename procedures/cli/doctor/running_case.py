@@ -33,9 +33,9 @@ class RunningCase:
         return Diagnostic(
             RUN,
             False,
-            f"{self.folder.name} (pid {self.pid}) has this theatre: its devices were not asked",
-            f"Leave it alone: its arm may stand at a patient. Follow it with ronna-procedure watch "
-            f"{self.folder}; when it has ended, ask again.",
+            f"{self.folder.name} (pid {self.pid}) is using this theatre: its devices were not checked",
+            "Leave it alone: its arm may be at a patient. Follow it with ronna-procedure watch "
+            f"{self.folder}; check again when it has ended.",
         )
 
 

@@ -30,7 +30,9 @@ def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
         "open files", f"{CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
     )
     full = DiskSpace(Path.cwd()).unmet()
-    yield Diagnostic("disk", full is None, full or "enough for a case", "" if full is None else "Free some.")
+    yield Diagnostic(
+        "disk", full is None, full or "enough for a case", "" if full is None else ("Free some space.")
+    )
 
 
 def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator[Diagnostic]:

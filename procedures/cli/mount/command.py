@@ -11,7 +11,7 @@ from ronna_hw.command_line.option_records import with_option_records
 
 app = typer.Typer(
     name="calibrate",
-    help="Calibrate what hangs on the arm's mount.",
+    help="Calibrate the mounted tools.",
     epilog="Example: ronna-procedure calibrate tracker-frame --sim --scene mini",
     no_args_is_help=True,
     add_completion=False,
@@ -21,22 +21,22 @@ app = typer.Typer(
 
 @app.callback()
 def mount() -> None:
-    """Calibrate what hangs on the arm's mount."""
+    """Calibrate the mounted tools."""
 
 
 @app.command("tracker-frame")
 @with_option_records
 def tracker_frame(
     asked: CalibrationOptions,
-    looks: Annotated[int, typer.Option(min=15, max=100, help="Poses to find the frame with.")] = 30,
+    looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
     validation: Annotated[
-        int, typer.Option(min=5, max=50, help="More poses, kept apart to judge the result by.")
+        int, typer.Option(min=5, max=50, help="Further poses, held out for validation.")
     ] = 10,
 ) -> None:
-    """Find the tracked frame on the mount: the arm turns it before the tracker, which looks at each pose.
+    """Find the tracked frame on the mount: the arm turns it in view of the tracker, which measures each pose.
 
-    Nothing moves before a confirmation. Exit codes: 0 done, 1 the looks do not give a calibration, 2 usage,
-    3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
+    Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
+    usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     request = asked.request()
     from procedures.cli.calibrating.calibration import calibrate
@@ -54,15 +54,16 @@ def tool_tip(
         tuple[float, float, float] | None,
         typer.Option(
             metavar="X Y Z",
-            help="Place of the stand's ball in $ROBROOT, mm, within 10 [default: the theatre file's].",
+            help="Position of the stand's ball in $ROBROOT, mm, to within 10 [default: the theatre file's].",
         ),
     ] = None,
-    readings: Annotated[int, typer.Option(min=8, max=30, help="Orientations to find the tip with.")] = 10,
+    readings: Annotated[int, typer.Option(min=8, max=30, help="Orientations for the calibration.")] = 10,
     validation: Annotated[
-        int, typer.Option(min=2, max=20, help="More orientations, kept apart to judge the result by.")
+        int, typer.Option(min=2, max=20, help="Further orientations, held out for validation.")
     ] = 3,
 ) -> None:
-    """Find the guide's tip beside the stereo head: the head looks at a ball, the tip pivots in its place.
+    """Find the guide's tip relative to the stereo head: the head measures a ball, then the tip pivots at its
+    position.
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """

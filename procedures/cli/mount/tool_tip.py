@@ -13,7 +13,7 @@ from procedures.reporting.calibration import TipFigures
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
 
-MOUNT_THE_HEAD = "the guide hangs on the arm: mount the stereo head before the next case"
+MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
 
 
 def records_of(result: TipResult) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def payload_of(result: TipResult) -> dict[str, Any]:
 KIND = CalibrationKind(
     name="tool-tip",
     title="Calibration of the guide's tip",
-    activity="looking at the ball, reading the divot",
+    activity="measuring the ball, reading the divot",
     looks_type=TipLooks,
     looks_file=LOOKS_FILE,
     observed=lambda case: case.get(ReadTip).result.observed,

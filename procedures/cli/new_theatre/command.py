@@ -22,7 +22,8 @@ REHEARSAL = "REHEARSAL: EVERY DEVICE IS ON THIS COMPUTER"  # where only simulato
 
 def new_theatre(
     hardware: Annotated[
-        bool, typer.Option("--hardware", help="For devices of your own; ronna-sim theatre writes the others.")
+        bool,
+        typer.Option("--hardware", help="For real devices; ronna-sim theatre writes the simulated ones."),
     ] = False,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="New file.")] = Path("theatre.toml"),
     name: Annotated[str | None, typer.Option(help="Name of the theatre [default: the file's].")] = None,
@@ -38,7 +39,8 @@ def new_theatre(
         list[str] | None,
         typer.Option(
             metavar="LINE",
-            help="Line to ask for a tracker: a path or an endpoint; repeatable [default: every serial port].",
+            help="Line to probe for a tracker: a path or an endpoint; repeatable [default: every serial "
+            "port].",
         ),
     ] = None,
     controller: Annotated[
@@ -55,21 +57,21 @@ def new_theatre(
     left: Annotated[
         str | None, typer.Option(metavar="CAMERA", help="The left camera, by serial number or address.")
     ] = None,
-    right: Annotated[str | None, typer.Option(metavar="CAMERA", help="The right one.")] = None,
+    right: Annotated[str | None, typer.Option(metavar="CAMERA", help="The right camera, likewise.")] = None,
     records: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Take over the records of mount, tools and cell from another theatre file or a part of one.",
+            help="Copy the records of mount, tools and cell from another theatre file or part of one.",
         ),
     ] = None,
     option: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="TABLE.KEY=VALUE", help="Option of a driver, as stereo.exposure_us=1500; repeatable."
+            metavar="TABLE.KEY=VALUE", help="Option of a driver, such as stereo.exposure_us=1500; repeatable."
         ),
     ] = None,
-    clock: Annotated[str, typer.Option(help="Source of time; that of a simulated theatre to rehearse.")] = (
+    clock: Annotated[str, typer.Option(help="Source of time; to rehearse, that of a simulated theatre.")] = (
         "host:"
     ),
     check: Annotated[bool, typer.Option(help="Check the file as ronna-procedure doctor does.")] = True,
@@ -87,7 +89,7 @@ def new_theatre(
             action="For simulated ones run ronna-sim theatre, which writes its own.",
         )
     if out.exists():
-        raise UsageMistake(f"{out} exists and is left as it is", action="Name a new file with --out.")
+        raise UsageMistake(f"{out} exists and was not changed", action="Name a new file with --out.")
     from procedures.cli.new_theatre import searching, taken_over, writing
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.discovery import Search
@@ -129,12 +131,12 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
         console.tell(f"{one.table}: {what}")
     complete = all(one.there for one in found)
     if not check:
-        console.tell(f"{out} is written; check it with ronna-procedure doctor --config {out}")
+        console.tell(f"{out} was written; check it with ronna-procedure doctor --config {out}")
         return complete
     with console.progress_bar("checking the file") as progress:
         report = examine(out, progress=progress)
     show_findings(report, as_json=as_json)
-    console.tell(f"{out} is written; what is missing stands in it")
+    console.tell(f"{out} was written; it lists what is missing")
     return complete and all(one.well for one in report.devices)
 
 

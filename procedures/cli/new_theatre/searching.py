@@ -65,7 +65,7 @@ def clock(text: str) -> str:
         "--clock",
         lambda given: parse_endpoint(given).require("host", "shm"),
         text,
-        "host: or shm:///PATH, as the READY line of a simulated theatre has it",
+        "host: or shm:///PATH, as in the READY line of a simulated theatre",
         "host:",
     )
     return text
@@ -137,15 +137,15 @@ def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None
                 raise UsageMistake(
                     f"--{side}: camera {wanted} is given for both sides",
                     expected="two cameras",
-                    action="Give each side the camera that it is.",
+                    action="Give each side its own camera.",
                 )
             if alike := next((pair for pair in every if wanted in _camera(pair, other)), None):
                 serial, _address = _camera(alike, other)
                 raise UsageMistake(
-                    f"--{side}: {wanted} is the camera that calls itself {other} ({serial})",
-                    expected=f"{_camera(alike, side)[0]}, which calls itself {side}",
-                    action="Exchange --left and --right; where the names are wrong, leave both options out "
-                    "and exchange the cameras in the file.",
+                    f"--{side}: {wanted} is the camera named {other} ({serial})",
+                    expected=f"{_camera(alike, side)[0]}, which is named {side}",
+                    action="Swap --left and --right; if the names are wrong, omit both options and swap the "
+                    "cameras in the file.",
                 )
             known = sorted({" at ".join(_camera(pair, side)) for pair in before})
             raise UsageMistake(
@@ -169,6 +169,6 @@ def _one_of(table: str, proposals: Sequence[Proposal], choose: Choose) -> Propos
     if number is None:
         raise UsageMistake(
             f"{len(proposals)} devices could be [{table}]: {'; '.join(words)}",
-            action="Say which with --left and --right, --serial or --controller.",
+            action="Choose with --left and --right, --serial or --controller.",
         )
     return proposals[number]

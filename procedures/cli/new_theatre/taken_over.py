@@ -76,7 +76,7 @@ def _require_fitting(text: str, found: Found) -> None:
         except ValidationError as error:
             raise UsageMistake(
                 f"--option {text!r}: {'; '.join(describe_mistakes(error, model))}",
-                action="The reference lists the options of each driver with what they take.",
+                action="The reference lists the options of each driver and their values.",
             ) from error
 
 

@@ -19,14 +19,14 @@ TABLE_NAMES = {"robot": "robot.master"}  # the name under which the procedure us
 TAKEN_OVER = ("calibration", "tools", "cell", "procedure")  # with `flange`, from another file
 
 HEAD = (
-    "Theatre file, begun by ronna-procedure new-theatre. Lines that begin with # are comments: an option in "
-    "one stands there with its default. All keys: docs/reference/theatre-file.md; "
-    "`ronna-procedure doctor --config FILE` checks the file."
+    "Theatre file, created by ronna-procedure new-theatre. Lines that begin with # are comments: an "
+    "option in one shows its default. All keys: docs/reference/theatre-file.md; `ronna-procedure "
+    "doctor --config FILE` checks the file."
 )
-NOT_FOUND = "NOT FOUND. This is an example: correct its addresses, then take the first # of each line away."
+NOT_FOUND = "NOT FOUND. This is an example: correct its addresses, then remove the first # of each line."
 NO_RECORDS = (
-    "No case and no calibration begins without these records. Write each from the drawing of your mount, "
-    "dated and expired on the day of the drawing, then measure: "
+    "No case and no calibration starts without these records. Enter each from the drawing of your "
+    "mount, created and expiring on the date of the drawing, then measure: "
 )
 
 
@@ -61,7 +61,7 @@ def _device(found: Found) -> Iterator[str]:
     proposal, table = found.proposal, TABLE_NAMES.get(found.table, found.table)
     title = f"{table}: {proposal.what}" if found.there else f"{table}: {NOT_FOUND}"
     if proposal.absent:
-        title += f" It was looked for: {proposal.absent}."
+        title += f" Searched for it: {proposal.absent}."
     yield from _comment(title)
     for remark in proposal.remarks:
         yield from _comment(f"- {remark}")

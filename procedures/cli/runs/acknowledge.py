@@ -58,9 +58,10 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
 
 def _person(by: str | None) -> str:
-    """Who acknowledges, else as typed at the terminal: a login is no person's name. Raises DEV-006."""
+    """Name of the person acknowledging, else as typed at the terminal: a login is no person's name. Raises
+    DEV-006."""
     if by is None and on_terminal(sys.stdin) and on_terminal(sys.stderr):
-        by = str(typer.prompt("Who acknowledges", err=True))
+        by = str(typer.prompt("Name of the person acknowledging", err=True))
     return require_person(by or "")
 
 

@@ -25,7 +25,7 @@ def print_bytes(
     folder = run_folder / BYTES_FOLDER
     links = links_of(folder)
     if not links:
-        raise PathProblem(f"{folder} holds no bytes of links", expected="the folder of a run")
+        raise PathProblem(f"{folder} has no recorded link bytes", expected="the folder of a run")
     wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
     if not wanted:
         raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")
@@ -41,7 +41,7 @@ def print_bytes(
             sys.stdout.write(_as_json(line) if as_json else _as_dump(line))
     if not printed:
         kept = f"{first_s:.1f} to {last_s:.1f} s" if first_s <= last_s else "nothing"
-        tell(f"no bytes in this window; of {', '.join(wanted)} there is {kept}")
+        tell(f"no bytes in this window; {', '.join(wanted)} recorded {kept}")
 
 
 def _as_json(line: LinkLine) -> str:

@@ -27,11 +27,11 @@ RunArgument = Annotated[
     Path, typer.Argument(metavar="RUN", help="Folder of a run, however it ended.", callback=_run_folder)
 ]
 FolderOption = Annotated[
-    Path | None, typer.Option("--out", metavar="DIR", help="Folder to write to; by default in the run's.")
+    Path | None, typer.Option("--out", metavar="DIR", help="Output folder; by default inside the run's.")
 ]
 
 AcceptOption = Annotated[
-    bool, typer.Option("--accept", help="Accept what is found, unasked; in a simulated theatre only.")
+    bool, typer.Option("--accept", help="Accept the findings without asking; in a simulated theatre only.")
 ]
 AnswersOption = Annotated[Path | None, typer.Option(help="TOML file that answers the questions of the case.")]
 
@@ -45,11 +45,11 @@ def resume_command(
     console: ConsoleOptions,
     as_json: JsonOption = False,
 ) -> None:
-    """Go on with a run that was killed, left or interrupted.
+    """Resume a run that was killed, left or interrupted.
 
-    Nothing moves before devices, tool, calibrations, CT, plan, patient and robot base were read again and
-    compared with the record, and accepted. With --console whoever takes the operator's seat accepts; only
-    --accept goes on without. Exit codes: 0 finished, 8 not taken up again.
+    Nothing moves until devices, tool, calibrations, CT, plan, patient and robot base have been re-read,
+    compared with the record and accepted. With --console, the operator in the seat accepts; --accept
+    continues without one. Exit codes: 0 finished, 8 not resumed.
     """
     from procedures.cli.runs.resume import resume
 
@@ -62,10 +62,11 @@ def home_command(
     answers: AnswersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Bring the arm of a run that has ended home: an instrument out along its axis first.
+    """Send the arm of an ended run home, after any instrument has been removed.
 
-    Nothing moves before devices and tool were compared with the record, and accepted. The run stays as it
-    was and can be taken up again. Exit codes: 0 the arm is home, 8 not accepted, others as in `run`.
+    Nothing moves until devices and tool have been compared with the record and accepted. The guide retreats
+    along its axis first. The run is unchanged and can be resumed. Exit codes: 0 the arm is home, 8 not
+    accepted, others as in `run`.
     """
     from procedures.cli.runs.home import home
 
@@ -78,14 +79,15 @@ def acknowledge_command(
         Path | None, typer.Option(metavar="THEATRE", help="Theatre file, without a run.")
     ] = None,
     by: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Who acknowledges; a terminal is asked for it.")
+        str | None,
+        typer.Option(metavar="NAME", help="Name of the person acknowledging; prompted for at a terminal."),
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Recover the devices that are in fault, once the cause is gone; moves nothing.
+    """Recover devices in fault once the cause is gone; moves nothing.
 
-    In the journal of the run stands who did it. Exit codes: 0 nothing is in fault any more, 3 the cause
-    stands or nobody is named, 4 a device is not found, others as in `run`.
+    The journal of the run records who did it. Exit codes: 0 nothing is in fault any more, 3 the cause
+    persists or nobody is named, 4 a device is not found, others as in `run`.
     """
     if (run_folder is None) == (config is None):
         raise UsageMistake("name either a run or, with --config, a theatre file")
@@ -98,7 +100,7 @@ def acknowledge_command(
 
 
 def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
-    """Find every file of a run that is changed, missing or added; exit code 3 when there is one."""
+    """Find every file of a run that was changed, removed or added; exit code 3 if there is one."""
     from procedures.cli.runs.verify import verify
 
     verify(run_folder, as_json=as_json)
@@ -106,7 +108,7 @@ def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None
 
 def lineage_command(
     run_folder: RunArgument,
-    mermaid: Annotated[bool, typer.Option("--mermaid", help="As a mermaid chart.")] = False,
+    mermaid: Annotated[bool, typer.Option("--mermaid", help="As a Mermaid chart.")] = False,
 ) -> None:
     """Draw the results of a run and what each was made from; superseded ones are marked."""
     from procedures.cli.runs.showing import draw_lineage
@@ -132,7 +134,7 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
 
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Make the report of a run anew from its folder: report.html, and its pictures and data in report/."""
+    """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
     from procedures.cli.runs.report import make_report
     from ronna_hw.command_line.console import print_json
 
@@ -144,9 +146,10 @@ def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
 
 
 def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
-    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON; no identity in them.
+    """Write spheres and registrations as DICOM objects, Slicer markups, CSV and JSON, without patient
+    identity.
 
-    Into the run's folder `export`, unless told otherwise.
+    Written to the run's folder `export` by default.
     """
     from procedures.exchange.run_export import export_run
     from ronna_hw.command_line.console import print_json, tell
@@ -163,9 +166,9 @@ def watch_command(
     run_folder: RunArgument,
     as_json: Annotated[bool, typer.Option("--json", help="One event per line, as JSON.")] = False,
 ) -> None:
-    """Follow a run from another terminal: how things stand, then what happens, until it has ended.
+    """Follow a run from another terminal: its present state, then what happens, until it ends.
 
-    Reads RUN/events.jsonl and changes nothing; any number may watch.
+    Reads RUN/events.jsonl and changes nothing; any number of viewers may watch.
     """
     from procedures.cli.runs.watching import watch
 
@@ -176,9 +179,9 @@ def replay_command(
     run_folder: RunArgument,
     as_json: JsonOption = False,
 ) -> None:
-    """Compute every result of a run again from its recorded readings, and compare. Touches no device.
+    """Recompute every result of a run from its recorded readings and compare. Touches no device.
 
-    Exit codes: 0 everything is equal, 1 a record differs or cannot be computed again.
+    Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed.
     """
     from procedures.cli.runs.replay import replay_run
 
@@ -187,12 +190,12 @@ def replay_command(
 
 def bytes_command(
     run_folder: RunArgument,
-    link: Annotated[str | None, typer.Option(help="A link, or the device whose links are meant.")] = None,
-    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to begin with, s.")] = None,
-    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end with, s.")] = None,
+    link: Annotated[str | None, typer.Option(help="A link, or a device for all its links.")] = None,
+    from_s: Annotated[float | None, typer.Option("--from", help="Theatre time to start at, s.")] = None,
+    to_s: Annotated[float | None, typer.Option("--to", help="Theatre time to end at, s.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object per line.")] = False,
 ) -> None:
-    """Print what passed on a run's links: time, direction, bytes in hex and as text.
+    """Print the traffic on a run's links: time, direction, bytes in hex and as text.
 
     The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
     """
@@ -203,13 +206,13 @@ def bytes_command(
 
 def raw_command(
     run_folder: RunArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New folder to write to.")],
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="New output folder.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Write what devices answered in a run as files: pictures as PNG, tracker frames and arm states as CSV.
+    """Write the device readings of a run as files: pictures as PNG, tracker frames and arm states as CSV.
 
-    Pictures show what the cameras saw. They are in no export: only this command takes them out of a run, and
-    of one that was changed since it ended nothing.
+    Pictures show what the cameras saw. They are in no export: only this command extracts them from a run, and
+    it refuses a run that was changed after it ended.
     """
     from procedures.exchange.raw_readings import write_raw
     from ronna_hw.command_line.console import print_json, tell

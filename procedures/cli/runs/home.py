@@ -30,7 +30,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
             with opened_left(request, left.run.path, watcher, Resumption(left, accept)) as engine:
                 moved = bring_home(engine, left)
-        _say(left, "the arm is home" if moved else "the arm was home already", moved=moved, as_json=as_json)
+        _say(left, "the arm is home" if moved else "the arm was already home", moved=moved, as_json=as_json)
 
 
 def _nothing_to_do(left: LeftRun) -> str | None:

@@ -38,7 +38,7 @@ def request_of(
         request = replace(request, answers=read_answers(answers))
     if accept and request.config is not None:
         raise UsageMistake(
-            "--accept is for a simulated theatre", action="Leave it out: on real devices a person accepts."
+            "--accept is for a simulated theatre", action="Omit it: on real devices a person accepts."
         )
     return request
 
@@ -87,7 +87,7 @@ def make_ready(left: LeftRun) -> None:
     _check_writable(folder)
     _remove_half_written(folder)
     if left.chain.torn:
-        tell(f"the last line of the journal was torn ({len(left.chain.torn)} bytes): it is kept aside")
+        tell(f"the last line of the journal is truncated ({len(left.chain.torn)} bytes): it was set aside")
 
 
 def _check_writable(folder: Path) -> None:

@@ -35,14 +35,14 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
     given = _as_set_up(run, _given(run_folder, answers))
-    with progress_bar(f"computing {len(run.records)} results again") as show:
+    with progress_bar(f"recomputing {len(run.records)} results") as show:
         results = replay(run, given, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
         print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
     else:
-        print_table("Results computed again", ("record", "verdict", "why"), [_row(one) for one in results])
+        print_table("Recomputed results", ("record", "verdict", "why"), [_row(one) for one in results])
     unlike = [one.record for one in results if one.verdict not in CONFIRMED]
     if unlike:
         raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
@@ -81,7 +81,9 @@ def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
 
 def _given_calibration(calibration: Any, theatre_file: Path) -> ReplayInput:
     if calibration is None:
-        raise NotRecorded("the run is a check or a look of a calibration, which is not replayed")
+        raise NotRecorded(
+            "the run is a check or a single measurement of a calibration, which cannot be replayed"
+        )
     order = order_of(Recipe.read(calibration["recipe"]).steps, ())
     records = Calibrations.model_validate_json(json.dumps(calibration["records"]))
     return ReplayInput(order, None, read_theatre_file(theatre_file), records)

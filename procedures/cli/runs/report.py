@@ -18,7 +18,7 @@ from ronna_hw.host.interruption import interruption_deferred
 if TYPE_CHECKING:
     from procedures.reporting.postoperative import AfterTheOperation
 
-NOT_INTO_IT = "The folder is kept as it is; with --out DIR its report shows what can still be read."
+NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 
 
 def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:

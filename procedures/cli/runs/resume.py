@@ -69,9 +69,7 @@ def _resume_calibration(
     request: CalibrationRun, left: LeftRun, console: ConsoleRequest | None, *, accepted: bool, as_json: bool
 ) -> None:
     if console is not None:
-        raise UsageMistake(
-            "--console operates cases, and this is a calibration", action="Leave --console out."
-        )
+        raise UsageMistake("--console operates cases, and this is a calibration", action="Omit --console.")
     from procedures.cli.calibrating.resuming import resume_calibration
 
     resume_calibration(request, left, accepted=accepted, as_json=as_json)

@@ -54,7 +54,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["restarts"]:
-        say(f"taken up again {counted(row['restarts'], 'time')}")
+        say(f"resumed {counted(row['restarts'], 'time')}")
     if row["instrument_in"]:
         say(f"the instrument was still in {row['instrument_in']}")
     say(f"done: {', '.join(row['done']) or 'nothing'}")
@@ -65,7 +65,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
         known = "" if error_mm is None else f", error {error_mm:.3f} mm"
         say(f"{target['id']}: predicted {target['predicted_tre_mm']:.3f} mm{known}")
     for problem in reading.problems:
-        say(f"not to be relied on: {problem}")
+        say(f"not reliable: {problem}")
     if missing:
         say(f"{missing}; {WRITES_ALL}")
 

@@ -31,7 +31,7 @@ def verify(folder: Path, *, as_json: bool) -> None:
         for problem in problems:
             say(str(problem))
         if not problems:
-            say(f"{folder.resolve().name}: whole, {checked} files are as the run left them")
+            say(f"{folder.resolve().name}: intact, {checked} files are as the run left them")
         if missing:
             say(f"{missing}; {WRITES_ALL}")
     if problems:

@@ -20,7 +20,7 @@ LARGE_PICTURE_PX = 544  # half the sensor's rows
 
 app = typer.Typer(
     name="ronna-stereo",
-    help="The stereo head: calibrate it, check that it still holds, look at a ball.",
+    help="The stereo head: calibrate it, check its calibration, measure a ball.",
     epilog="Example: ronna-stereo calibrate --sim --scene mini",
     no_args_is_help=True,
     add_completion=False,
@@ -30,14 +30,15 @@ app = typer.Typer(
 BallOption = Annotated[
     Triple | None,
     typer.Option(
-        metavar="X Y Z", help="Where the ball is in $ROBROOT, mm, to 10 mm; else the tracker tells."
+        metavar="X Y Z",
+        help="Position of the ball in $ROBROOT, mm, to within 10 mm [default: from the tracker].",
     ),
 ]
 
 
 @app.callback()
 def stereo() -> None:
-    """The stereo head: calibrate it, check that it still holds, look at a ball."""
+    """The stereo head: calibrate it, check its calibration, measure a ball."""
 
 
 @app.command("calibrate")
@@ -46,13 +47,13 @@ def calibrate_head(
     asked: CalibrationOptions,
     ball: BallOption = None,
     poses: Annotated[
-        int, typer.Option(min=60, max=400, help="Poses to look from, besides the check's.")
+        int, typer.Option(min=60, max=400, help="Poses to measure from, besides those of the check.")
     ] = 60,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation of the check.")] = 3,
 ) -> None:
-    """Calibrate both cameras and the head's tool frame by one ball, looked at from 60 or more poses.
+    """Calibrate both cameras and the head's tool frame with one ball, measured from 60 or more poses.
 
-    The arm moves, after a confirmation. Exit codes: 0 done, 1 the observations do not give a calibration,
+    The arm moves after a confirmation. Exit codes: 0 done, 1 the observations do not yield a calibration,
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     finite_ball(ball)
@@ -73,10 +74,10 @@ def check(
     asked: MeasuringOptions,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
 ) -> None:
-    """Look at the ball from the eight orientations of the calibration again: has a camera or mount moved?
+    """Measure the ball again from the eight orientations of the calibration: has a camera or mount moved?
 
-    A camera turned by 0.01 degrees is found. Exit codes: 0 the head is as it was, 3 it has changed or its
-    calibration may not be used, 1 the ball is not in view, others as in `calibrate`.
+    Detects a camera turned by 0.01 degrees. Exit codes: 0 the head is unchanged, 3 it has changed or its
+    calibration must not be used, 1 the ball is not in view, others as in `calibrate`.
     """
     theatre = asked.theatre()
     from procedures.calibration import Baseline, compare_with_baseline
@@ -103,7 +104,7 @@ def check(
     with leaving_report(folder, with_truth=False):
         title = "Check of the stereo head"
         try:
-            with console.progress_bar("looking at the ball") as bar:
+            with console.progress_bar("measuring the ball") as bar:
                 run_steps(theatre, folder, head_check(then, visits), bar, title=title, judge=judge)
         finally:
             for result in found:
@@ -120,14 +121,15 @@ def check(
 def measure(
     asked: MeasuringOptions,
     find: Annotated[
-        bool, typer.Option("--find", help="First bring the head over the ball; always with --sim.")
+        bool, typer.Option("--find", help="First move the head over the ball; always with --sim.")
     ] = False,
     ball: BallOption = None,
     picture: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the pair with the fitted outlines as PNG.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the image pair with the fitted outlines as PNG."),
     ] = None,
 ) -> None:
-    """Take a pair and show the ball's fit: pixels, quality, position in the tool frame.
+    """Take an image pair and show the fit of the ball: pixels, quality, position in the tool frame.
 
     Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
     `calibrate`.
@@ -141,10 +143,10 @@ def measure(
     steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
     folder = new_folder(asked.out, "measure")
     with leaving_report(folder, with_truth=False):
-        with console.progress_bar("looking with the stereo head") as bar:
-            engine = run_steps(theatre, folder, steps, bar, title="A look of the stereo head")
+        with console.progress_bar("measuring with the stereo head") as bar:
+            engine = run_steps(theatre, folder, steps, bar, title="A measurement of the stereo head")
         seen = engine.setting.workspace.find(Look)
-        assert seen is not None, "the last step keeps what it saw"
+        assert seen is not None, "the last step keeps its measurement"
         if picture is not None:
             from procedures.workcell.stereo_picture import pair_picture
             from ronna_hw.records import write_whole

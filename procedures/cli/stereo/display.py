@@ -25,7 +25,7 @@ def print_check(result: CheckResult) -> None:
         for sign in result.signs
     ]
     console.print_table(
-        f"{result.looks} looks; arm repeatability {1000 * result.repeatability_mm:.0f} um per axis",
+        f"{result.looks} measurements; arm repeatability {1000 * result.repeatability_mm:.0f} um per axis",
         ["test", "change", "standard error", "chi-square", "limit", ""],
         rows,
     )
@@ -38,12 +38,12 @@ def show_look(seen: Look, *, as_json: bool) -> dict[str, Any]:
     """
     point = seen.point
     if seen.left is None or seen.right is None:
-        raise seen.problem or NoSphere("no ball is measured in this pair")
+        raise seen.problem or NoSphere("no ball was measured in this image pair")
     sides = {"left": seen.left, "right": seen.right}
     if not as_json:
         _print_outlines(sides)
     if point is None:
-        raise seen.problem or NotTrusted("no ball is measured in this pair")
+        raise seen.problem or NotTrusted("no ball was measured in this image pair")
     payload = {**_point_payload(point), **{side: _outline_payload(one) for side, one in sides.items()}}
     if as_json:
         console.print_json(payload)

@@ -93,16 +93,16 @@ def warnings_of(payload: dict[str, Any]) -> Iterator[str]:
     """When the arm that carried the head was worse than it repeats."""
     if payload["arm_error_mm"] > REPEATABILITY_MM:
         yield (
-            f"the arm error over these poses, {payload['arm_error_mm']:.2f} mm per axis, exceeds "
-            f"its repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
-            "adds to the tool centre; calibrate the arm before using a strategy that turns the tool"
+            f"the arm error over these poses, {payload['arm_error_mm']:.2f} mm per axis, exceeds its "
+            f"repeatability of {REPEATABILITY_MM:g} mm. The standard error covers what the last link "
+            "adds to the tool centre; calibrate the arm before using a strategy that rotates the tool"
         )
 
 
 KIND = CalibrationKind(
     name="stereo",
     title="Calibration of the stereo head",
-    activity="looking at the ball",
+    activity="measuring the ball",
     looks_type=ObservationSet,
     looks_file=OBSERVATIONS_FILE,
     observed=lambda case: case.get(ObservedBall).result.observed,

@@ -14,7 +14,7 @@ from ronna_hw.command_line.errors import UsageMistake
 
 app = typer.Typer(
     name="ronna-tool",
-    help="The tools of an arm: define their records, check that these fit, list them.",
+    help="The tools of an arm: define, check and list their records.",
     epilog="Example: ronna-tool list --config theatre.toml",
     no_args_is_help=True,
     add_completion=False,
@@ -27,7 +27,7 @@ FiveReadings = tuple[float, float, float, float, float]
 
 @app.callback()
 def tool() -> None:
-    """The tools of an arm: define their records, check that these fit, list them."""
+    """The tools of an arm: define, check and list their records."""
 
 
 @app.command()
@@ -35,34 +35,42 @@ def define(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
     config: ConfigOption,
     write: Annotated[
-        Path, typer.Option(metavar="FILE", help="Theatre file to write, with the record, beside --config.")
+        Path,
+        typer.Option(
+            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
+        ),
     ],
-    purpose: Annotated[Purpose, typer.Option(help="What it is there for.")],
-    number: Annotated[int, typer.Option(min=1, max=16, help="As the controller's inputs report it.")],
-    mass_kg: Annotated[float, typer.Option(help="Of all that hangs below the changer.")],
+    purpose: Annotated[Purpose, typer.Option(help="What it is for.")],
+    number: Annotated[
+        int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
+    ],
+    mass_kg: Annotated[float, typer.Option(help="Mass of everything below the tool changer.")],
     centre_of_gravity_mm: Annotated[
-        tuple[float, float, float], typer.Option(metavar="X Y Z", help="In the frame of the flange.")
+        tuple[float, float, float],
+        typer.Option(metavar="X Y Z", help="Centre of gravity in the flange frame."),
     ],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who measured it.")],
     flange: Annotated[
-        str | None, typer.Option(help="Flange, or changer, it was measured on [default: the file's].")
+        str | None, typer.Option(help="Flange or tool changer it was measured on [default: the file's].")
     ] = None,
     reach_mm: Annotated[
-        float | None, typer.Option(help="Of a guide: from its lower end to its mandrel's.")
+        float | None, typer.Option(help="Of a guide: distance from its lower end to its mandrel's.")
     ] = None,
     bore_mm: Annotated[float | None, typer.Option(help="Of a guide: length of its bore.")] = None,
     play_mm: Annotated[
-        float | None, typer.Option(help="Of a guide: diameter of its bore less the instrument's.")
+        float | None, typer.Option(help="Of a guide: bore diameter minus instrument diameter.")
     ] = None,
     gauge_deg: Annotated[
         SixDegrees | None,
-        typer.Option(metavar="A1 ... A6", help="Of a guide: axes with the mandrel in the gauge."),
+        typer.Option(metavar="A1 ... A6", help="Of a guide: axis angles with the mandrel in the gauge."),
     ] = None,
-    gauge_base_mm: Annotated[float, typer.Option(help="Between both heights of the gauge's dials.")] = 60.0,
-    days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
+    gauge_base_mm: Annotated[
+        float, typer.Option(help="Distance between the two heights of the gauge's dials.")
+    ] = 60.0,
+    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Write a theatre file with the record of a tool. Its tip is that of the file's calibration of now.
+    """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
 
     Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 the file has
     mistakes, 2 usage.
@@ -94,20 +102,23 @@ def renew(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
     config: ConfigOption,
     write: Annotated[
-        Path, typer.Option(metavar="FILE", help="Theatre file to write, with the record, beside --config.")
+        Path,
+        typer.Option(
+            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
+        ),
     ],
     gauge_mm: Annotated[
         FiveReadings,
-        typer.Option(metavar="X Y Z UPPER_X UPPER_Y", help="The gauge's dials, as read with this tool now."),
+        typer.Option(metavar="X Y Z UPPER_X UPPER_Y", help="The gauge's dials as read with this tool now."),
     ],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
-    days: Annotated[int, typer.Option(min=1, max=366, help="How long the record holds.")] = 180,
+    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
     as_json: console.JsonOption = False,
 ) -> None:
-    """After its tip was calibrated: date a tool's record anew, for that tip and the gauge as it reads now.
+    """After a tip calibration: renew a tool's record for the new tip and the present gauge readings.
 
-    A calibration leaves the record alone: somebody has to say that this tool, on the gauge, is the one whose
-    tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
+    A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
+    whose tip was calibrated. Exit codes: 0 done, 1 the file has mistakes, 2 usage.
     """
     from procedures.cli.tool.records import renewed
 
@@ -118,7 +129,7 @@ def renew(
 
 def _require_another_file(config: Path, write: Path) -> None:
     if write.resolve() == config.resolve():
-        raise UsageMistake("--write names the file that it is made from", action="Name another file.")
+        raise UsageMistake("--write names the file given to --config", action="Name another file.")
 
 
 def _signed(name: str, by: str, days: int) -> dict[str, Any]:
@@ -145,17 +156,17 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 
 
 @app.command()
-def check(config: ConfigOption) -> None:
-    """Check the records of a theatre file as a case does: valid, of this flange, of this tip.
+def check(config: ConfigOption, verbose: console.VerboseOption = False) -> None:
+    """Check the records of a theatre file as a case does: valid, for this flange and this tip.
 
-    Exit codes: 0 they fit, 1 the file has mistakes, 3 refused.
+    Exit codes: 0 they match, 1 the file has mistakes, 3 refused.
     """
     from procedures.workcell.tool_records import ToolRecords
     from ronna_hw.config import read_theatre_file
 
     theatre = read_theatre_file(config)
     if theatre.calibration is None:
-        raise UsageMistake(f"{config.name} has no [calibration] to hold the tools against")
+        raise UsageMistake(f"{config.name} has no [calibration] to check the tools against")
     tools = ToolRecords.of(theatre)
     tools.check(theatre.calibration, datetime.now(UTC))
     typer.echo(f"{', '.join(one.identifier for one in tools.records.values())}: fit")
@@ -173,7 +184,7 @@ def list_tools(config: ConfigOption, as_json: console.JsonOption = False) -> Non
         console.print_json({"flange": theatre.flange, "tools": rows})
         return
     console.print_table(
-        f"tools on {theatre.flange or 'a flange without name'}",
+        f"tools on {theatre.flange or 'an unnamed flange'}",
         list(rows[0]) if rows else ["name"],
         [[str(value) for value in row.values()] for row in rows],
     )

@@ -79,7 +79,7 @@ def renewed(config: Path, name: str, signed: dict[str, Any], gauge_mm: Sequence[
             raise UsageMistake(
                 f"--gauge-mm: {dial} is {reading_mm:g}",
                 expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
-                action="Read the dials again; another travel is `travel_mm` of the tool's gauge.",
+                action="Read the dials again; if their travel differs, set `travel_mm` of the tool's gauge.",
             )
     content = read_toml(config, BadTheatreFile)
     kept = content["tools"][name]

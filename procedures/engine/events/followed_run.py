@@ -26,7 +26,9 @@ class FollowedRun:
         """Raises CLI-005 for a folder without events."""
         self._path = folder / EVENTS_FILE
         if not self._path.is_file():
-            raise PathProblem(f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has begun")
+            raise PathProblem(
+                f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has started"
+            )
         self._sleep = sleep
         self._offset = self._lines = 0
         self.closed = False  # whether the run came to its own end

@@ -29,8 +29,8 @@ class CaseState(_Happening):
     """The case as a whole entered a state of its state chart."""
 
     kind: Literal["case"] = "case"
-    state: str = Field(description="Such as `operation.relocalization`, `paused`, `held`, `finished`.")
-    reason: str = Field(default="", description="Why, where there is a reason.")
+    state: str = Field(description="For example `operation.relocalization`, `paused`, `held`, `finished`.")
+    reason: str = Field(default="", description="The reason, if there is one.")
 
 
 class StepState(_Happening):
@@ -39,7 +39,7 @@ class StepState(_Happening):
     kind: Literal["step"] = "step"
     step: str = Field(description="Such as `registration:T1`.")
     state: Literal["begun", "done", "failed", "interrupted", "superseded"]
-    summary: str = Field(default="", description="One line for people.")
+    summary: str = Field(default="", description="One line for the operator.")
     record: str | None = Field(default=None, description="Identifier of the result.")
 
 
@@ -68,15 +68,21 @@ class Questioned(_Happening):
 
     kind: Literal["question"] = "question"
     question: int = Field(description="Number of the question in this run.")
-    topic: str = Field(description="Stable name of what is decided, such as `approach:T1`.")
+    topic: str = Field(description="Stable name of the decision, such as `approach:T1`.")
     subject: str
     value: str = Field(description="What is being confirmed, with its numbers.")
-    answers: tuple[str, ...] = Field(description="The words that answer it; silence means the last one.")
-    timeout_s: float | None = Field(description="Host time until silence answers; none: it waits.")
-    evidence: tuple[Evidence, ...] = Field(default=(), description="What it is decided by.")
-    read_back: str | None = Field(default=None, description="What is to be typed with the first answer.")
-    reads: tuple[str, ...] = Field(default=(), description="What is read off and typed with it, as numbers.")
-    deliberate: bool = Field(default=False, description="Whether the first answer moves the arm or lets it.")
+    answers: tuple[str, ...] = Field(description="The accepted answers; no answer counts as the last one.")
+    timeout_s: float | None = Field(
+        description="Host time after which no answer counts as the last one; none: it waits indefinitely."
+    )
+    evidence: tuple[Evidence, ...] = Field(default=(), description="The evidence for the decision.")
+    read_back: str | None = Field(default=None, description="What must be typed with the first answer.")
+    reads: tuple[str, ...] = Field(
+        default=(), description="The readings that must be typed with it, as numbers."
+    )
+    deliberate: bool = Field(
+        default=False, description="Whether the first answer moves the arm or permits it to move."
+    )
 
 
 class Answered(_Happening):
@@ -92,7 +98,7 @@ class Seat(_Happening):
     """Somebody took the operator's seat at a console, or left it."""
 
     kind: Literal["seat"] = "seat"
-    holder: str = Field(description="Name as it was given; empty: the seat is free.")
+    holder: str = Field(description="Name as given; empty: the seat is free.")
     reason: str = Field(default="", description="Why it is free.")
 
 
@@ -106,7 +112,8 @@ class OrderedStep(BaseModel):
     phase: str
     moves: bool
     record: str | None = Field(
-        default=None, description="Identifier of the result that stands already: the run was taken up again."
+        default=None,
+        description="Identifier of the result that is already valid, because the run was resumed.",
     )
 
 
@@ -122,7 +129,7 @@ class Waiting(_Happening):
 
     kind: Literal["waiting"] = "waiting"
     upcoming: str | None = Field(description="The step that comes next; none: the case is finished.")
-    unmet: tuple[str, ...] = Field(default=(), description="Why it may not begin.")
+    unmet: tuple[str, ...] = Field(default=(), description="Why it cannot start.")
 
 
 class DeviceFact(BaseModel):
@@ -142,8 +149,8 @@ class DeviceState(_Happening):
     device: str
     state: str
     fault: str | None = Field(default=None, description="The latched error.")
-    says: tuple[DeviceFact, ...] = Field(default=(), description="What it last said of itself, unasked.")
-    notices: tuple[str, ...] = Field(default=(), description="What was found that is no error.")
+    says: tuple[DeviceFact, ...] = Field(default=(), description="Its last unsolicited status.")
+    notices: tuple[str, ...] = Field(default=(), description="Findings that are not errors.")
 
 
 class MeasuringVolume(_Happening):
@@ -152,7 +159,7 @@ class MeasuringVolume(_Happening):
     kind: Literal["volume"] = "volume"
     device: str
     sections_mm: tuple[tuple[float, float, float], ...] = Field(
-        description="Place along z, half the extent along x, half the extent along y."
+        description="Position along z, half-extent along x, half-extent along y."
     )
 
 
@@ -189,7 +196,7 @@ class Pose(_Happening):
     tool_mm: tuple[float, ...] = Field(
         default=(), description="Origin of the tool, in the frame of the robot; only where it has cameras."
     )
-    tool_rows: tuple[float, ...] = Field(default=(), description="Its rotation, by rows.")
+    tool_rows: tuple[float, ...] = Field(default=(), description="Its rotation matrix, row by row.")
 
 
 class Body(BaseModel):

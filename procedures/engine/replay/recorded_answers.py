@@ -63,7 +63,7 @@ class RecordedAnswers:
         """The next value of a property, or the last once more: how often it is looked at says nothing."""
         waiting = self._section.get((device, name))
         if not waiting:
-            raise NotRecorded(f"the run did not look at {device}.{name} in this step")
+            raise NotRecorded(f"the run did not read {device}.{name} in this step")
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
         return line.get("answer")
 
@@ -146,7 +146,7 @@ def _lines(folder: Path) -> Iterator[Line]:
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
-        raise NotRecorded(f"{folder} holds no readings: {error.strerror}") from error
+        raise NotRecorded(f"{folder} has no readings: {error.strerror}") from error
     torn = 0
     for number, text in enumerate(lines, start=1):
         if not text.strip():
@@ -157,7 +157,7 @@ def _lines(folder: Path) -> Iterator[Line]:
             torn = torn or number
             continue
         if not isinstance(line, dict):
-            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: no object")
+            raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: not a JSON object")
         if "opening" in line:  # of the next process of the run: what the last one was writing may be torn
             torn = 0
         elif torn:
@@ -194,5 +194,5 @@ def _error(content: object) -> RonnaError:
 
 def _number(value: object) -> float:
     if not isinstance(value, int | float):
-        raise NotRecorded(f"{value!r} is no time")
+        raise NotRecorded(f"{value!r} is not a time")
     return float(value)

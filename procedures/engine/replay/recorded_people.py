@@ -55,7 +55,7 @@ class RecordedRoom:
                 del self._work[: place + 1]
                 readings = line["readings"]
                 return tuple(map(float, readings)) if isinstance(readings, list) else ()
-        raise NotRecorded(f"in the run nobody did: {task.subject}")
+        raise NotRecorded(f"this was not done in the run: {task.subject}")
 
 
 class RecordedClock:

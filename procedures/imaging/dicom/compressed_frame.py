@@ -44,7 +44,7 @@ def _check_size(size: tuple[int, int, int], shape: tuple[int, ...]) -> None:
     if size != (*shape, 1):
         rows, columns, components = size
         raise InputRefused(
-            "a compressed frame is of another size",
+            "a compressed frame has the wrong size",
             expected=f"{shape[0]} x {shape[1]} of 1",
             got=f"{rows} x {columns} of {components}",
         )

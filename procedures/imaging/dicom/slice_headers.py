@@ -184,7 +184,7 @@ def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: I
 def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:
     count = len({text(path, header, "PatientID") for path, header in images} - {""})
     if count > 1:  # who they are is not for messages
-        raise SeriesMixed(f"the slices name {count} patients under one series")
+        raise SeriesMixed(f"the slices of one series name {count} patients")
 
 
 def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
@@ -215,7 +215,8 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
     position_mm = numbers(path, header, "ImagePositionPatient", 3)
     if max(map(abs, position_mm)) > FARTHEST_MM:
         raise AttributeMissing(
-            f"{path.name} lies {max(map(abs, position_mm)):g} mm away", limit=f"{FARTHEST_MM:g} mm"
+            f"{path.name} is {max(map(abs, position_mm)):g} mm away from the origin",
+            limit=f"{FARTHEST_MM:g} mm",
         )
     slope, intercept = _rescale(path, header)
     thickness = optional_number(path, header, "SliceThickness")
@@ -249,7 +250,7 @@ def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
         )
     if abs(intercept) > INTERCEPT_LIMIT:
         raise RescaleUnusable(
-            f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"{INTERCEPT_LIMIT:g} HU, whichever sign"
+            f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"±{INTERCEPT_LIMIT:g} HU"
         )
     kind = text(path, header, "RescaleType").upper()
     if kind not in _HOUNSFIELD | _UNSPECIFIED:

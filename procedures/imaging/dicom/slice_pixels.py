@@ -40,7 +40,7 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: Fr
     if (photometry := text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2") != "MONOCHROME2":
         raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
-        raise PixelsUnusable(f"{name} has pixels with a decimal point", expected="whole numbers")
+        raise PixelsUnusable(f"{name} has floating-point pixels", expected="integers")
     if "PixelData" not in data:
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
     syntax = text(header.path, data.file_meta, "TransferSyntaxUID")

@@ -55,7 +55,7 @@ def localize_as_thesis(
         for pair in meeting_clusters(axial, sagittal):
             centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
             if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
-                marker, reason = None, "overlaps a marker that has been found already"
+                marker, reason = None, "overlaps a marker that was already found"
             x, y, z = volume.geometry.grid_mm_to_patient_mm(centre_mm).tolist()
             candidates.append(Candidate((x, y, z), marker is not None, reason, 0.0))
             if marker is not None:

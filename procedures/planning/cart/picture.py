@@ -37,18 +37,18 @@ def place_picture(found: PlaceProposal, case: CartCase) -> bytes:
     for serves, mark in ((1.0, "+"), (0.0, "x")):
         chosen = judged[judged[:, 2] == serves]
         axes.scatter(chosen[:, 0], chosen[:, 1], marker=mark, s=12, linewidths=0.5, color="#5b6b73")
-    axes.plot(0.0, 0.0, "o", color="#1c2b33", label="assumed place of the base")
-    axes.plot(best.x_mm, best.y_mm, "*", markersize=12, color=BEST, label="best place")
+    axes.plot(0.0, 0.0, "o", color="#1c2b33", label="assumed base position")
+    axes.plot(best.x_mm, best.y_mm, "*", markersize=12, color=BEST, label="best position")
     axes.add_patch(Circle((best.x_mm, best.y_mm), found.free_mm, fill=False, color=BEST))
     head = case.setting.robot_from_ct.apply(np.mean(case.fiducials_mm, axis=0))
     way = head[:2] / np.linalg.norm(head[:2])
     arrow = {"arrowstyle": "->", "color": "#1c2b33"}
     axes.annotate("", xy=tuple(way * edge), xytext=(0.0, 0.0), arrowprops=arrow)
-    told = f"arrow: to the head, {np.linalg.norm(head[:2]):.0f} mm from the assumed place"
+    told = f"arrow: to the head, {np.linalg.norm(head[:2]):.0f} mm from the assumed position"
     axes.text(0.02, 0.02, told, transform=axes.transAxes, fontsize=8)
     axes.set_xlabel("x mm")
     axes.set_ylabel("y mm")
-    axes.set_title("Where the base may stand: green can be reached", fontsize=10)
+    axes.set_title("Base positions: in green ones the plan is reachable", fontsize=10)
     axes.legend(fontsize=8, loc="upper left")
     svg = io.BytesIO()
     canvas.print_svg(svg)

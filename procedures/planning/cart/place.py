@@ -92,7 +92,7 @@ class CartCase:
             if self._serves(setting, found):
                 return Verdict(found)
         if not search:
-            return Verdict(None, "", "what serves beside it does not serve here")
+            return Verdict(None, "", "reachable nearby, but not from here")
         beyond = self._out_of_reach(setting)
         if beyond is not None:
             return beyond
@@ -180,4 +180,4 @@ def _verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
     if check.passed and check.branch is not None:
         return Verdict(Found(check.branch, tuple(sorted(turns_rad.items()))))
     first = check.unmet[0] if check.unmet else None
-    return Verdict(None, first.pose if first else "", first.reason if first else "no branch serves")
+    return Verdict(None, first.pose if first else "", first.reason if first else "no branch works")

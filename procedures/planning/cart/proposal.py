@@ -63,12 +63,14 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     found = places.best()
     if found is None:
         why = Counter(one.reason for one in places.verdicts.values() if one.reason)
-        reason = f"; most often: {why.most_common(1)[0][0]}" if why else ""
-        raise NoPlace(f"from no place within {places.within_mm:g} mm can the plan be done{reason}")
+        reason = f"; most frequent reason: {why.most_common(1)[0][0]}" if why else ""
+        raise NoPlace(
+            f"the plan cannot be carried out from any cart position within {places.within_mm:g} mm{reason}"
+        )
     best, free_mm = found
     (verdict,) = judge([(best, (), True)])
     if verdict.found is None:
-        raise NoPlace(f"the best place of the map does not serve: {verdict.pose}: {verdict.reason}")
+        raise NoPlace(f"the best position of the map does not work: {verdict.pose}: {verdict.reason}")
     free_deg = {-1.0: 0.0, 1.0: 0.0}  # by the side to which it is turned
     going = list(free_deg)
     for turn in TURNS_DEG:

@@ -52,12 +52,14 @@ class ProposedPlace(Strict):
 
     series_instance_uid: str = Field(description="DICOM UID of the CT series that it was made for.")
     assumed_robot_from_ct: tuple[Coordinate, Coordinate, Coordinate, Degrees, Degrees, Degrees] = Field(
-        description="X Y Z A B C in mm and deg, at the assumed place."
+        description="X Y Z A B C in mm and deg, at the assumed position."
     )
-    best_mm: tuple[Coordinate, Coordinate] = Field(description="The place, x and y in the assumed $ROBROOT.")
-    turned_deg: Degrees = Field(description="How far the cart is turned there.")
-    free_mm: float = Field(ge=0.0, le=FURTHEST_MM, description="How far beside it the cart may stand.")
-    turns_deg: tuple[Turn, Turn] = Field(description="That it may be turned further, the other way and this.")
+    best_mm: tuple[Coordinate, Coordinate] = Field(
+        description="Proposed position, x and y in the assumed $ROBROOT."
+    )
+    turned_deg: Degrees = Field(description="Rotation of the cart there.")
+    free_mm: float = Field(ge=0.0, le=FURTHEST_MM, description="Position tolerance of the cart.")
+    turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
     def beside(self, robot_from_ct: Transform) -> BesideProposal:
         """Where a cart stands from which the CT is seen in this pose ROBOT <- CT."""

@@ -29,8 +29,8 @@ LEAST_VOXELS = 500  # 32 ml: less is not a head
 class HeadEllipsoid(Strict):
     """The head as one ellipsoid, in CT coordinates."""
 
-    centre_mm: Numbers3 = Field(description="Its middle, LPS.")
-    semi_axes_mm: Numbers3 = Field(description="Along left, posterior, superior.")
+    centre_mm: Numbers3 = Field(description="Its centre, LPS.")
+    semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
 
 
 def head_shape(volume: Volume) -> HeadEllipsoid:
@@ -52,7 +52,7 @@ def head_shape(volume: Volume) -> HeadEllipsoid:
     labels, count = ndimage.label(kept)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
     if sizes.max() < LEAST_VOXELS:
-        raise NoHeadInCt("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid places")
+        raise NoHeadInCt("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
     largest = labels == 1 + int(sizes.argmax())
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)

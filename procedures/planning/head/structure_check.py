@@ -33,7 +33,7 @@ def read_structure(
     except PicksUnreadable as refused:
         raise StructureUnreadable(refused.what, expected=refused.expected, got=refused.got) from refused
     if (outside := _outside(points_mm, geometry)) > MOST_OUTSIDE:
-        raise OutsideField(f"{outside:.0%} of the points in {file_name} lie outside the CT")
+        raise OutsideField(f"{outside:.0%} of the points in {file_name} are outside the CT")
     return structure_of(name, margin_mm, points_mm)
 
 
@@ -43,8 +43,8 @@ def structure_findings(
     """What refuses the plan, and what is for the surgeon to weigh."""
     findings: list[RonnaError] = [
         NearStructure(
-            f"trajectory {one.trajectory} comes too near to {one.structure}",
-            expected=f"{one.margin_mm:g} mm or more",
+            f"trajectory {one.trajectory} comes too close to {one.structure}",
+            expected=f"at least {one.margin_mm:g} mm",
             got=f"{one.distance_mm:.1f} mm",
         )
         for one in distances
@@ -54,12 +54,13 @@ def structure_findings(
     for one in plan.structures or ():
         outside = _outside(one.points_mm, volume.geometry)
         if outside > MOST_OUTSIDE:
-            findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} lie outside the CT"))
+            findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} are outside the CT"))
         elif outside:
-            warnings.append(f"{outside:.0%} of the points of {one.name} lie outside the CT")
+            warnings.append(f"{outside:.0%} of the points of {one.name} are outside the CT")
         if (gap_mm := widest_gap_mm(one.points_mm)) > one.margin_mm:
             warnings.append(
-                f"points of {one.name} lie up to {gap_mm:.1f} mm apart: half of it is taken off its distances"
+                f"points of {one.name} are up to {gap_mm:.1f} mm apart: half of that is subtracted from "
+                "its distances"
             )
     return findings, warnings
 

@@ -33,23 +33,24 @@ Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000
 class Structure(Strict):
     """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin kept to them."""
 
-    name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN, description="What it is.")
+    name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN, description="Its name.")
     margin_mm: float = Field(
         allow_inf_nan=False,
         ge=0.0,
         le=LARGEST_MARGIN_MM,
-        description="Least distance of a trajectory's axis; half the instrument's thickness is part of it.",
+        description="Minimum distance from a trajectory's axis; includes half the instrument's thickness.",
     )
     within_mm: float = Field(
         default=0.0,
         allow_inf_nan=False,
         ge=0.0,
         le=LARGEST_MARGIN_MM,
-        description="All of it lies as near to a point of the list; taken off every distance.",
+        description="Largest gap of its surface from the nearest listed point; subtracted from every "
+        "distance.",
     )
     points_mm: Annotated[
         tuple[tuple[Coordinate, Coordinate, Coordinate], ...], Field(min_length=1, max_length=MOST_POINTS)
-    ] = Field(description="Points of it, LPS.")
+    ] = Field(description="Its points, LPS.")
 
 
 @dataclass(frozen=True)

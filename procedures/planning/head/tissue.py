@@ -40,7 +40,7 @@ def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotInt
     if not wrong:
         return None, warning if unseen else ""
     swapped = not _wrong(volume, target, entry)[0]
-    hint = "; the other way round it would fit: entry and target are probably exchanged" if swapped else ""
+    hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
     return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
 
 
@@ -51,17 +51,17 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
     wrong = []
     around = float(sampled_hu(volume, target + _ball()).mean())
     if around < AIR_BELOW_HU:
-        wrong.append(f"the target lies in air ({around:.0f} HU)")
+        wrong.append(f"the target is in air ({around:.0f} HU)")
     before = sampled_hu(volume, entry - np.outer(_steps(*OUTSIDE_MM), direction))
     if len(before) and float(np.mean(before < AIR_BELOW_HU)) < LEAST_SHARE:
         wrong.append(
-            f"the way {OUTSIDE_MM[0]:g} to {OUTSIDE_MM[1]:g} mm before the entry is not in air"
-            f" ({np.median(before):.0f} HU)"
+            f"the path {OUTSIDE_MM[0]:g} to {OUTSIDE_MM[1]:g} mm in front of the entry is not in air "
+            f"({np.median(before):.0f} HU)"
         )
     inside = sampled_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
     in_air = float(np.mean(inside < AIR_BELOW_HU))
     if in_air > 1.0 - LEAST_SHARE:
-        wrong.append(f"{in_air:.0%} of the way from entry to target is in air")
+        wrong.append(f"{in_air:.0%} of the path from entry to target is in air")
     return wrong, len(before) == 0
 
 
@@ -83,7 +83,7 @@ def standoff_in_skin(
         return None
     return StandoffInsideSkin(
         f"trajectory {trajectory.id}: the guide would be held inside the skin",
-        expected=f"standoff_mm of more than {skin_mm:.0f} mm before the entry",
+        expected=f"standoff_mm of more than {skin_mm:.0f} mm in front of the entry",
         got=f"{standoff_mm:g} mm",
     )
 

@@ -41,11 +41,11 @@ def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
         if smallest >= LEAST_SIDE_DIFFERENCE_MM:
             return []
         return [
-            f"two sides of the triangle of fiducials differ by {smallest:.1f} mm"
-            f" (at least {LEAST_SIDE_DIFFERENCE_MM:g} mm tell them apart)"
+            f"two sides of the fiducial triangle differ by {smallest:.1f} mm (at least "
+            f"{LEAST_SIDE_DIFFERENCE_MM:g} mm are needed to tell them apart)"
         ]
     alike = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
     if alike.status is not MatchStatus.AMBIGUOUS or alike.runner_up is None:
         return []
     taken = [f"{i + 1} for {j + 1}" for i, j in alike.runner_up.pairs.tolist() if i != j]
-    return [f"the fiducials look alike from another side: {', '.join(taken)} could be taken"]
+    return [f"the fiducials look alike from another side: {', '.join(taken)} could be mistaken"]

@@ -41,7 +41,7 @@ class ExpectedError(Strict):
 
     target: str = Field(description="Trajectory of the plan.")
     expected_mm: float = Field(description="Rms error with the proposed markers.")
-    usual_mm: float = Field(description="With markers spread over the same skin by chance: the median.")
+    usual_mm: float = Field(description="Median with markers placed at random over the same skin.")
 
 
 class ProposedMarkers(Strict):
@@ -51,8 +51,10 @@ class ProposedMarkers(Strict):
         default=1, description="Version of this form."
     )
     markers: tuple[TemplateMarker, ...] = Field(description="In no particular order.")
-    marker_error_mm: float = Field(description="Assumed of each marker, 3-D rms: CT, seating, stereo head.")
-    targets: tuple[ExpectedError, ...] = Field(description="Of the plan.")
+    marker_error_mm: float = Field(
+        description="Assumed error of each marker, 3-D rms: CT, seating, stereo head."
+    )
+    targets: tuple[ExpectedError, ...] = Field(description="Targets of the plan.")
 
     @property
     def centres_mm(self) -> tuple[Numbers3, ...]:
@@ -86,7 +88,7 @@ def propose_markers(
     if not len(sets):
         raise NoMarkerSites(
             f"there is no room for {count} markers clear of the trajectories and of one another",
-            got=f"{len(centres)} places on the skin between forehead and vertex",
+            got=f"{len(centres)} positions on the skin between forehead and vertex",
         )
     by_target = np.stack([expected_error(centres[sets], target) for target in targets], axis=1)
     chosen = _exchanged(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])

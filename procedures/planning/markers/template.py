@@ -50,7 +50,7 @@ def propose_template(
     random = np.random.default_rng(seed)
     centres, posts = sites_on(head, volume, random)
     if len(centres) < markers:
-        raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} places")
+        raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} positions")
     sets = random.integers(len(centres), size=(DRAWS, markers))
     points = centres[sets]
     first, second = np.array(list(combinations(range(markers), 2))).T
@@ -59,9 +59,9 @@ def propose_template(
     margins = np.where(apart, np.diff(distances, axis=1).min(axis=1), 0.0)
     if margins.max() < margin_mm:
         raise NoTemplate(
-            f"no {markers} places have distances that differ so much",
+            f"no {markers} positions have distances that differ that much",
             expected=f"{margin_mm:g} mm",
-            got=f"{margins.max():.1f} mm at most",
+            got=f"at most {margins.max():.1f} mm",
         )
     good = np.flatnonzero(margins >= margin_mm)
     best = good[int(expected_error(points[good], np.array(head.centre_mm)).argmin())]

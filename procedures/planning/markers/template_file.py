@@ -34,7 +34,9 @@ def head_of_scene(path: Path) -> HeadEllipsoid:
     try:
         found = _Head.model_validate_json(json.dumps(head, default=str))
         if min(found.semi_axes_mm) <= 0.0:
-            raise HeadUnreadable(f"{path.name}: a head's semi-axes are positive", got=f"{found.semi_axes_mm}")
+            raise HeadUnreadable(
+                f"{path.name}: a head's semi-axes must be positive", got=f"{found.semi_axes_mm}"
+            )
         return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
     except ValidationError as error:
         raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error

@@ -181,11 +181,11 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
     findings: list[RonnaError] = []
     warnings: list[str] = []
     if not volume.patient_position:
-        warnings.append("the series does not say how the patient lay; compare left and right by eye")
+        warnings.append("the series does not give the patient position; check left and right by eye")
     elif volume.patient_position != plan.patient_orientation.value:
         findings.append(
             WrongOrientation(
-                "the CT was taken in another patient position",
+                "the CT was taken in a different patient position",
                 expected=plan.patient_orientation.value,
                 got=volume.patient_position,
             )
@@ -205,9 +205,9 @@ def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
             return [], layout_warnings(points_mm)
-        return [NotTheTemplate("the fiducials in the CT do not lie as the plan's template has them")], []
+        return [NotTheTemplate("the fiducials in the CT do not match the plan's template")], []
     wrong = WrongMarkerCount(
-        "the CT shows another number of fiducials",
+        "the CT shows a different number of fiducials",
         expected=str(plan.implanted),
         got=str(len(points_mm)),
     )
@@ -223,7 +223,7 @@ def _the_frame(points_mm: Array) -> Judged:
         )
         return [wrong], []
     shown = ", ".join(str(one + 1) for one in others)
-    return [], [f"spheres that are not of the x-shaped frame are left aside: {shown}"] if others else []
+    return [], [f"spheres that do not belong to the x-shaped frame are ignored: {shown}"] if others else []
 
 
 def _driven(
@@ -277,8 +277,8 @@ def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
             pair = (closest.first, closest.second)
             told.setdefault(
                 pair,
-                f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at"
-                f" {one.motion.start} already: another place of head or home",
+                f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at "
+                f"{one.motion.start} already: change the position of the head or home",
             )
     return list(told.values())
 
@@ -297,7 +297,7 @@ def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
     """The depth stop must hold on the instrument."""
     return [
         StopBeyondInstrument(
-            f"trajectory {one.id}: the depth stop would sit beyond the instrument's end",
+            f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
             limit=f"{plan.instrument_length_mm:g} mm",
             got=f"{beyond(stop_mm, plan.instrument_length_mm, 1)} mm",
         )

@@ -30,8 +30,8 @@ LEAST_MARGIN_MM = 0.05  # a third of the best error that is predicted
 # What plans of earlier versions do not have, and what to write.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
-    "instrument_length_mm": "add `instrument_length_mm = 250.0`: of the instrument, from its tip to the "
-    "end on which a depth stop still holds, as its packing says",
+    "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
+    "still holds a depth stop, as on its packaging",
 }
 
 
@@ -98,8 +98,8 @@ def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
     """What no case can be done with, and what a plan in metres or centimetres says. Not asked of a record."""
     found = [
         PlanMistakes(
-            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can promise: give "
-            f"millimetres, not metres, and {LEAST_MARGIN_MM:g} or more"
+            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
+            f"give millimetres, not metres, and at least {LEAST_MARGIN_MM:g}"
         )
         for one in plan.trajectories
         if one.margin_mm < LEAST_MARGIN_MM

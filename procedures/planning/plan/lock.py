@@ -51,7 +51,7 @@ def replaced_plan(path: Path) -> Iterator[None]:
     try:
         file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise PlanInUse(f"a case runs on {path.name}: it can only be looked at") from None
+        raise PlanInUse(f"a case is running on {path.name}: it can only be viewed") from None
     except FileNotFoundError:
         yield
         return

@@ -70,10 +70,10 @@ class PlannedTrajectory(Strict):
         allow_inf_nan=False,
         ge=-360.0,
         le=360.0,
-        description="Of the guide about the axis.",
+        description="Angle of the guide about the axis.",
     )
     margin_mm: float = Field(
-        allow_inf_nan=False, gt=0.0, le=20.0, description="Largest target error that is accepted."
+        allow_inf_nan=False, gt=0.0, le=20.0, description="Largest accepted target error."
     )
 
     @model_validator(mode="after")
@@ -102,7 +102,7 @@ class PlannedTrajectory(Strict):
 def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
     # Not a length constraint of the field: that also complains when every trajectory is wrong in itself.
     if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
-        raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, not {len(trajectories)}")
+        raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, got {len(trajectories)}")
     return trajectories
 
 
@@ -111,7 +111,7 @@ class Seal(Strict):
 
     author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
     ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
-    plan_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of all the rest of the plan.")
+    plan_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the rest of the plan.")
 
 
 class Plan(Strict):
@@ -121,14 +121,14 @@ class Plan(Strict):
     series_instance_uid: str = Field(
         max_length=64, pattern=UID_PATTERN, description="DICOM UID of the CT series it was made on."
     )
-    patient_orientation: PatientPosition = Field(description="How the patient lay in the scanner.")
+    patient_orientation: PatientPosition = Field(description="Patient position in the scanner.")
     implanted: int = Field(ge=FEWEST_MARKERS, le=MOST_MARKERS, description="Spheres on the head.")
     fiducials: FiducialKind = Field(description="Single spheres, or the x-shaped frame.")
     template_mm: tuple[Point, ...] | None = Field(
         default=None,
-        description="Centres of the template's spheres, in any frame, when they were implanted by one.",
+        description="Centres of the template's spheres, in any frame, if they were implanted with one.",
     )
-    tool: str = Field(min_length=1, max_length=64, description="What is carried to the target.")
+    tool: str = Field(min_length=1, max_length=64, description="Tool carried to the target.")
     standoff_mm: float = Field(
         allow_inf_nan=False,
         ge=LEAST_STANDOFF_MM,
@@ -139,16 +139,16 @@ class Plan(Strict):
         allow_inf_nan=False,
         gt=0.0,
         le=MOST_INSTRUMENT_MM,
-        description="Of the instrument, from its tip to the end on which a depth stop still holds.",
+        description="Length of the instrument, from its tip to the end that still holds a depth stop.",
     )
     trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
-        description="In the order in which they are meant to be done."
+        description="In the intended order."
     )
     structures: Annotated[tuple[Structure, ...], Field(min_length=1, max_length=MOST_STRUCTURES)] | None = (
-        Field(default=None, description="What the trajectories keep away from.")
+        Field(default=None, description="Structures that the trajectories avoid.")
     )
     seal: Seal | None = Field(
-        default=None, description="What the planner puts under a plan; take it away to edit the file by hand."
+        default=None, description="Seal of the planner; remove it to edit the file by hand."
     )
 
     @model_validator(mode="after")
@@ -179,7 +179,7 @@ class Plan(Strict):
                 {"count": count, "implanted": self.implanted, "fewest": FEWEST, "most": MOST},
             )
         if min(math.dist(a, b) for a, b in combinations(self.template_mm, 2)) < LEAST_DISTANCE_MM:
-            raise PydanticCustomError("template", "two spheres of template_mm are one")
+            raise PydanticCustomError("template", "two spheres of template_mm coincide")
         return self
 
     @model_validator(mode="after")
@@ -191,7 +191,7 @@ class Plan(Strict):
         if points > MOST_POINTS_TOGETHER:
             raise PydanticCustomError(
                 "structure",
-                "the structures have {points} points together, limit {limit}",
+                "the structures have {points} points in total, limit {limit}",
                 {"points": points, "limit": MOST_POINTS_TOGETHER},
             )
         return self

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, SCHEMA_VERSION, PatientPosition
 
-UNKNOWN_POSITION = f"# patient_orientation: the series does not say; one of {', '.join(PatientPosition)}"
+UNKNOWN_POSITION = f"# patient_orientation: not given by the series; one of {', '.join(PatientPosition)}"
 TRAJECTORY = """
 # One block for each trajectory, in the order in which they are meant to be done; take the # away.
 # [[trajectories]]
@@ -28,12 +28,12 @@ def new_plan(
 def _lines(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> Iterable[str]:
-    yield f"# Begun from the CT in {source}. Coordinates are LPS mm of that series."
+    yield f"# Created from the CT in {source}. Coordinates are LPS mm of that series."
     yield "# Every key: docs/reference/plan-file.md. Then: ronna-plan check PLAN --ct SERIES_DIR"
     yield f"schema = {SCHEMA_VERSION}"
     yield f'series_instance_uid = "{series_instance_uid}"'
     if patient_position in set(PatientPosition):
-        yield f'patient_orientation = "{patient_position}"  # as the series says'
+        yield f'patient_orientation = "{patient_position}"  # from the series'
     else:
         yield UNKNOWN_POSITION
     count = len(spheres_mm)

@@ -55,7 +55,7 @@ def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
     if digest == plan.seal.ct_sha256:
         return None
     return OtherVoxels(
-        "the CT is not the one that the plan was made on, though it bears the same number",
+        "the CT is not the one that the plan was made on, although it has the same UID",
         expected=plan.seal.ct_sha256[:12],
         got=digest[:12],
     )

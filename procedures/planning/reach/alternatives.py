@@ -66,7 +66,7 @@ def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
     ]
     if not told:
         return None
-    return f"Choose another --strategy: {', '.join(told)} would be reached. Or move the cart or the head."
+    return f"Choose another --strategy, which would reach {', '.join(told)}; or move the cart or the head."
 
 
 def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:

@@ -148,7 +148,7 @@ def _home(
 
 def _told(motion: Motion, bad: Closest) -> str:
     leads = (
-        "on the line to it" if motion.kind == "line" else f"on the way from {motion.start} to {motion.end}"
+        "on the line to it" if motion.kind == "line" else (f"on the path from {motion.start} to {motion.end}")
     )
     near = f"comes within {bad.distance_mm:.1f} mm of"
     if bad.distance_mm < 0.0:

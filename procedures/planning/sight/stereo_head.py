@@ -48,7 +48,7 @@ class StereoSight:
             for name, camera_mm in (("left", self.left_mm), ("right", self.right_mm)):
                 neighbour = _touching(visit.pose.apply(camera_mm), spheres, visit.fiducial)
                 if neighbour is not None:
-                    reason = f"sphere {neighbour + 1} stands before or behind it in the {name} camera"
+                    reason = f"sphere {neighbour + 1} is in front of or behind it in the {name} camera"
                     found.append(Unmet(visit.identifier, reason))
         return tuple(found)
 

@@ -24,10 +24,10 @@ from ronna_hw.calibration import Numbers3
 class LookedAtBall(StepResult, kind="ball_look"):
     """What one pair showed."""
 
-    position_mm: Numbers3 | None = Field(description="The ball in the tool frame, where measured.")
+    position_mm: Numbers3 | None = Field(description="The ball in the tool frame, if measured.")
     left: Outline | None = Field(description="Its outline in the left image.")
     right: Outline | None = Field(description="Its outline in the right image.")
-    reason: str = Field(description="What kept the look from giving a point.")
+    reason: str = Field(description="Why the measurement yielded no point.")
 
 
 def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
@@ -47,7 +47,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
 def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
     """A look over the ball, and back home."""
     context.result(CheckedSetUp)
-    bring_over_ball(context, context.result(BallPlace), "one look", 0)
+    bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
     seen = context.workcell.look()
     context.workcell.go_home()
     return _kept(context, seen)
@@ -74,7 +74,7 @@ def look_step(*, over_ball: bool) -> StepSpec[LookedAtBall]:
         return StepSpec(LookedAtBall, "Look", Phase.OPERATION, run_where_it_stands)
     return StepSpec(
         LookedAtBall,
-        "Look at the ball",
+        "Measure the ball",
         Phase.OPERATION,
         run_over_ball,
         reads=(CheckedSetUp, BallPlace),

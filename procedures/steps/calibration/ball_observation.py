@@ -1,4 +1,4 @@
-"""Look at the ball from planned poses, and again and again from the eight orientations of the check."""
+"""Measure the ball from planned poses, and again and again from the eight orientations of the check."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from ronna_hw.arm.errors import NotClear
 class ObservedBall(StepResult, kind="ball_observation"):
     """The looks that a calibration is computed from."""
 
-    observed: ObservationSet = Field(description="As `observations.json` has them.")
-    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+    observed: ObservationSet = Field(description="Contents of `observations.json`.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 @dataclass(frozen=True)
@@ -42,11 +42,11 @@ class BallObservation:
         context.result(CheckedSetUp)
         place, workcell = context.result(BallPlace), context.workcell
         total = self.poses + self.visits * CHECK_ORIENTATIONS
-        purpose = f"{total} looks from {self.poses + CHECK_ORIENTATIONS} poses"
+        purpose = f"{total} measurements from {self.poses + CHECK_ORIENTATIONS} poses"
         watcher = bring_over_ball(context, place, purpose, self.poses)
         plan = calibration_looks(place.reference, watcher.ball_mm, round(SPARE * self.poses))
         seen = watcher.observe_all(
-            plan, self.poses, lambda count: context.progress(count / total, "looking at the ball")
+            plan, self.poses, lambda count: context.progress(count / total, "measuring the ball")
         )
         for visit in range(self.visits):
             for number in range(CHECK_ORIENTATIONS):
@@ -54,14 +54,17 @@ class BallObservation:
                 if one is not None:
                     seen.append(one)
                 done = self.poses + CHECK_ORIENTATIONS * visit + number
-                context.progress(done / total, "looking at the ball")
+                context.progress(done / total, "measuring the ball")
         remarks = _homeward(context)
         if watcher.rejected:
-            remarks.append(f"{watcher.rejected.total()} looks without a ball: {watcher.why_rejected()}")
+            remarks.append(
+                f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}"
+            )
         checked = len({one.orientation for one in seen} - {None})
         if checked < CHECK_ORIENTATIONS:
             remarks.append(
-                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations taken: no baseline"
+                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations measured: no "
+                "baseline"
             )
         if len(seen) < LEAST_POSES:
             refuse_too_few(watcher, len(seen))
@@ -74,14 +77,14 @@ class BallObservation:
             tool_tip=calibrations.tool_tip,
             observations=tuple(seen),
         )
-        return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} looks")
+        return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
     """The step for so many poses, and so many visits of each orientation of the check."""
     return StepSpec(
         ObservedBall,
-        "Look at the ball",
+        "Measure the ball",
         Phase.OPERATION,
         BallObservation(poses, visits).run,
         reads=(CheckedSetUp, BallPlace),
@@ -108,7 +111,7 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
     """Raise CAL-010 when most looks could not be taken, CAL-002 when they showed no ball."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
-        raise PosesOutOfReach("too few poses about the ball can be reached", expected=expected, got=got)
+        raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
     raise TooFewPoses("too few poses show the ball", expected=expected, got=got)
 
 

@@ -29,8 +29,8 @@ ALONE_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
 class BallPlace(StepResult, kind="ball_place"):
     """Coarse place of the ball and of other balls, robot frame."""
 
-    ball_mm: Numbers3 = Field(description="The ball to look at.")
-    others_mm: tuple[Numbers3, ...] = Field(description="Other balls, to keep clear of.")
+    ball_mm: Numbers3 = Field(description="The ball to measure.")
+    others_mm: tuple[Numbers3, ...] = Field(description="Other balls to keep clear of.")
 
     @classmethod
     def among(cls, points_mm: Array, number: int) -> Self:
@@ -75,7 +75,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
     points = context.result(GlobalLocalization).points_mm
     alone = standing_alone(points)
     if not alone:
-        raise NoBall("the tracker sees no ball that stands alone", got=f"{len(points)} stray spheres")
+        raise NoBall("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
     head_mm = context.workcell.tool_pose().translation_mm
     chosen = min(alone, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
     place = BallPlace.among(points, chosen)
@@ -86,8 +86,10 @@ def run(context: StepContext) -> Outcome[BallPlace]:
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
     """The step; with a stated place the tracker is not asked."""
     if stated_mm is not None:
-        return StepSpec(BallPlace, "Take the stated place", Phase.PREPARATION, StatedPlace(stated_mm).run)
-    return StepSpec(BallPlace, "Choose the ball", Phase.PREPARATION, run, reads=(GlobalLocalization,))
+        return StepSpec(
+            BallPlace, "Use the given ball position", Phase.PREPARATION, StatedPlace(stated_mm).run
+        )
+    return StepSpec(BallPlace, "Locate the ball", Phase.PREPARATION, run, reads=(GlobalLocalization,))
 
 
 def standing_alone(points_mm: Array) -> list[int]:

@@ -1,4 +1,4 @@
-"""Look at the ball again from the joint angles of a baseline: has a camera or the mount moved since?"""
+"""Measure the ball again from the joint angles of a baseline: has a camera or the mount moved since?"""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from procedures.workcell.stereo_picture import pair_picture
 class VisitedBaseline(StepResult, kind="baseline_visit"):
     """The looks of a check."""
 
-    calibration: str = Field(description="Name of the calibration that is checked.")
+    calibration: str = Field(description="Name of the calibration being checked.")
     looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
 
 
@@ -49,7 +49,7 @@ class BaselineVisit:
             raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
         context.confirm(
             Topic.CALIBRATION,
-            "The arm will move to the eight poses of the baseline; the ball must stand where it stood",
+            "The arm will move to the eight poses of the baseline; the ball must be where it was",
             f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",
         )
         first = [
@@ -68,20 +68,22 @@ class BaselineVisit:
                 if found is not None:
                     seen.append(found)
                 done = visit * len(first) + number + 1
-                context.progress(done / (self.visits * len(first)), "looking at the ball")
+                context.progress(done / (self.visits * len(first)), "measuring the ball")
         workcell.go_home()
         if watcher.last is not None:
             context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
         if not seen:
             raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
-        return Outcome(VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} looks")
+        return Outcome(
+            VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
+        )
 
 
 def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
     """The step for a baseline."""
     return StepSpec(
         VisitedBaseline,
-        "Look at the ball again",
+        "Measure the ball again",
         Phase.OPERATION,
         BaselineVisit(baseline, visits).run,
         reads=(CheckedSetUp,),

@@ -1,4 +1,5 @@
-"""Turn the reference frame before the tracker: arm and tracker from poses in all directions about it."""
+"""Rotate the reference frame in view of the tracker: arm and tracker from poses in all directions about
+it."""
 
 from __future__ import annotations
 
@@ -38,8 +39,8 @@ RETURN_AFTER = 10  # looks, then one at home: whatever has moved is noticed
 class ObservedFrame(StepResult, kind="frame_looks"):
     """The looks that a calibration of the reference frame is computed from."""
 
-    observed: FrameLooks = Field(description="As `frame-looks.json` has them.")
-    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+    observed: FrameLooks = Field(description="Contents of `frame-looks.json`.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 @dataclass(frozen=True)
@@ -58,9 +59,9 @@ class FrameTurning:
         total = len(uses)
         context.confirm(
             Topic.CALIBRATION,
-            f"The arm will turn the frame {calibrations.tracker_frame.tool} about where it is now, by "
-            f"up to {math.degrees(TILT_RAD):.0f} degrees in all directions, in {total} poses. "
-            "Nobody and nothing else may be within its reach",
+            f"The arm will rotate the frame {calibrations.tracker_frame.tool} about its present "
+            f"position, by up to {math.degrees(TILT_RAD):.0f} degrees in all directions, in {total} "
+            "poses. Nobody and nothing else may be within its reach",
             f"{total} poses",
         )
         cell, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
@@ -74,7 +75,7 @@ class FrameTurning:
             turning.look_at(joints, uses[turning.taken])
             if number % RETURN_AFTER == RETURN_AFTER - 1:
                 turning.look_at(workcell.home_rad, Use.RETURN)
-            context.progress(turning.taken / total, "turning the reference frame")
+            context.progress(turning.taken / total, "rotating the reference frame")
         turning.look_at(workcell.home_rad, Use.RETURN)
         if turning.taken < LEAST_LOOKS:
             raise TooFewPoses(
@@ -107,10 +108,10 @@ class FrameTurning:
         reached = [joints for look in planned if (joints := _joints(workcell, look)) is not None]
         if len(reached) < wanted:
             raise PosesOutOfReach(
-                "too few poses about the reference frame can be reached",
+                "too few poses of the reference frame are reachable",
                 expected=f"{wanted} poses",
                 got=f"{len(reached)} of {len(planned)}",
-                action="Bring the arm to where it can turn the mount in all directions, then repeat.",
+                action="Move the arm to where it can rotate the mount in all directions, then repeat.",
             )
         return reached
 
@@ -168,7 +169,7 @@ def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
     """The step for so many looks."""
     return StepSpec(
         ObservedFrame,
-        "Turn the reference frame before the tracker",
+        "Rotate the reference frame in view of the tracker",
         Phase.OPERATION,
         FrameTurning(count, validation).run,
         reads=(CheckedSetUp,),

@@ -30,14 +30,14 @@ def bring_over_ball(context: StepContext, place: BallPlace, purpose: str, poses:
     reached = sum(watcher.reaches(look.pose) for look in plan)
     if not watcher.reaches(place.first_look.pose) or reached < poses:
         raise PosesOutOfReach(
-            "the poses about the ball are out of the arm's reach",
+            "the poses around the ball are out of the arm's reach",
             expected=f"{poses} poses",
             got=f"{reached} of {len(plan)}",
         )
     x, y, z = place.ball_mm
     context.confirm(
         Topic.CALIBRATION,
-        f"The arm will move about the ball: {purpose}. Nobody and nothing else may be within its reach",
+        f"The arm will move around the ball: {purpose}. Nobody and nothing else may be within its reach",
         f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
     )
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)

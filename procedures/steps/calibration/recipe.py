@@ -26,9 +26,11 @@ class Recipe(Strict):
     """The steps of one calibration."""
 
     of: Calibrated = Field(description="What is calibrated.")
-    looks: int = Field(ge=0, description="Looks, poses or readings to compute from.")
-    more: int = Field(ge=0, description="Further ones to judge by; of the head, visits of each orientation.")
-    ball_mm: Numbers3 | None = Field(default=None, description="Place of the ball in $ROBROOT, where given.")
+    looks: int = Field(ge=0, description="Measurements, poses or readings to compute from.")
+    more: int = Field(
+        ge=0, description="Further ones for validation; for the head, visits of each orientation."
+    )
+    ball_mm: Numbers3 | None = Field(default=None, description="Position of the ball in $ROBROOT, if given.")
 
     @property
     def steps(self) -> Steps:
@@ -50,4 +52,4 @@ class Recipe(Strict):
             return cls.model_validate(plain, strict=False)
         except ValidationError as error:
             mistakes = "; ".join(describe_mistakes(error))
-            raise NotRecorded(f"this version knows no such calibration: {mistakes}") from error
+            raise NotRecorded(f"this version does not know such a calibration: {mistakes}") from error

@@ -43,8 +43,8 @@ NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look
 class ObservedSpheres(StepResult, kind="sphere_looks"):
     """The looks that a calibration or check of the arm is computed from."""
 
-    observed: ArmLooks = Field(description="As `looks.json` has them.")
-    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+    observed: ArmLooks = Field(description="Contents of `looks.json`.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 @dataclass(frozen=True)
@@ -74,9 +74,9 @@ class SphereLooks:
         plan = self._plan(model, places, workcell)
         context.confirm(
             Topic.CALIBRATION,
-            f"The arm will look at {len(places)} spheres from {len(plan)} poses around them. "
-            "Nobody and nothing else may be within its reach",
-            f"{len(plan)} looks",
+            f"The arm will measure {len(places)} spheres from {len(plan)} poses around them. Nobody and "
+            "nothing else may be within its reach",
+            f"{len(plan)} measurements",
         )
         seen: list[SphereLook] = []
         remarks: list[str] = []
@@ -96,7 +96,9 @@ class SphereLooks:
             arm_record=workcell.calibrations.arm,
             looks=tuple(seen),
         )
-        return Outcome(ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} looks")
+        return Outcome(
+            ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements"
+        )
 
     def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
         """The most telling looks, and evenly spread ones to judge by."""
@@ -108,7 +110,7 @@ class SphereLooks:
         ]
         if len(reached) < SPARE * self.count + self.validation:
             raise PosesOutOfReach(
-                "too few poses about the spheres can be reached",
+                "too few poses around the spheres are reachable",
                 expected=f"{round(SPARE * self.count) + self.validation} poses",
                 got=f"{len(reached)} of {CANDIDATES * len(places)}",
             )
@@ -158,10 +160,12 @@ class SphereLooks:
                     )
                 )
             context.progress(
-                min(1.0, done + (step + 1) / (self.count + self.validation)), "looking at spheres"
+                min(1.0, done + (step + 1) / (self.count + self.validation)), "measuring spheres"
             )
         if watcher.rejected:
-            remarks.append(f"{watcher.rejected.total()} looks at {named} failed: {watcher.why_rejected()}")
+            remarks.append(
+                f"{watcher.rejected.total()} measurements of {named} failed: {watcher.why_rejected()}"
+            )
         return seen
 
 
@@ -169,7 +173,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
     """The step for so many looks."""
     return StepSpec(
         ObservedSpheres,
-        "Look at the spheres",
+        "Measure the spheres",
         Phase.OPERATION,
         SphereLooks(count, validation).run,
         reads=(CheckedSetUp, GlobalLocalization),
@@ -190,7 +194,7 @@ def _places(points_mm: NDArray[np.float64], workcell: Workcell) -> tuple[BallPla
     """Spheres that stand alone, the nearest to the head first."""
     alone = standing_alone(points_mm)
     if not alone:
-        raise NoBall("the tracker sees no sphere that stands alone", got=f"{len(points_mm)} stray spheres")
+        raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.tool_pose().translation_mm
     near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     return tuple(BallPlace.among(points_mm, number) for number in near[:MOST_SPHERES])

@@ -31,7 +31,7 @@ class ObservedStand(StepResult, kind="stand_ball"):
     """The ball of the stand, as the stereo head sees it."""
 
     looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
-    remarks: tuple[str, ...] = Field(description="What the operator should know of them.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class StandBall:
         context.setting.room.prepare_stand(BALL)
         context.confirm(
             Topic.CALIBRATION,
-            "the stand is screwed down, and its ball sits on it",
+            "the stand is screwed down and its ball is seated",
             f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
         )
-        watcher = bring_over_ball(context, place, f"{self.count} looks at the ball of the stand", 0)
+        watcher = bring_over_ball(context, place, f"{self.count} measurements of the stand's ball", 0)
         looks: list[BallLook] = []
         for planned in plan:
             if len(looks) == self.count:
                 break
             seen = watcher.take(planned, SAME_SIDE)
-            context.progress(len(looks) / self.count, "looking at the ball of the stand")
+            context.progress(len(looks) / self.count, "measuring the stand's ball")
             if seen is None or seen.point is None:
                 continue
             joints = workcell.joints_rad()
@@ -72,13 +72,15 @@ class StandBall:
         workcell.go_home()
         if len(looks) < self.count:
             raise TooFewPoses(
-                "too few poses show the ball of the stand",
+                "too few poses show the stand's ball",
                 expected=str(self.count),
                 got=f"{len(looks)}; {watcher.why_rejected()}",
             )
         left_out = watcher.rejected.total()
-        remarks = (f"{left_out} looks at the ball failed: {watcher.why_rejected()}",) if left_out else ()
-        return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} looks")
+        remarks = (
+            (f"{left_out} measurements of the ball failed: {watcher.why_rejected()}",) if left_out else ()
+        )
+        return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
 
     def _plan(self, place: BallPlace, watcher: BallWatcher) -> list[PlannedLook]:
         wanted = round(SPARE * self.count)
@@ -86,7 +88,7 @@ class StandBall:
         reached = [look for look in looks if watcher.reaches(look.pose)]
         if len(reached) < self.count:
             raise PosesOutOfReach(
-                "too few poses about the stand can be reached",
+                "too few poses around the stand are reachable",
                 expected=f"{self.count} poses",
                 got=f"{len(reached)} of {wanted}",
                 action="Put the stand nearer to the middle of the workspace, with free space around it.",
@@ -100,22 +102,22 @@ def _stated(context: StepContext) -> Outcome[BallPlace]:
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
         raise NoBall(
-            "the place of the calibration stand is not given",
-            action="Give the place of its ball with --ball X Y Z, or as stand_mm in [procedure].",
+            "the position of the calibration stand is not given",
+            action="Give the position of its ball with --ball X Y Z, or as stand_mm in [procedure].",
         )
-    return Outcome(BallPlace(ball_mm=stand_mm, others_mm=()), "as the theatre file says")
+    return Outcome(BallPlace(ball_mm=stand_mm, others_mm=()), "according to the theatre file")
 
 
 def stand_place_step() -> StepSpec[BallPlace]:
     """The step that takes the place of the stand from the theatre file."""
-    return StepSpec(BallPlace, "Take the place of the stand", Phase.PREPARATION, _stated)
+    return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _stated)
 
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
     """The step for so many orientations."""
     return StepSpec(
         ObservedStand,
-        "Look at the ball of the stand",
+        "Measure the stand's ball",
         Phase.OPERATION,
         StandBall(count).run,
         reads=(CheckedSetUp, BallPlace),

@@ -39,7 +39,7 @@ MOST_TRIES = 3  # at one orientation: the second is near, unless something gives
 class ReadTip(StepResult, kind="tip_readings"):
     """What the calibration of the tip is computed from."""
 
-    observed: TipLooks = Field(description="As `tip-looks.json` has them.")
+    observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 @dataclass(frozen=True)
@@ -56,9 +56,9 @@ class TipReadings:
         context.setting.room.prepare_stand(DIVOT)
         context.confirm(
             Topic.CALIBRATION,
-            f"The arm will bring the tip of tool {number} to where the ball was, in {len(stand.looks)} "
-            "orientations. The divot is on the stand and lowered, the stand was not moved, and nobody and "
-            "nothing else is within the arm's reach",
+            f"The arm will move the tip of tool {number} to where the ball was, in {len(stand.looks)} "
+            "orientations. Confirm that the divot is on the stand and lowered, the stand was not "
+            "moved, and nobody and nothing else is within the arm's reach",
             f"{len(stand.looks)} orientations",
         )
         cell, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
@@ -133,8 +133,9 @@ class _Reading:
         """Hands were at the stand to read the dials. Raises PRO-002 unless they and the divot are away."""
         self.context.confirm(
             Topic.CALIBRATION,
-            "The arm will leave the divot. The divot is lowered, hands are clear of stand and guide, and "
-            "nobody is within the arm's reach until the next reading is asked for",
+            "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of the "
+            "stand and the guide, and nobody will be within the arm's reach until the next reading is "
+            "requested",
             f"orientation {look + 1}",
         )
 

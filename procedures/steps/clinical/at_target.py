@@ -28,7 +28,7 @@ from ronna_hw.text.beyond import beyond
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
-STAYS = "Nothing moves. Repeat the step, or take the instrument out and send the arm home."
+STAYS = "Nothing moves. Repeat the step, or remove the instrument and send the arm home."
 DONE = "done"  # the one word that ends a stage
 DWELL_S = 0.5  # of theatre time, before the reading
 
@@ -40,18 +40,22 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     """
 
     tool_pose: FramedPose | None = Field(
-        description="Nominal pose robot <- tool at the measured joints; none of work finished before."
+        description="Nominal pose robot <- tool at the measured joints; none if the work was finished "
+        "earlier."
     )
     nominal_error_mm: float | None = Field(
-        description="Of the instrument's end by joints and depth stop: beside the axis and along it."
+        description="Error of the instrument's end from joints and depth stop: across the axis and along it."
     )
-    too_deep_mm: float = Field(description="By what was read off the depth stop; its part of that error.")
-    depth_stop: DepthStop = Field(description="Of the instrument.")
+    too_deep_mm: float = Field(
+        description="Depth error from the reading of the depth stop; part of that error."
+    )
+    depth_stop: DepthStop = Field(description="Depth stop of the instrument.")
     pushed_mm: float | None = Field(
-        description="The most that the guide was beside its place after a stage that was done now; none then."
+        description="Largest displacement of the guide after a stage done now; none if the work was finished "
+        "earlier."
     )
     done_before: tuple[str, ...] = Field(
-        default=(), description="Stages that were done when the guide was there earlier, and not again."
+        default=(), description="Stages done when the guide was there earlier, and not repeated."
     )
 
 
@@ -111,7 +115,7 @@ def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
             pushed_mm=None,
             done_before=begun.before,
         ),
-        summary="the work was finished before; how the guide was held then was not watched",
+        summary="the work was finished earlier; the guide was not watched then",
     )
 
 
@@ -119,14 +123,14 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
     """Have one stage done and confirmed; raises PRO-002 unless it is said to be done."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
-    before = f"; before: {told(known)}" if known else ""
+    before = f"; earlier: {told(known)}" if known else ""
     stages.begins(trajectory, stage.task)
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
         f"at {trajectory}: {stage.does}; {stage.confirms}",
         f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
-        f"{stop.standoff_mm:.0f} mm before the entry{before}",
+        f"{stop.standoff_mm:.0f} mm in front of the entry{before}",
         (DONE, HOLD),
         trajectory=trajectory,
         timeout_s=None,
@@ -134,7 +138,7 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
     if answer != DONE:
-        raise NotConfirmed(f"it was not confirmed at {trajectory} that {stage.confirms}", action=STAYS)
+        raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
     stages.is_done(trajectory, stage.task)
 
 
@@ -158,8 +162,8 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
         workspace.keep(rest)
     if rest.frame_mm is None:
         context.find(
-            f"at {context.trajectory} the tracker does not see the frame on the arm: a push at the guide "
-            "shows by the joints only"
+            f"at {context.trajectory} the tracker does not see the frame on the arm: only the joints "
+            "show a push on the guide"
         )
     rest.worked = True
     try:

@@ -48,29 +48,31 @@ HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head 
 class Proposal(Values):
     """The place that was proposed."""
 
-    sha256: str = Field(description="Of the file that proposed it.")
-    place: ProposedPlace = Field(description="What of it was compared.")
+    sha256: str = Field(description="Hash of the file that proposed it.")
+    place: ProposedPlace = Field(description="The part of it that was compared.")
 
 
 class LockedCart(StepResult, kind="cart_lock", version=2):
     """The cart as it was locked, how it stood when somebody leaned on it, and where."""
 
-    placings: int = Field(description="How often it was placed.")
-    moved_mm: Numbers3 = Field(description="Of the frame on the arm against the head meanwhile, robot frame.")
-    spheres: int = Field(description="Spheres of the head that both looks show.")
-    beside_mm: tuple[float, float] | None = Field(
-        description="Of the cart beside its proposed place, x and y; none without a proposal."
+    placings: int = Field(description="How many times it was placed.")
+    moved_mm: Numbers3 = Field(
+        description="Motion of the frame on the arm against the head while leaned on, robot frame."
     )
-    turned_deg: float | None = Field(description="How far it is turned against the proposal.")
-    proposal: Proposal | None = Field(description="None where nothing was proposed.")
+    spheres: int = Field(description="Spheres on the head seen in both readings.")
+    beside_mm: tuple[float, float] | None = Field(
+        description="Offset of the cart from its proposed position, x and y; none without a proposal."
+    )
+    turned_deg: float | None = Field(description="Its rotation from the proposal.")
+    proposal: Proposal | None = Field(description="None if nothing was proposed.")
 
     def differences(self, path: Path) -> str:
         """What that file proposes else than what was compared; empty when it is the same. Raises PLAN-022."""
         found = read_place(path)
         if self.proposal is None or (found is not None and found.place == self.proposal.place):
             return ""
-        now = "no place" if found is None else f"another place, SHA-256 {found.sha256[:SHORT_HASH]}"
-        return f"{now} instead of that with {self.proposal.sha256[:SHORT_HASH]}"
+        now = "no position" if found is None else f"another position, SHA-256 {found.sha256[:SHORT_HASH]}"
+        return f"{now} instead of {self.proposal.sha256[:SHORT_HASH]}"
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:
@@ -81,15 +83,15 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     proposed = _proposal(context)
     proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
-        context.have_done(Task(CART_PLACE, "wheel the cart of the arm to its place"))
-        context.have_done(Task(CART_LOCK, "close the brakes of the cart"))
-        _confirm(context, "the cart is locked", "the brakes of every wheel are closed; nobody pushes it")
+        context.have_done(Task(CART_PLACE, "wheel the arm's cart into position"))
+        context.have_done(Task(CART_LOCK, "lock the brakes of the cart"))
+        _confirm(context, "the cart is locked", "the brakes of every wheel are locked; nobody pushes it")
         robot_from_tracker, first = _first_look(context)
         beside = None if proposal is None else _beside(context, proposal, robot_from_tracker, first)
         if proposal is None or beside is None or _agreed(context, proposal, beside, placing):
             break
     context.have_done(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
-    _confirm(context, "somebody leaned on the cart", "from each side; everybody stands clear")
+    _confirm(context, "someone leaned on the cart", "from each side; everyone stands clear")
     frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
@@ -106,8 +108,10 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             turned_deg=None if beside is None else beside.turned_deg,
             proposal=None if proposed is None else Proposal(sha256=proposed.sha256, place=proposed.place),
         ),
-        summary=f"the cart stands, {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
-        + ("" if beside is None else f"; {_in_words(beside)} beside its proposed place"),
+        summary=(
+            f"the cart is locked; it moved {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
+        )
+        + ("" if beside is None else f"; {_in_words(beside)} from its proposed position"),
     )
 
 
@@ -127,7 +131,7 @@ def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
     frames, _ = frames_at_rest(
         workcell.tracker,
         context.setting.clock,
-        lambda share: context.progress(share, "looking where the cart stands"),
+        lambda share: context.progress(share, "locating the cart"),
     )
     seen = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     robot_from_tracker = robot_from_marker(workcell, workcell.joints_rad()) @ seen.inverse()
@@ -141,13 +145,13 @@ def _beside(
     image = context.result(LocalizedFiducials).centres_mm
     found = coarse_match(context.result(CheckedPlan), image, robot_from_tracker.apply(look.spheres_mm))
     if found.transform is None:
-        context.find(f"where the cart stands cannot be compared with its proposed place: {found.reason}")
+        context.find(f"the cart cannot be compared with its proposed position: {found.reason}")
         return None
     beside = proposal.beside(Transform(Frame.ROBOT, Frame.CT, found.transform))
     if abs(beside.head_mm) > HEAD_LEVEL_MM or beside.head_deg > HEAD_LEVEL_DEG:
         context.find(
-            f"the head lies {beside.head_mm:+.0f} mm higher and tilted by {beside.head_deg:.0f} deg against "
-            "the map of places: the path check judges this place"
+            f"the head is {beside.head_mm:+.0f} mm higher and tilted by {beside.head_deg:.0f} deg "
+            "against the map of cart positions: the path check judges this position"
         )
     return beside
 
@@ -157,11 +161,11 @@ def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposa
     if proposal.allows(beside):
         return True
     problem = CartMisplaced(
-        f"the cart stands {_in_words(beside)} beside its proposed place",
+        f"the cart is {_in_words(beside)} from its proposed position",
         limit=f"{proposal.free_mm:.0f} mm, or half of that turned by -{proposal.turns_deg[0]:g} to "
         f"+{proposal.turns_deg[1]:g} deg",
         action=f"Push it by x {round(-beside.x_mm):+d} mm and y {round(-beside.y_mm):+d} mm and turn it by "
-        f"{_tenths(-beside.turned_deg)} deg, then repeat the step; or make a map: ronna-plan place.",
+        f"{_tenths(-beside.turned_deg)} deg, then repeat the step; or make a new map: ronna-plan place.",
     )
     context.find(problem.summary)
     answer = context.choose(CART_MISPLACED.question(problem.summary, problem.advice))
@@ -186,7 +190,7 @@ def moved_against_head(
     head = shift_of(first.spheres_mm, second.spheres_mm)
     if head is None or first.frame_mm is None or second.frame_mm is None:
         raise GateFailed(
-            "the tracker does not see frame and head before and after the cart was leaned on",
+            "the tracker does not see the frame and the head both before and after the cart was leaned on",
             expected="the frame on the arm and three spheres",
             action="Clear the line of sight, then repeat the step.",
         )
@@ -201,7 +205,7 @@ def moved_against_head(
         raise PatientMoved(
             "the head moved while the cart was leaned on: it is not clamped", limit=limit, got=got
         )
-    raise CartNotLocked("the cart is not locked: it rolled when somebody leaned on it", limit=limit, got=got)
+    raise CartNotLocked("the cart is not locked: it rolled when leaned on", limit=limit, got=got)
 
 
 def _in_words(beside: BesideProposal) -> str:

@@ -27,14 +27,14 @@ Array = NDArray[np.float64]
 class Correspondence(StepResult, kind="correspondence"):
     """Pairs of spheres, and the coarse registration that they imply."""
 
-    status: MatchStatus = Field(description="UNIQUE: nothing else may be used to move anything.")
+    status: MatchStatus = Field(description="UNIQUE: no other status permits motion.")
     pairs: tuple[tuple[int, int], ...] = Field(description="Index in the CT, index in the room.")
     robot_from_ct: FramedPose = Field(description="Coarse pose robot <- CT.")
     residuals_mm: tuple[float, ...] = Field(description="Of each pair.")
-    margin_nats: float | None = Field(description="Log-likelihood over the runner-up; none without one.")
+    margin_nats: float | None = Field(description="Log-likelihood over the runner-up; none if there is none.")
     two_way: TwoWayTable = Field(description="CT to room and room to CT.")
     left_out: tuple[LeftOutSphere, ...] = Field(
-        default=(), description="Implanted, and not where the others say."
+        default=(), description="Implanted spheres that are not where the others predict."
     )
 
 
@@ -81,15 +81,15 @@ def _agreed_rest(
     left_out = tuple(
         LeftOutSphere(
             fiducial=one,
-            reason=f"the tracker sees nothing nearer to its place than {nearest_mm[one]:.1f} mm",
+            reason=f"the tracker sees nothing within {nearest_mm[one]:.1f} mm of its position",
         )
         for one in rest.unmatched_image
     )
     names = " and ".join(str(one.fiducial + 1) for one in left_out)
     question = UNMATCHED_SPHERE.question(
-        f"sphere {names} of the CT is missing, on a wrong screw, or has moved",
+        f"sphere {names} of the CT is missing, on the wrong screw, or has moved",
         "; ".join(f"{one.fiducial + 1}: {one.reason}" for one in left_out)
-        + f"; the other {len(rest.pairs)} match, odds against any other pairing e^{rest.margin_nats:.0f}",
+        + (f"; the other {len(rest.pairs)} match, odds against any other pairing e^{rest.margin_nats:.0f}"),
     )
     return (rest, left_out) if context.choose(question) == LEAVE_OUT else (found, ())
 

@@ -27,7 +27,7 @@ class ImportedCt(StepResult, kind="ct_import"):
     origin_mm: Numbers3 = Field(description="Centre of the first voxel, LPS.")
     axes: Matrix3 = Field(description="Directions of slices, rows and columns in LPS.")
     voxels_sha256: str = Field(description="SHA-256 of the voxels in HU.")
-    warnings: tuple[str, ...] = Field(description="What the import noticed and let pass.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the import.")
 
     @classmethod
     def of(cls, volume: Volume) -> ImportedCt:

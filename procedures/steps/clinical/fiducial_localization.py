@@ -23,9 +23,11 @@ class LocalizedMarker(Values):
     centre_mm: Numbers3 = Field(description="Centre, LPS.")
     covariance_mm2: Matrix3 = Field(description="Covariance of the centre, LPS.")
     radius_mm: float = Field(description="Fitted radius.")
-    quality: float = Field(description="Share of the surface that was used, 0 to 1, lowered by disagreement.")
+    quality: float = Field(
+        description="Share of the surface used, 0 to 1, reduced by disagreement of the estimates."
+    )
     agreement_mm: float = Field(description="Distance between the two estimates of the centre.")
-    flags: tuple[str, ...] = Field(description="What makes it less certain.")
+    flags: tuple[str, ...] = Field(description="Reasons that make it less certain.")
 
     @classmethod
     def of(cls, marker: Marker) -> LocalizedMarker:
@@ -44,9 +46,9 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization"):
     """The spheres of the CT, from superior to inferior."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
-    diameter_mm: float = Field(description="Nominal diameter that was looked for.")
+    diameter_mm: float = Field(description="Nominal diameter searched for.")
     markers: tuple[LocalizedMarker, ...] = Field(description="The spheres.")
-    candidates_refused: int = Field(description="Places that looked like a sphere at first.")
+    candidates_refused: int = Field(description="Candidates examined.")
 
     @property
     def centres_mm(self) -> NDArray[np.float64]:

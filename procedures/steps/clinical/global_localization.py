@@ -37,12 +37,12 @@ class GlobalLocalization(StepResult, kind="global_localization"):
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Spheres in the robot frame.")
     points_tracker_mm: tuple[Numbers3, ...] = Field(description="The same in the tracker frame.")
     spread_mm: tuple[float, ...] = Field(description="Rms of each sphere over the frames.")
-    counts: tuple[int, ...] = Field(description="In how many frames each was seen.")
-    outliers: tuple[int, ...] = Field(description="How many of them were left out.")
+    counts: tuple[int, ...] = Field(description="Number of frames in which each was seen.")
+    outliers: tuple[int, ...] = Field(description="Number of frames left out.")
     rejected_strays: int = Field(description="Groups of strays seen too rarely to be a sphere.")
-    lost_readings: int = Field(description="Replies that the line lost or garbled.")
+    lost_readings: int = Field(description="Replies lost or corrupted on the line.")
     robot_from_tracker: FramedPose = Field(description="Pose robot <- tracker.")
-    joints_rad: Numbers6 = Field(description="Measured joints meanwhile.")
+    joints_rad: Numbers6 = Field(description="Joints measured at the same time.")
 
     @property
     def points_mm(self) -> NDArray[np.float64]:
@@ -108,7 +108,7 @@ def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
     unmet = carries(MountedTool.STEREO_HEAD)(context)
     if not unmet or workcell.insertion is not None or workcell.tool is not MountedTool.GUIDE:
         return unmet
-    return () if workcell.at_home else (*unmet, "send it home: there the stereo head is mounted again")
+    return () if workcell.at_home else (*unmet, "send it home; the stereo head is remounted there")
 
 
 STEP = StepSpec(

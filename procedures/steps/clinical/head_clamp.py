@@ -23,9 +23,11 @@ from ronna_hw.wire.room_tasks import HEAD_CLAMP
 class ClampedHead(StepResult, kind="head_clamp"):
     """The head as it was clamped, and what the tracker sees of it."""
 
-    patient_position: PatientPosition = Field(description="How the patient lies, by the plan, as confirmed.")
+    patient_position: PatientPosition = Field(
+        description="Patient position according to the plan, as confirmed."
+    )
     spheres: int = Field(description="Spheres that the tracker sees.")
-    implanted: int = Field(description="How many there should be.")
+    implanted: int = Field(description="Number of spheres expected.")
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
@@ -35,10 +37,10 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
     context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
     lies = checked.plan.patient_orientation
     context.have_done(
-        Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, put the spheres on")
+        Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, attach the spheres")
     )
     subject = "the head is clamped, and the clamp locked to the table"
-    value = f"the patient lies {lies}; {checked.implanted} spheres are on the screws"
+    value = f"patient position {lies}; {checked.implanted} spheres are on the screws"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
     frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
     seen = len(average_strays(frames).groups)
@@ -47,7 +49,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
             "the tracker sees too few spheres on the head",
             limit=f"at least {LEAST_POINTS}",
             got=str(seen),
-            action="Turn head or tracker, clear the line of sight, then repeat the step.",
+            action="Turn the head or the tracker, clear the line of sight, then repeat the step.",
         )
     clamped = ClampedHead(patient_position=lies, spheres=seen, implanted=checked.implanted)
     return Outcome(clamped, summary=f"{seen} spheres seen, {checked.implanted} implanted")

@@ -45,7 +45,7 @@ class TargetPose(Values):
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     standoff_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
     joints_rad: Numbers6 = Field(description="Joints where the guide is held.")
-    approach_signs: tuple[int, ...] = Field(description="Direction in which each joint arrives, +1 or -1.")
+    approach_signs: tuple[int, ...] = Field(description="Direction from which each joint arrives, +1 or -1.")
 
 
 class CheckedPaths(StepResult, kind="path_check"):
@@ -53,17 +53,18 @@ class CheckedPaths(StepResult, kind="path_check"):
 
     strategy: str = Field(description="Name of the localization strategy.")
     replaced: dict[str, str] = Field(
-        default={}, description="Trajectories with another strategy that the operator agreed to, and which."
+        default={}, description="Trajectories for which the operator agreed to another strategy, and which."
     )
     chosen: dict[str, str] = Field(
-        default={}, description="With the strategy `best`: which it chose, by trajectory."
+        default={}, description="With strategy `best`: the one chosen, by trajectory."
     )
     free_angle_turns_rad: dict[str, float] = Field(
-        description="Turn of each trajectory about its axis; and of the neutral orientation, if there is one."
+        description="Rotation of each trajectory about its axis, and of the neutral orientation if "
+        "there is one."
     )
     branch: Branch | None = Field(description="Branch of the arm's inverse kinematics.")
     joint_ranges_rad: tuple[tuple[float, float], ...] = Field(description="Least and largest, per joint.")
-    largest_move_rad: float = Field(description="Largest turn of a joint in one move.")
+    largest_move_rad: float = Field(description="Largest rotation of a joint in one move.")
     motions: tuple[MotionPreview, ...] = Field(description="Every motion of the case.")
     localizations: dict[str, tuple[LocalizationPose, ...]] = Field(description="By trajectory.")
     targets: dict[str, TargetPose] = Field(description="By trajectory.")
@@ -86,7 +87,7 @@ class CheckedPaths(StepResult, kind="path_check"):
         if trajectory is not None:
             return self.localizations[trajectory]
         if len(self.localizations) != 1:
-            raise KeyError(f"{len(self.localizations)} sets of localizations serve one trajectory each")
+            raise KeyError(f"{len(self.localizations)} sets of localizations, one for each trajectory")
         return next(iter(self.localizations.values()))
 
 
@@ -151,7 +152,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
 def _closest(motions: Sequence[PreviewedMotion]) -> str:
     closest = [motion.preview.closest for motion in motions]
     distances = [one.distance_mm for one in closest if one is not None]
-    return f", nothing nearer than {min(distances):.0f} mm" if distances else ""
+    return f", smallest clearance {min(distances):.0f} mm" if distances else ""
 
 
 def _turns(turned: TurnedPaths) -> str:

@@ -34,11 +34,9 @@ class CheckedPlan(StepResult, kind="plan_check"):
     """The plan as it was checked, and the head it is for."""
 
     plan: Plan = Field(description="The plan file's content.")
-    implanted: int = Field(
-        description="How many spheres are to be matched, by the plan or as the operator agreed."
-    )
-    head: HeadEllipsoid = Field(description="The head as the CT shows it.")
-    warnings: tuple[str, ...] = Field(description="What the check noticed and let pass.")
+    implanted: int = Field(description="Number of spheres to match, from the plan or as the operator agreed.")
+    head: HeadEllipsoid = Field(description="The head in the CT.")
+    warnings: tuple[str, ...] = Field(description="Warnings of the check.")
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
         """The planned trajectory of that name; raises KeyError."""
@@ -109,12 +107,12 @@ def _confirm_patient(context: StepContext, plan: Plan) -> None:
     """
     identifier = patient_identifier(context.clinical.series)
     if not identifier:
-        context.find("the CT series bears no identifier of a patient: there is nothing to read back")
-    subject = "this is the patient, and this the plan"
+        context.find("the CT series has no patient identifier: there is nothing to read back")
+    subject = "this is the right patient, and this is the right plan"
     wristband = ReadBack(
         "the patient's identifier, as on the wristband",
         identifier,
-        wrong="is not the identifier in this CT (PatientID). Stop if the wristband really says that.",
+        wrong="is not the identifier in this CT (PatientID). Stop if that is what the wristband says.",
     )
     context.confirm(Topic.PATIENT, subject, _shown(plan), read_back=wristband if identifier else None)
 
@@ -148,7 +146,7 @@ def _counted(
     )
     if context.choose(question) != GO_ON:
         return check, planned
-    said = f"the CT shows {found} spheres, {planned} were implanted: the operator went on"
+    said = f"the CT shows {found} spheres, {planned} were implanted: the operator continued"
     return replace(check, findings=(), warnings=(*check.warnings, said)), min(planned, found)
 
 

@@ -67,8 +67,8 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell.confirm_motion(
         Topic.APPROACH,
         f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
-        f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm before the entry"
-        f"{UNWATCHED if hidden else ''}",
+        f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the "
+        f"entry{UNWATCHED if hidden else ''}",
         [workcell.facts(workcell.home_rad if by_home else standoff_rad)],
         trajectory,
     )
@@ -90,7 +90,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.setting.workspace.keep(guide_at_rest(workcell, context.setting.clock, trajectory))
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
-        summary=f"the guide is held {standoff_mm:.0f} mm before the entry",
+        summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
     )
 
 
@@ -120,15 +120,16 @@ def _kept_registration(context: StepContext) -> RegisteredRobot:
     fault = context.doubt(RegisteredRobot)
     if fault is not None:
         question = KEPT_REGISTRATION.question(
-            f"keep the registration for {context.trajectory}: neither head, cart nor tracker was moved",
-            f"it was made before the arm was in fault: {fault}",
+            f"keep the registration for {context.trajectory}: neither the head, the cart nor the "
+            "tracker was moved",
+            f"it is older than a fault of the arm: {fault}",
             context.trajectory,
         )
         if context.choose(question) != YES:
             raise GateFailed(
                 f"the registration for {context.trajectory} is older than a fault of the arm",
                 got=fault,
-                action="Localize again, from the tracker on.",
+                action="Localize again, starting with the tracker.",
             )
         context.keep(RegisteredRobot)
     return registered
@@ -136,7 +137,7 @@ def _kept_registration(context: StepContext) -> RegisteredRobot:
 
 STEP = StepSpec(
     PositionedGuide,
-    "Carry the guide before the entry",
+    "Position the guide in front of the entry",
     Phase.OPERATION,
     run,
     scope=Scope.TRAJECTORY,

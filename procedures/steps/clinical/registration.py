@@ -1,4 +1,4 @@
-"""Register CT and robot, and predict the error at every target that the registration is for.
+"""Register the CT to the robot, and predict the error at every target that the registration is for.
 
 The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
 """
@@ -69,8 +69,8 @@ class Prediction(Values):
     rms_mm: float = Field(description="Root mean square.")
     limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
     confidence: float = Field(description="Of that radius, 0 to 1.")
-    formula: str = Field(description="What it was predicted with.")
-    budget: tuple[ErrorShare, ...] = Field(default=(), description="What it is made of.")
+    formula: str = Field(description="Method of prediction.")
+    budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
 
 
 class RegisteredRobot(StepResult, kind="registration"):
@@ -78,19 +78,22 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
     pairs: int = Field(description="Spheres it was fitted to.")
-    fre_mm: float = Field(description="Fiducial registration error: says nothing of the accuracy.")
+    fre_mm: float = Field(description="Fiducial registration error: not a measure of accuracy.")
     residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
-    leave_one_out_mm: tuple[float | None, ...] = Field(description="Of each sphere, fitted without it.")
-    predictions: tuple[Prediction, ...] = Field(description="One for each target it is for.")
+    leave_one_out_mm: tuple[float | None, ...] = Field(
+        description="Residual of each sphere when fitted without it."
+    )
+    predictions: tuple[Prediction, ...] = Field(description="One for each target it serves.")
     two_way: TwoWayTable = Field(description="CT to room and room to CT.")
     left_out_spheres: tuple[LeftOutSphere, ...] = Field(
-        default=(), description="Measured, and not fitted to: they disagree with all others."
+        default=(), description="Measured but not used in the fit: they disagree with all others."
     )
     followed: FollowedMove | None = Field(
-        default=None, description="The move of the head that it follows; all else is of before."
+        default=None, description="The head movement that it follows; everything else is from before that."
     )
     left_out: dict[str, str] = Field(
-        default={}, description="Trajectories it is not good enough for, and why; they are not targeted."
+        default={},
+        description="Trajectories that it is not accurate enough for, and why; they are not targeted.",
     )
 
     def leaves_out(self) -> Mapping[str, str]:
@@ -236,7 +239,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
     (place,) = moved
     fiducial, rest = pairs.fiducials[place], pairs.without(place)
     question = MOVED_SPHERE.question(
-        f"sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is another one",
+        f"sphere {fiducial + 1} disagrees with all others at {names}: it has moved, or is the wrong one",
         f"residual {gate.fre_mm:.2f} mm with it, {rest.gate(arm_mm).fre_mm:.2f} mm with the other "
         f"{len(rest.fiducials)}, limit {gate.limit_mm:.2f} mm",
         context.key.trajectory,
@@ -255,7 +258,7 @@ def _beyond_margin(
         if predicted.rms_mm <= trajectory.margin_mm:
             continue
         refusal = GateFailed(
-            f"the predicted error at {trajectory.id} exceeds the plan's margin, margin_mm in plan.toml",
+            f"the predicted error at {trajectory.id} exceeds the plan's margin (margin_mm in plan.toml)",
             limit=f"{trajectory.margin_mm:g} mm",
             got=f"{beyond(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
         )
@@ -263,7 +266,7 @@ def _beyond_margin(
         if not others:
             raise refusal
         question = BEYOND_MARGIN.question(
-            refusal.what, f"{refusal.summary}; without it remain {', '.join(others)}", trajectory.id
+            refusal.what, f"{refusal.summary}; {', '.join(others)} would remain without it", trajectory.id
         )
         if context.choose(question) != LEAVE_OUT:
             raise refusal
@@ -323,11 +326,11 @@ def predict_tip_error(
 def _advice(moved: list[int], spheres: int) -> str:
     """What to do about spheres, named by their index in the CT, without one of which the others agree."""
     if spheres <= FEWEST_PAIRS:
-        return "With three spheres nobody can tell which has moved: look at all, then localize again."
+        return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:
         return "More than one sphere has moved, or the error budget is wrong; localize again."
     which = " or ".join(str(one + 1) for one in moved)
-    return f"Without sphere {which} the others agree: it has moved; localize again or leave it out."
+    return f"Without sphere {which} the others agree: it has moved. Localize again or leave it out."
 
 
 def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
@@ -351,12 +354,14 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 def _outside(context: StepContext) -> tuple[str, ...]:
     """With the guide mounted the head is measured again, at home."""
     insertion = context.workcell.insertion
-    return () if insertion is None else (f"the guide is held before the entry of {insertion.trajectory}",)
+    return (
+        () if insertion is None else (f"the guide is held in front of the entry of {insertion.trajectory}",)
+    )
 
 
 STEP = StepSpec(
     RegisteredRobot,
-    "Register CT and robot",
+    "Register the CT to the robot",
     Phase.OPERATION,
     run,
     scope=Scope.LOCALIZATION,

@@ -53,13 +53,15 @@ class Relocalization(StepResult, kind="relocalization", version=2):
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
     covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
-    residuals_mm: tuple[tuple[float, ...], ...] = Field(description="Of the servo, look by look.")
-    ray_gaps_mm: tuple[float, ...] = Field(description="Between the two lines of sight.")
-    radii_mm: tuple[tuple[float, float], ...] = Field(
-        description="Of its outlines, left and right, at the measured place."
+    residuals_mm: tuple[tuple[float, ...], ...] = Field(
+        description="Residuals of the servo, image pair by image pair."
     )
-    looks: tuple[int, ...] = Field(description="Pairs that were taken.")
-    joints_rad: tuple[Numbers6, ...] = Field(description="Measured joints at the last look.")
+    ray_gaps_mm: tuple[float, ...] = Field(description="Distance between the two lines of sight.")
+    radii_mm: tuple[tuple[float, float], ...] = Field(
+        description="Centres of its outlines, left and right, at the measured position."
+    )
+    looks: tuple[int, ...] = Field(description="Image pairs taken.")
+    joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
     coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
     left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
 
@@ -121,8 +123,10 @@ def run(context: StepContext) -> Outcome[Relocalization]:
             coarse_offset_mm=differences.mean(axis=0).tolist(),
             left_out=tuple(left_out),
         ),
-        summary=f"{len(spheres)} spheres, last residuals at most "
-        f"{max(sphere.residuals_mm[-1] for sphere in spheres):.3f} mm"
+        summary=(
+            f"{len(spheres)} spheres, largest final residual "
+            f"{max(sphere.residuals_mm[-1] for sphere in spheres):.3f} mm"
+        )
         + "".join(f"; without sphere {one.fiducial + 1}" for one in left_out),
     )
 
@@ -150,7 +154,7 @@ def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: in
         raise problem
     question = SPHERE_FAILED.question(
         f"sphere {fiducial + 1} cannot be measured",
-        f"{problem.summary}; {remain} spheres remain without it",
+        f"{problem.summary}; {remain} spheres would remain without it",
         context.key.trajectory,
     )
     if context.choose(question) != LEAVE_OUT:

@@ -18,9 +18,9 @@ from procedures.workcell.parking import park, withdraw
 class Retreated(StepResult, kind="retreat"):
     """The guide is back where its approach began."""
 
-    parked: bool = Field(description="Whether the arm went on to where the case began.")
+    parked: bool = Field(description="Whether the arm continued to its home pose.")
     joints_rad: Numbers6 = Field(description="Measured joints at the end.")
-    link: LinkHealth | None = Field(description="Health of the robot link, when it was ended.")
+    link: LinkHealth | None = Field(description="Health of the robot link when it was closed.")
 
 
 def run(context: StepContext) -> Outcome[Retreated]:

@@ -39,13 +39,13 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
     """What the case works with: devices, and what the theatre file says of calibrations, tools and cell."""
 
     identities: dict[str, DeviceIdentity] = Field(description="By role: tracker, arm, stereo.")
-    notices: tuple[str, ...] = Field(description="What the drivers say the operator should know.")
+    notices: tuple[str, ...] = Field(description="Notices of the drivers for the operator.")
     calibrations: Calibrations = Field(description="The calibration records in use.")
     tools: dict[str, ToolRecord] = Field(description="The records of the tools, by name.")
     flange: str = Field(description="Name of the flange that the tools are mounted on.")
     cell: CollisionConfig = Field(description="The bodies around the arm, with those of the tools.")
     settings: ProcedureSettings = Field(description="Settings and assumptions of the procedure.")
-    home_rad: Numbers6 = Field(description="Where the arm stood, and parks: measured joints.")
+    home_rad: Numbers6 = Field(description="Measured joints of the arm at the start, where it also parks.")
 
 
 def run(context: StepContext) -> Outcome[CheckedSetUp]:

@@ -39,11 +39,11 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
     tool_pose: FramedPose = Field(
         description="Pose robot <- tool with its centre on the target, as commanded."
     )
-    error_mm: float | None = Field(description="Distance of the ball; nothing when it was not measured.")
+    error_mm: float | None = Field(description="Distance of the ball; none if it was not measured.")
     ball_tool_mm: Numbers3 | None = Field(description="The ball in the tool frame; z is along the axis.")
-    covariance_mm2: Matrix3 | None = Field(description="Of this measurement alone, tool frame.")
+    covariance_mm2: Matrix3 | None = Field(description="Covariance of this measurement alone, tool frame.")
     not_measured: str = Field(default="", description="Why there is no measurement.")
-    joints_rad: Numbers6 = Field(description="Measured joints at the look.")
+    joints_rad: Numbers6 = Field(description="Joints measured with the image pair.")
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
@@ -61,8 +61,8 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
         standoff_rad = workcell.joints_at(standoff, paths.targets[name].standoff_rad)
     workcell.confirm_motion(
         Topic.APPROACH,
-        f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm along "
-        "the axis until the ball is in its centre",
+        f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
+        "along the axis until the ball is at its centre",
         [workcell.facts(standoff_rad)],
         name,
     )

@@ -51,7 +51,7 @@ def _park(context: StepContext) -> None:
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context)
     check_room(context, "before the arm parks")
-    park(workcell, "park the arm for the exchange of tools")
+    park(workcell, "park the arm for the tool exchange")
 
 
 STEP = StepSpec(

@@ -45,14 +45,15 @@ class CheckedTool(StepResult, kind="tool_check"):
 
     tool_record: str = Field(description="Identifier of the record it was compared with.")
     readings_mm: tuple[tuple[float, ...], ...] = Field(
-        description="Of the dials in each approach: x, y and z at the end, x and y above."
+        description="Dial readings in each approach: x, y and z at the end, x and y higher up."
     )
-    offset_mm: Numbers3 = Field(description="Of the mandrel's end beside the record, tip frame.")
+    offset_mm: Numbers3 = Field(description="Offset of the mandrel's end from the record, tip frame.")
     off_mm: float = Field(description="Length of that offset.")
-    tilt_deg: float = Field(description="Of the mandrel beside the record.")
+    tilt_deg: float = Field(description="Tilt of the mandrel from the record.")
     joints_rad: Numbers6 = Field(description="Measured joints at the gauge.")
     seen_off_mm: float | None = Field(
-        default=None, description="How far the tracker saw it beside its record; none without a frame on it."
+        default=None,
+        description="Its distance from the record as seen by the tracker; none without a frame on it.",
     )
 
 
@@ -95,7 +96,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     workcell.return_home()
     offset, tilt_deg = compared(guide.gauge, readings)
     off_mm = math.hypot(*offset)
-    told = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg beside record {guide.record.identifier}"
+    told = f"{off_mm:.3f} mm and {tilt_deg:.3f} deg from record {guide.record.identifier}"
     if off_mm > TIP_LIMIT_MM or tilt_deg > TILT_LIMIT_DEG:
         raise ToolBesideGauge(
             "the guide is not as it was when its tip was calibrated",

@@ -147,5 +147,7 @@ def _solved(
         joints = joints + np.einsum("pij,pj->pi", poses.inverse, step)
     left_mm = float(np.abs(shift).max())
     if not left_mm < SETTLED_MM:
-        raise PoseNotSolved(f"an arm did not settle in {STEPS} steps", got=f"{left_mm:.2g} mm from its place")
+        raise PoseNotSolved(
+            f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
+        )
     return joints

@@ -83,5 +83,7 @@ def _solved(
         joints = joints + np.einsum("pij,apj->api", poses.inverse, step)
     left_mm = float(np.abs(shift).max())  # before the last step
     if not left_mm < SETTLED_MM:
-        raise PoseNotSolved(f"an arm did not settle in {STEPS} steps", got=f"{left_mm:.2g} mm from its place")
+        raise PoseNotSolved(
+            f"an arm did not converge in {STEPS} steps", got=f"{left_mm:.2g} mm from its pose"
+        )
     return joints, nominal_frames(arms.chain, joints, poses.tool_mm)[0]

@@ -11,8 +11,8 @@ CONFIDENCE = 0.95
 ON_BOTH_SIDES = 0.5 * (1.0 + CONFIDENCE)
 CAPTION = f"{100 * CONFIDENCE:.0f} %"  # of the columns that hold bounds
 NOTE = (
-    f"{CAPTION}: bounds at this confidence, exact binomial (Clopper and Pearson) as for independent runs;"
-    " where none or all were counted, from one side."
+    f"{CAPTION}: bounds at this confidence, exact binomial (Clopper and Pearson) as for independent "
+    "runs; one-sided where none or all were counted."
 )
 
 

@@ -57,9 +57,9 @@ class Ledger:
         try:
             there = parse_json(lines[0])
             if there["fingerprint"] != head["fingerprint"]:
-                raise OtherStudy(f"{self._path.parent} holds {_difference(there, head)}")
+                raise OtherStudy(f"{self._path.parent} contains {_difference(there, head)}")
         except (ValueError, KeyError, TypeError) as error:
-            raise LedgerUnreadable(f"{self._path}: line 1 does not say which study it is: {error}") from error
+            raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [lines[0]]
         for line in lines[1:-1]:  # a line without an end was truncated
             if (finished := _finished(line)) is not None:

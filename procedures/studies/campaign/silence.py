@@ -27,4 +27,6 @@ class Silence:
         for key in since.keys() - self._told:
             if self._names and now_s - since[key] >= self.limit_s:
                 self._told.add(key)
-                self._tell(f"{self._names} has not answered for {self.limit_s:g} s, in {key}; Ctrl-C ends it")
+                self._tell(
+                    f"{self._names} has not answered for {self.limit_s:g} s, in {key}; Ctrl-C stops it"
+                )

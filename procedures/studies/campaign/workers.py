@@ -29,7 +29,7 @@ from procedures.studies.errors import (
 from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import RonnaError
 
-ENDED_ITS_PROCESS = "ended its process: by os._exit, by a crash of compiled code, or for want of memory"
+ENDED_ITS_PROCESS = "ended its process: os._exit, a crash in compiled code, or out of memory"
 SCHEDULER_LIMIT_S = 10.0
 SCHEDULER_SCHEMES = ("tcp", "tls", "ws", "wss")
 ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -154,7 +154,7 @@ def _ended(study: Study, keys: list[str]) -> RonnaError:
     among = f", in {' or '.join(keys)}"
     if own := _own(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
-    return UnitFailed(f"a worker's process was ended from outside, or ran out of memory{among}")
+    return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
 
 
 def _require_address(scheduler: str) -> None:

@@ -66,7 +66,7 @@ def recorded_readings(
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise LedgerUnreadable(f"{path} is damaged: {error}") from error
     if readings.shape != (count, SPHERES, 3) or content.get("seed") != seed:
-        raise OtherStudy(f"{folder} holds {len(readings)} readings, drawn with another count or seed")
+        raise OtherStudy(f"{folder} has {len(readings)} readings, drawn with another count or seed")
     return readings
 
 
@@ -93,7 +93,7 @@ def _whole_reading(read_at: Callable[[Array], Array], frame_mm: Array, random: n
             # The order is what the pairing must find: here it is known from where the frame was put.
             away_mm = np.linalg.norm(seen_mm[:, None] - (frame_mm + place_mm)[None], axis=2)
             return np.asarray(seen_mm[away_mm.argmin(axis=0)])
-    raise TrackerNotSimulated(f"the unit did not see {SPHERES} spheres at {ATTEMPTS} places")
+    raise TrackerNotSimulated(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
 
 
 def _place(random: np.random.Generator) -> Array:

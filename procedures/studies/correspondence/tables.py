@@ -43,8 +43,11 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "a part %",
             ),
             [_row(series, one) for series, one in found.items() if series.noise is noise],
-            "Pooled over 3 heads. A part of the true pairs is unsuccessful, as in the thesis; our goals count"
-            " it as false. The thesis' heads are not published, and it does not state its noise model. "
+            (
+                "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the "
+                "thesis; our goals count it as false. The thesis' heads are not published, and it does not "
+                "state its noise model. "
+            )
             + bounds.NOTE,
         )
         for noise in dict.fromkeys(series.noise for series in found)
@@ -140,9 +143,9 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
         "The values of e at which the thesis' figures come out",
         ("noise", "method", "fiducials", "unsuccessful within, e mm", "false at most, e mm"),
         rows,
-        "Within: for 3 and 4 fiducials every number of outliers lies in the thesis' range, for 5 to 8 none is"
-        " above its largest figure. The thesis does not say at which e, between 1 and 6 mm, its figures were"
-        " taken.",
+        "Within: for 3 and 4 fiducials every number of outliers is in the thesis' range, for 5 to 8 "
+        "none is above its largest figure. The thesis does not state at which e, between 1 and 6 mm, "
+        "its figures were obtained.",
     )
 
 

@@ -189,9 +189,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "as 5 to 8 here",
             ),
             rows,
-            f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of their"
-            f" places. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and {THESIS_FALSE[5][1]} %"
-            f" false; here: at most {GOAL_UNSUCCESSFUL} % pooled and {GOAL_FALSE} % false. {bounds.NOTE}",
+            f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of "
+            f"their positions. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and "
+            f"{THESIS_FALSE[5][1]} % false; here: at most {GOAL_UNSUCCESSFUL} % pooled and {GOAL_FALSE} "
+            f"% false. {bounds.NOTE}",
         )
     ]
 

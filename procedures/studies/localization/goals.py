@@ -44,7 +44,7 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
         "Goals",
         ("figure", "value", "goal", "met"),
         [*rows, *_detection(pooled(sums, cells))],
-        "chi² / 3n holds the errors against the stated covariances; 1 is honest.",
+        "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
     )
 
 

@@ -72,11 +72,16 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             "Localization, families together",
             COLUMNS,
             together,
-            "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods have"
-            " none, theirs is its reported FLE; own ones have none. CRB: a homogeneous ball in white noise. "
+            (
+                "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
+                "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
+                "in white noise. "
+            )
             + _cut(sums, cells)
-            + f" {bounds.NOTE} Spheres of one scan count as independent. Of false ones: Poisson, in as many"
-            " scans.",
+            + (
+                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: Poisson, in as many "
+                "scans."
+            ),
         ),
         Table(
             "Localization by family", COLUMNS, single, "Goals: 10 µm good, 25 poor; 35 and 50 with streaks."
@@ -219,8 +224,9 @@ def _fle_table(total: Sums) -> Table:
         "FLE as in tables 2 and 3 of the thesis",
         ("who", "scans", "FLE mm, truth", "thesis, table 2", "pairs", "FLE mm, pairs", "thesis, table 3"),
         rows,
-        "Four spheres of the x-shaped frame. People are drawn with the FLE of the thesis' operators: their"
-        " rows check eq. 36 and 38, not people. Real scanners add errors of scale and table feed.",
+        "Four spheres of the x-shaped frame. People are simulated with the FLE of the thesis' "
+        "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of scale and "
+        "table feed.",
     )
 
 

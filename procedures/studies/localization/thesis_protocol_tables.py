@@ -80,8 +80,8 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
             "frame validated %",
         ),
         rows,
-        f"The thesis: 116 of 116 in 20 scans, 100 %. Validated over {SCALE_DRAWS} scale errors of each scan."
-        f" {bounds.NOTE} Of false ones: Poisson, in as many scans.",
+        f"The thesis: 116 of 116 in 20 scans, 100 %. Validated over {SCALE_DRAWS} scale errors of each "
+        f"scan. {bounds.NOTE} False ones: Poisson, in as many scans.",
     )
 
 
@@ -159,10 +159,10 @@ def _errors(sums: Mapping[str, Sums]) -> Table:
             f"both within {WITHIN_PERCENT:g} %",
         ),
         rows,
-        "Phantom scans; pixel and feed of each are wrong by up to that share, uniformly. The thesis states"
-        " nothing of its scanners; the last share is chosen between its tables. Its table 3 is table 2 (the"
-        " rms of its rows) times the square root of 2, within 1.5 % for people and both fits: as if table 2"
-        " gave the FRE, without the factor n/(n-2) of eq. 36.",
+        "Phantom scans; pixel size and table feed of each are wrong by up to that share, uniformly. "
+        "The thesis states nothing about its scanners; the last share is chosen between its tables. "
+        "Its table 3 is table 2 (the rms of its rows) times the square root of 2, within 1.5 % for "
+        "people and both fits: as if table 2 gave the FRE, without the factor n/(n-2) of eq. 36.",
     )
 
 
@@ -195,7 +195,8 @@ def _gains(sums: Mapping[str, Sums]) -> Table:
         "Gain over people",
         ("method", "table", "people mm, thesis", "FLE mm, here", "gain %", "gain %, thesis"),
         rows,
-        "People are the thesis', whose errors hold those of their scanners; so do the methods' here.",
+        "People are those of the thesis, whose errors include those of their scanners; so do the "
+        "methods' here.",
     )
 
 
@@ -208,6 +209,6 @@ def _times(sums: Mapping[str, Sums]) -> Table:
         "Time for a scan",
         ("who", "mean s", "longest s"),
         rows,
-        "CPU seconds of one core for 426 x 426 x 160 voxels, without reading the series; the thesis' are of a"
-        " clock on the wall.",
+        "CPU seconds of one core for 426 x 426 x 160 voxels, without reading the series; the thesis' "
+        "are wall-clock times.",
     )

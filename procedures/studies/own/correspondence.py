@@ -61,7 +61,7 @@ class OwnPairing:
 
     def _wrong(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(
-            f"{self.name} answers with what is no pairing",
+            f"{self.name} did not return a pairing",
             expected="None, or whole numbers (k, 2): indices from 0 of image and physical points,"
             " each point once",
             got=got,

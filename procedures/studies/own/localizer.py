@@ -53,12 +53,13 @@ class OwnLocalizer:
         outside = (beyond > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
         if outside.any():
             shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
-            raise self._wrong(f"({shown}), which lies outside the volume: voxel indices?")
+            raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")
         return centres_mm
 
     def _wrong(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(
-            f"{self.name} answers with what are no centres",
-            expected="numbers (n, 3): patient coordinates LPS in mm, as volume.geometry.to_patient_mm gives",
+            f"{self.name} did not return centres",
+            expected="numbers (n, 3): patient coordinates LPS in mm, as returned by "
+            "volume.geometry.to_patient_mm",
             got=got,
         )

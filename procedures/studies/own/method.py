@@ -37,10 +37,10 @@ class OwnMethod:
         found, module = _imported(self.reference, self.kind)
         if hash_of(module) != self.sha256:
             raise MethodRefused(
-                f"{self.reference} is another version here than where the campaign was started",
+                f"{self.reference} is a different version here from where the campaign was started",
                 expected=f"files with hash {self.sha256[:SHOWN_DIGITS]}",
                 got=f"{hash_of(module)[:SHOWN_DIGITS]} at {module.__file__}",
-                action="Give every worker the same files, also those that it imports from beside it.",
+                action="Give every worker the same files, including those imported from the same folder.",
             )
         return found
 
@@ -93,7 +93,7 @@ def _by_entry_point(kind: MethodKind, name: str) -> str:
 def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], ModuleType]:
     where, _, name = reference.partition(":")
     if not (name.isidentifier() and all(part.isidentifier() for part in where.split("."))):
-        raise MethodRefused(f"{reference!r} names no {kind}", expected="module:function")
+        raise MethodRefused(f"{reference!r} does not name a {kind}", expected="module:function")
     try:
         module = importlib.import_module(where)
         if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent anew to this worker
@@ -104,7 +104,7 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
     except (Exception, SystemExit) as error:
         raise MethodRefused(
             f"the module {where} of the {kind} cannot be imported",
-            expected=f"a module that is installed or lies in {os.getcwd()}",
+            expected=f"a module that is installed or in {os.getcwd()}",
             got=f"{type(error).__name__}: {error}",
         ) from error
     found = getattr(module, name, None)
@@ -113,7 +113,9 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
         raise MethodRefused(f"{module.__file__} has no {name!r}", expected=" or ".join(near) or f"a {kind}")
     if not callable(found):
         raise MethodRefused(
-            f"{reference} is no {kind}", expected=f"a function {signature_of(kind)}", got=type(found).__name__
+            f"{reference} is not a {kind}",
+            expected=f"a function {signature_of(kind)}",
+            got=type(found).__name__,
         )
     return found, module
 

@@ -54,7 +54,7 @@ class OwnRegistration:
 
     def _wrong(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(
-            f"{self.name} answers with what is no rigid transform",
+            f"{self.name} did not return a rigid transform",
             expected="a SciPy RigidTransform physical <- image, or its matrix (4, 4): rotation, mm, 0 0 0 1",
             got=got,
         )

@@ -120,11 +120,11 @@ class OwnStrategy:
         return tuple(called(f"{self.name}.{call}", list, answer))  # a generator runs only now
 
     def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
-        return MethodAnswerWrong(f"{self.name}.{call} answers wrongly", expected=expected, got=got)
+        return MethodAnswerWrong(f"{self.name}.{call} returned a wrong result", expected=expected, got=got)
 
 
 def _lacks(name: str, expected: str, got: str) -> MethodRefused:
-    return MethodRefused(f"{name} makes no strategy", expected=expected, got=got)
+    return MethodRefused(f"{name} does not make a strategy", expected=expected, got=got)
 
 
 def _shown(answer: Sequence[object]) -> str:

@@ -63,10 +63,10 @@ def tried(kind: MethodKind, text: str) -> OwnMethod:
     once, again = (ANSWERS[kind](method) for _ in range(2))
     if once != again:
         raise MethodRefused(
-            f"{text} answers differently to the same input",
-            expected="the same answer every time",
+            f"{text} returns different results for the same input",
+            expected="the same result every time",
             got="a different one the second time",
-            action="Seed its random numbers, and keep nothing from one call to the next.",
+            action="Seed its random numbers, and keep no state between calls.",
         )
     return method
 

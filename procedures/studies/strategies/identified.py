@@ -115,8 +115,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 ]
                 for (strategy, count), each in errors.items()
             ],
-            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm from {LOOKS} looks at the phantom's spheres."
-            f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
+            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} measurements of "
+            f"the phantom's spheres. {bounds.CAPTION}: of the mean, from the scatter of the arms "
+            "(Student).",
         ),
         Table(
             "What the identification leaves",
@@ -128,7 +129,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     float(np.mean(arms["scatter"])),
                 ]
             ],
-            "Backlash of set S is 0.02 deg. The random error is found from the looks themselves.",
+            "Backlash of set S is 0.02 deg. The random error is estimated from the measurements themselves.",
         ),
     ]
 

@@ -39,8 +39,9 @@ def pairs(sums: Mapping[str, Sums]) -> Table:
         "Two strategies on the same arms",
         ("scenario", "pair", "spheres", "difference mm", "95 % from", "to", "arms where it is less %", "p"),
         rows,
-        "Free spheres, the mean of each arm over 8 places and 10 targets. p: Wilcoxon's signed ranks, both"
-        " sides. Best chooses by the predicted error; where it chooses alike everywhere nothing differs.",
+        "Free spheres, the mean of each arm over 8 positions and 10 targets. p: Wilcoxon signed-rank "
+        "test, two-sided. Best chooses by the predicted error; if it chooses the same everywhere, "
+        "nothing differs.",
     )
 
 

@@ -66,7 +66,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for (markers, strategy, count), one in errors.items()
         if markers == Markers.FREE
     }
-    title = "Error at the target, all arms, places and targets; free spheres"
+    title = "Error at the target, all arms, positions and targets; free spheres"
     return {"strategies.png": boxes(title, "mm", groups)}
 
 
@@ -149,11 +149,11 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
             "between trajectories %",
         ),
         rows,
-        "Mean, sd, max and min of each arm over 8 places and 10 targets, then the mean over the arms. Between"
-        " trajectories: variance of the ten means over the whole variance. The thesis measured one arm;"
-        " its OCS leaves the approach free, as thesis-ocs does; ocs is ours, which controls it. Table 4 does"
-        " not tell its two kinds of markers apart; the x-shaped frame has four spheres only."
-        f" {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
+        "Mean, sd, max and min of each arm over 8 positions and 10 targets, then the mean over the "
+        "arms. Between trajectories: variance of the ten means over the whole variance. The thesis "
+        "measured one arm; its OCS leaves the approach free, as thesis-ocs does; ocs is ours, which "
+        "controls it. Table 4 does not distinguish its two kinds of markers; the x-shaped frame has "
+        f"four spheres only. {bounds.CAPTION}: of the mean, from the scatter of the arms (Student).",
     )
 
 
@@ -179,8 +179,8 @@ def _trajectories(errors: Mapping[Series, Array]) -> Table:
         "Means per trajectory",
         ("", "strategy", "spheres", *(f"t{number}" for number in range(1, TARGETS + 1))),
         rows,
-        "Over 8 places, mm; ours also over all arms, free spheres. The thesis does not publish its"
-        " trajectories: ours are others, so only the spread can be compared.",
+        "Over 8 positions, mm; ours also over all arms, free spheres. The thesis does not publish its "
+        "trajectories: ours differ, so only the spread can be compared.",
     )
 
 
@@ -260,9 +260,9 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
             f"rows of {fewest} and {most} correlate",
         ),
         rows,
-        f"Free spheres. {SETTLED}: one CT per arm, trajectories tilted 10 to 45 deg to all sides, the line"
-        " of approach decides on which side of its backlash a joint rests. Tilted alike: 25 to 30 deg, within"
-        " a sector of 60 deg. The correlation is the median over the arms.",
+        f"Free spheres. {SETTLED}: one CT per arm, trajectories tilted 10 to 45 deg to all sides, the "
+        "line of approach decides on which side of its backlash a joint rests. Tilted alike: 25 to 30 "
+        "deg, within a sector of 60 deg. The correlation is the median over the arms.",
     )
 
 
@@ -326,7 +326,7 @@ def _prediction(sums: Mapping[str, Sums]) -> Table:
             "actual rms mm",
         ),
         rows,
-        "Other arms than in table 4: 1,000, each at one place. The prediction knows the sizes of the"
-        f" errors and the poses, and nothing of the arm. {bounds.NOTE} The {TARGETS} targets of an arm count"
-        " as one.",
+        "Different arms from table 4: 1,000, each at one position. The prediction knows the sizes of "
+        f"the errors and the poses, but nothing about the arm. {bounds.NOTE} The {TARGETS} targets of "
+        "an arm count as one.",
     )

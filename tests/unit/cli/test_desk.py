@@ -84,7 +84,7 @@ def test_an_answer_counts_with_the_digest_of_what_was_shown_and_is_signed(stand:
     asked = question(signed=signatures.append)
     answers = stand.ask(asked)
     wrong = {"question": 1, "answer": "yes", "shown": "0" * 64}
-    assert stand.give("answer", **wrong) == "what was shown is not what is asked"
+    assert stand.give("answer", **wrong) == "the question shown is not the question asked"
     assert stand.give("answer", question=2, answer="yes", shown=shown(asked)) != ""
     assert stand.give("answer", question=1, answer="perhaps", shown=shown(asked)) != ""
     assert answers == []
@@ -99,7 +99,7 @@ def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(sta
     answers = stand.ask(asked)
     given = {"question": 1, "answer": "yes", "shown": shown(asked)}
     assert stand.give("answer", **given) == "type how many mm"
-    assert stand.give("answer", **given, typed="13") == "what was typed is not what is to be read back"
+    assert stand.give("answer", **given, typed="13") == "what was typed is not the value to be read back"
     eventually(lambda: len(misread) == 1)
     assert stand.give("answer", **given, typed=" 12 ") == ""
     eventually(lambda: answers == ["yes"])
@@ -116,7 +116,7 @@ def test_a_reading_that_no_dial_can_show_is_no_answer(stand: Stand) -> None:
     asked = question(reads=("x in mm",), plausible_mm=(-10.0, 10.0), read=read.append)
     answers = stand.ask(asked)
     given = {"question": 1, "answer": "yes", "shown": shown(asked)}
-    assert stand.give("answer", **given, readings=[100.0]) == "100 cannot be: between -10 and 10"
+    assert stand.give("answer", **given, readings=[100.0]) == "100 is implausible: expected -10 to 10"
     assert stand.give("answer", **given, readings=[0.1]) == ""
     eventually(lambda: (answers, read) == (["yes"], [(0.1,)]))
 
@@ -124,7 +124,7 @@ def test_a_reading_that_no_dial_can_show_is_no_answer(stand: Stand) -> None:
 def test_an_order_that_comes_too_late_is_refused_and_a_stop_never_is(stand: Stand) -> None:
     late = {"expires_s": stand.clock.now_s - 0.1}
     stand.wish()
-    assert stand.give("next", upcoming="image", **late) == "that came too late"
+    assert stand.give("next", upcoming="image", **late) == "the order came too late"
     assert stand.give("stop", **late) == ""
 
 
@@ -172,12 +172,12 @@ def test_a_pause_ends_by_its_question_alone_and_resume_runs_on_between_steps(sta
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
     answers = stand.ask(pause)
     assert stand.give("next", upcoming="image") != ""
-    assert stand.give("resume", upcoming="image").startswith("the engine is not waiting for this")
+    assert stand.give("resume", upcoming="image").startswith("the engine is not waiting for an order")
     assert answers == []
     assert stand.give("answer", question=3, answer="continue", shown=shown(pause)) == ""
     eventually(lambda: answers == ["continue"])
     wishes = stand.wish()
-    assert stand.give("resume", upcoming="fit:T1") == "that is past: the next step is image"
+    assert stand.give("resume", upcoming="fit:T1") == "out of date: the next step is now image"
     assert stand.give("resume", upcoming="image") == ""
     eventually(lambda: wishes == [Wish("end", by="Ana")])
 

@@ -194,7 +194,7 @@ def test_while_a_run_has_the_theatre_its_devices_are_not_asked_and_the_run_is_na
         run.communicate("")
     assert report.devices == ()
     (told,) = [one for one in report.case if one.subject == RUN]
-    assert f"{folder.name} (pid {run.pid}) has this theatre" in told.seen
+    assert f"{folder.name} (pid {run.pid}) is using this theatre" in told.seen
     assert f"ronna-procedure watch {folder}" in told.advice
     assert not report.verdicts[-1].ready
     assert examine(theatre).devices != ()

@@ -25,7 +25,7 @@ def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, pr
     assert ("PRO-007" in text) == isinstance(problem, GateFailed)
 
 
-@pytest.mark.parametrize(("moved", "said"), [(True, "the arm stands where it stopped"), (False, "has moved")])
+@pytest.mark.parametrize(("moved", "said"), [(True, "the arm is where it stopped"), (False, "has moved")])
 def test_who_interrupts_is_told_where_the_arm_is_and_how_to_go_on(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], moved: bool, said: str
 ) -> None:

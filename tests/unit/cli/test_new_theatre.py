@@ -196,7 +196,7 @@ def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: 
         (("--stream", "59152"), "For example: --stream udp://192.168.10.20:59152."),
         (("--serial", "pts/2"), "For example: --serial /dev/ttyUSB0."),
         (("--left", "99"), "no camera 99 replied; expected one of 11 at 192.168.3.1"),
-        (("--left", "12"), "--left: 12 is the camera that calls itself right (12)"),
+        (("--left", "12"), "--left: 12 is the camera named right (12)"),
         (("--left", "11", "--right", "192.168.3.1"), "camera 192.168.3.1 is given for both sides"),
         (("--option", "stereo.exposure=1"), "no option 'exposure'"),
         (("--option", "stereo.exposure_us=fast"), "exposure_us: expected a valid number"),

@@ -141,7 +141,7 @@ def test_what_was_ordered_from_a_seat_that_became_free_is_not_done_for_the_next_
         eventually(lambda: case.stands("image"))
         case.await_waiting()
         assert not case.stands("localization:T1")
-        assert case.give("run_to", upcoming="localization:T1", step="image") == "image is done already"
+        assert case.give("run_to", upcoming="localization:T1", step="image") == "image is already done"
 
 
 def failing(times: int) -> Callable[[StepContext], Outcome[StepResult]]:

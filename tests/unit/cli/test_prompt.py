@@ -115,7 +115,7 @@ def test_a_mistyped_command_is_named_with_what_may_have_been_meant(
     said = Typed(monkeypatch, "weiter", "nexxt", "next", "abort")
     said.prompt.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort")))
     assert said.said[2].startswith("there is no command 'weiter'; ")
-    assert said.said[4].startswith("next is not for a case that is paused; ")
+    assert said.said[4].startswith("next is not available while the case is paused; ")
 
 
 @pytest.mark.parametrize("last", [("abort",), ()])
@@ -192,7 +192,7 @@ def test_who_acknowledged_what_is_said_and_how_it_goes_on(
     typed = Typed(monkeypatch, "acknowledge A. Nurse", resumes=True)
     typed.at(engine)
     assert typed.said[0].startswith("acknowledged by A. Nurse: arm")
-    assert typed.said[1] == "the arm is at rest; resume goes on"
+    assert typed.said[1] == "the arm is at rest; resume continues"
 
 
 def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_errors_advice(
@@ -206,7 +206,7 @@ def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_er
     typed.at(cell.engine(plain_order(image=is_stopped)))
     assert capsys.readouterr().err == "PRO-007: stopped.\n"
     assert typed.said[0].startswith("the arm is in fault")
-    assert typed.said[1] == f"{HELD}; resume goes on"
+    assert typed.said[1] == f"{HELD}; resume continues"
 
 
 def test_what_only_looks_may_fail_at_a_pause_and_the_pause_stands(
@@ -230,8 +230,8 @@ def test_why_tells_of_a_step_that_has_run_that_its_result_stands(
     engine = cell.engine(plain_order())
     typed = Typed(monkeypatch, "next", "why image", "why")
     typed.at(engine)
-    assert typed.said[-2] == "image is done and its result stands; back image repeats it"
-    assert "may begin" in typed.said[-1]
+    assert typed.said[-2] == "image is done and its result is valid; back image repeats it"
+    assert "can start" in typed.said[-1]
 
 
 def test_a_pause_at_an_idle_prompt_says_that_the_next_step_waits(
@@ -239,4 +239,4 @@ def test_a_pause_at_an_idle_prompt_says_that_the_next_step_waits(
 ) -> None:
     typed = Typed(monkeypatch, "pause")
     typed.at(cell.engine(plain_order()))
-    assert typed.said == ["the case rests before the next step; while a step runs Ctrl-C pauses it"]
+    assert typed.said == ["the case will pause before the next step; while a step runs, Ctrl-C pauses it"]

@@ -196,7 +196,10 @@ def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callabl
     reported = in_this_process(app, "report", run, "--out", run.parent / "report")
     assert name in reported.stderr
     page = (run.parent / "report" / "report.html").read_text()
-    assert f"This folder is not as the run left it. Rely on nothing below.</strong><ul><li>{name}" in page
+    assert (
+        f"This folder is not as the run left it. Do not rely on anything below.</strong><ul><li>{name}"
+        in page
+    )
 
 
 @pytest.mark.hazard(39)

@@ -41,7 +41,10 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     told = capsys.readouterr().err
     assert told.startswith("Read the three dials.\n")
     assert "ronna-sim work dials --control" in told
-    assert "'0.1 mm' is not it: one number in mm, such as 0.01, without unit; nobody ends the step." in told
+    assert (
+        "'0.1 mm' is not a reading: type one number in mm without unit, such as 0.01; nobody ends the step."
+        in told
+    )
     assert "'y' is not an answer" in told
 
 
@@ -50,7 +53,7 @@ def test_what_no_dial_can_show_is_asked_again_at_once(
 ) -> None:
     typing(monkeypatch, "100", "0.1", "0", "0", "yes")
     assert TerminalRoom().work(THREE_DIALS) == (0.1, 0.0, 0.0)
-    assert "100 cannot be: between -10 and 10;" in capsys.readouterr().err
+    assert "100 is implausible: expected -10 to 10;" in capsys.readouterr().err
 
 
 def test_several_readings_are_shown_back_and_typed_again_when_one_is_wrong(

@@ -134,7 +134,7 @@ def test_the_doctor_tells_of_a_guide_that_weighs_beyond_its_end(theatre: Path) -
     pose["translation_mm"] = [place_mm / 10 for place_mm in pose["translation_mm"]]
     (after,) = tool_diagnostics(parse_theatre(content), datetime.now(UTC))
     assert before.advice == ""
-    assert "its centre of gravity 114 mm: look at [calibration.tool_tip]" in after.advice
+    assert "its centre of gravity 114 mm: check [calibration.tool_tip]" in after.advice
 
 
 @pytest.mark.parametrize(

@@ -81,7 +81,7 @@ def test_a_second_claim_is_told_who_has_the_seat(waiting: Console) -> None:
 def test_next_is_carried_out_once_and_quotes_what_was_shown(waiting: Console) -> None:
     cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]  # of this fixture alone
     stale = waiting.order(cookie, kind="next", upcoming="fit:T1", nonce="nonce-01")
-    assert (stale.status, stale.refused) == (409, "that is past: the next step is image")
+    assert (stale.status, stale.refused) == (409, "out of date: the next step is now image")
     repeated = waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-01")
     assert repeated.refused == "this order was already given"
     assert waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-02").status == 200

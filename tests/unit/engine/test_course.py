@@ -115,4 +115,4 @@ def test_when_every_target_was_finished_before_a_move_no_step_comes_any_more(cou
     course.void(tool_on)
     assert course.over
     assert course.upcoming is None
-    assert course.why_not_now(tool_on) == ("the work at every target is done: home brings the arm there",)
+    assert course.why_not_now(tool_on) == ("the work at every target is done: use home to park the arm",)

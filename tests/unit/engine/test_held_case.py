@@ -60,7 +60,7 @@ def test_a_fault_is_told_as_the_device_stands_now_with_what_is_to_be_done_in_ord
         STOP, MESSAGE
     )
     released = Fact("emergency stop", "released", advice="Release it.")
-    assert "emergency stop: released; messages: 1 is not acknowledged. To go on, ack" in told(
+    assert "emergency stop: released; messages: 1 is not acknowledged. To continue, ack" in told(
         released, MESSAGE
     )
 

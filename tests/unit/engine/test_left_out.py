@@ -40,7 +40,7 @@ def test_that_a_trajectory_is_left_out_is_a_finding(cell: RecordingCell) -> None
     reader = engine.events.subscribe()
     engine.run_to(engine.order.find("tool_on"))
     findings = [one.what for one in reader.read(0.0).events if isinstance(one.what, Finding)]
-    assert [one.text for one in findings] == ["T2 is left out: the error is too large"]
+    assert [one.text for one in findings] == ["T2 was left out: the error is too large"]
     assert cell.entries("finding") == [("finding", "")]
 
 

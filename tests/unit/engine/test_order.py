@@ -64,10 +64,10 @@ INSIDE = (*BACK, "approach:T2", "held:T2")
         ("fit:T1", "image", ("image",), "localization:T1 comes first"),
         ("tool_on", None, (), "image comes first"),
         ("back:T2", "held:T2", INSIDE, None),
-        ("back:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
-        ("approach:T1", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
-        ("image", "held:T2", INSIDE, "it may not follow held:T2: only back:T2 may"),
-        ("back:T1", "back:T1", BACK, "it must follow held:T1"),
+        ("back:T1", "held:T2", INSIDE, "only back:T2 may follow held:T2"),
+        ("approach:T1", "held:T2", INSIDE, "only back:T2 may follow held:T2"),
+        ("image", "held:T2", INSIDE, "only back:T2 may follow held:T2"),
+        ("back:T1", "back:T1", BACK, "it must directly follow held:T1"),
     ],
 )
 def test_a_step_may_come_when_all_before_it_stands_and_no_instrument_is_elsewhere(

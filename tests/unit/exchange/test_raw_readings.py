@@ -139,7 +139,7 @@ def test_in_python_they_are_the_readings_of_the_drivers(run: Path) -> None:
 
 @pytest.mark.parametrize("kind", [Path, str])
 def test_a_folder_of_runs_is_not_taken_for_a_run(kind: type[Path | str], run: Path) -> None:
-    with pytest.raises(NotRecorded, match=f"PRO-024: {run.parent} is no run with readings; .* list shows"):
+    with pytest.raises(NotRecorded, match=f"PRO-024: {run.parent} is not a run with readings; .* list shows"):
         next(raw_readings(kind(run.parent)))
 
 
@@ -215,7 +215,9 @@ def test_what_a_later_session_did_not_write_is_told(tmp_path: Path) -> None:
     for command in ("show", "verify"):
         done = in_this_process(app, command, run)
         assert done.returncode == 0
-        assert "raw/ is of an earlier session: readings from relocalization:T2 on are missing" in done.stdout
+        assert (
+            "raw/ is from an earlier session: readings from relocalization:T2 on are missing" in done.stdout
+        )
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": 2, "journal_lines": 9, "whole": true}'])
@@ -224,7 +226,7 @@ def test_raw_readings_that_do_not_say_how_far_they_go_are_told(text: str, run: P
     lines = read_chain(run / "journal.jsonl").lines
     assert missing_in_raw(run, lines) is None
     (folder / EXTENT_FILE).write_text(text)
-    assert missing_in_raw(run, lines) == "raw/ does not say how far its readings go"
+    assert missing_in_raw(run, lines) == "raw/ does not state how far its readings extend"
 
 
 def test_raw_readings_that_found_no_more_place_are_told(run: Path) -> None:
@@ -241,7 +243,7 @@ def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path
 
 
 def test_a_folder_that_is_there_is_left_alone(run: Path, tmp_path: Path) -> None:
-    with pytest.raises(NotWritable, match=r"EXC-002: .* is there already"):
+    with pytest.raises(NotWritable, match=r"EXC-002: .* already exists"):
         write_raw(run, tmp_path)
 
 

@@ -41,7 +41,7 @@ def test_a_disk_that_runs_full_suspends_the_case_before_the_journal_breaks(tmp_p
     assert DiskSpace(tmp_path, least_bytes=1).unmet() is None
     reason = DiskSpace(tmp_path, least_bytes=10**18).unmet()
     assert reason is not None
-    assert "MB are free" in reason
+    assert "MB free" in reason
     assert "delete" in reason
 
 
@@ -71,7 +71,7 @@ def test_an_old_pose_of_the_arm_suspends_the_case(cell: RecordingCell) -> None:
     assert guard.unmet() is None
     stale = replace(cell.arm.read_state(), validity=Validity.STALE)
     cell.arm.observe = lambda: LastKnown(Lifecycle.ACTIVE, None, stale)  # type: ignore[method-assign]
-    assert "has not said where it is" in (guard.unmet() or "")
+    assert "has not reported its position" in (guard.unmet() or "")
 
 
 @pytest.mark.hazard(18)

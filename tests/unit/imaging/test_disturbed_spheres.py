@@ -148,10 +148,10 @@ def beads(scan: Any, at: Array) -> None:
 @pytest.mark.parametrize(
     ("look_alike", "reason"),
     [
-        (knob, "goes on where a sphere ends"),
+        (knob, "extends beyond a sphere"),
         (capsule, "longer one way than another"),
         (cap, "lies off a sphere"),
-        (hollow_ball, "of its core is something else"),
+        (hollow_ball, "of its core is a different material"),
         (ball_with_metal_core, "has metal in its core"),
         (beads, "is one of a row"),
     ],

@@ -149,7 +149,7 @@ def test_the_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_pat
     turned = Rotation.from_rotvec([0.3, -0.5, 0.9]).apply(SPHERE_CENTRES_MM) + np.array([0.0, 0.0, 60.0])
     check = check_plan(plan, make_volume(), fiducials_mm=np.vstack([[[70.0, 10.0, 0.0]], turned]))
     assert check.passed
-    assert check.warnings == ("spheres that are not of the x-shaped frame are left aside: 1",)
+    assert check.warnings == ("spheres that do not belong to the x-shaped frame are ignored: 1",)
     with pytest.raises(NotTheFrame, match="PLAN-013"):
         check_plan(plan, make_volume(), fiducials_mm=np.vstack([turned[:3], [[70.0, 10.0, 0.0]]])).require()
     with pytest.raises(NotTheFrame, match="PLAN-013"):

@@ -112,7 +112,7 @@ def test_two_structures_of_one_name_and_too_many_points_are_refused(plan: Plan) 
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*the same name"):
         avoiding(plan, one, one)
     clouds = [structure_of(f"S{k}", 2.0, np.arange(3000.0).reshape(-1, 3)) for k in range(4)]
-    with pytest.raises(PlanMistakes, match=r"PLAN-002.*4000 points together, limit 3000"):
+    with pytest.raises(PlanMistakes, match=r"PLAN-002.*4000 points in total, limit 3000"):
         avoiding(plan, *clouds)
 
 

@@ -88,7 +88,7 @@ def test_who_is_asked_reads_what_moved_and_what_stands(tmp_path: Path) -> None:
     engine.run_to()
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.CART_MOVED]
     assert "the cart of the robot was moved by 2.0 mm" in question.subject
-    assert "goes on from cart_lock" in question.subject
+    assert "continues from cart_lock" in question.subject
     assert ", ".join(KEPT) in question.value
     assert question.deliberate
 

@@ -43,8 +43,8 @@ def test_a_room_in_which_nothing_moved_is_told_with_its_figures(cell: ClinicalCe
     assert seen
     assert comparison.differences == []
     assert comparison.findings == [
-        "patient: spheres within 0.00 mm of where the tracker saw them",
-        "robot base: the frame on the arm within 0.00 mm of its place",
+        "patient: spheres within 0.00 mm of their recorded positions",
+        "robot base: the frame on the arm within 0.00 mm of its recorded position",
     ]
     assert cell.tracker.calls == ["activate", "deactivate"]
 

@@ -120,7 +120,7 @@ def test_what_can_hurt_is_read_first_one_to_a_line_and_what_is_as_it_was_is_one_
     again, engine, left = left_after(cell, "positioning:T1")
     recover(engine, left)
     first, *_others, last = again.operator.asked[0].value.split("\n")
-    assert first == "nothing says that no instrument is in T1: one counts as inside"
+    assert first == "the journal does not rule out an instrument in T1: one is assumed to be inside"
     assert last.endswith(" items as recorded")
     found, *_ = (line for line in read_journal(again.folder / JOURNAL_FILE) if line["entry"] == Entry.FOUND)
     assert "plan: as recorded" in found["findings"] or "the guide: as recorded" in found["findings"]
@@ -247,7 +247,7 @@ def test_what_hands_had_done_before_a_kill_is_asked_about_when_the_guide_is_ther
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell)
     recover(engine, left)
-    assert "at T1 hands have worked: the skin is open, the skull is drilled" in again.operator.asked[0].value
+    assert "work has begun at T1: the skin is open, the skull is drilled" in again.operator.asked[0].value
     engine.run_to()
     (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
     assert asked.answers[0] == "from dura"

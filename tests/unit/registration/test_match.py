@@ -177,11 +177,11 @@ def test_the_expected_count_must_be_met_exactly(random, fiducials, any_pose):
     assert match(points, physical[:5], expected=6, **SIGMAS).status is MatchStatus.TOO_FEW
     fewer = match(points, np.vstack([physical[:5], [[999.0, 0, 0]]]), expected=6, **SIGMAS)
     assert fewer.status is MatchStatus.INCONSISTENT
-    assert "5 pairs agree where 6 are expected" in fewer.reason
+    assert "5 pairs agree, 6 expected" in fewer.reason
     assert len(fewer.runner_up.pairs) == 5
     more = match(points, physical, expected=4, **SIGMAS)
     assert more.status is MatchStatus.INCONSISTENT
-    assert "6 pairs agree where 4 are expected" in more.reason
+    assert "6 pairs agree, 4 expected" in more.reason
 
 
 def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose):

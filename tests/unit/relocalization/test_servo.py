@@ -101,7 +101,7 @@ def test_a_look_from_afar_counts_less_than_one_from_near() -> None:
 
 
 def test_before_the_first_look_there_is_nowhere_to_go() -> None:
-    with pytest.raises(BadMeasurement, match="STE-004: no look has placed the sphere yet"):
+    with pytest.raises(BadMeasurement, match="STE-004: the sphere has not been measured yet"):
         ServoState().next_pose(tool_pose())
 
 

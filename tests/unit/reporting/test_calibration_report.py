@@ -84,5 +84,5 @@ def test_figures_that_cannot_be_read_keep_nothing_else_from_being_shown(
     cell: ClinicalCell, content: str
 ) -> None:
     text = page(cell, content)
-    assert "What came of it" not in text
+    assert "<h2>Result</h2>" not in text
     assert "Where the results come from" in text

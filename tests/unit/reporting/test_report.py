@@ -219,7 +219,7 @@ def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
     ("done_before", "pushed_mm", "said"),
     [
         (("skin", "drill", "dura", "insert"), None, "<td>not watched</td>"),
-        (("skin",), 0.0123, "<td>0.012; before, not watched: skin</td>"),
+        (("skin",), 0.0123, "<td>0.012; earlier, not watched: skin</td>"),
         ((), 0.0123, "<td>0.012</td>"),
     ],
 )

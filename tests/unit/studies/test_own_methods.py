@@ -174,8 +174,12 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         ),
         (PAIRING, "mine:", "'mine:' names no pairing; expected module:function"),
         (PAIRING, "mine", "there is no pairing 'mine'; expected module:function"),
-        (PAIRING, "mine:remembers", "answers differently to the same input"),
-        (STRATEGY, "mine:Undecided", "makes no strategy; expected localizes_per_trajectory, True or False"),
+        (PAIRING, "mine:remembers", "returns different results for the same input"),
+        (
+            STRATEGY,
+            "mine:Undecided",
+            "does not make a strategy; expected localizes_per_trajectory, True or False",
+        ),
         (
             STRATEGY,
             "mine:Shorter",

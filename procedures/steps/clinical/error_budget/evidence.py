@@ -21,7 +21,7 @@ def budget_table(predicted: Prediction) -> Evidence:
         head=("source", "mm rms"),
         rows=(
             *((share.source, f"{share.rms_mm:.3f}") for share in shares),
-            ("all together", f"{predicted.rms_mm:.3f}"),
+            ("total", f"{predicted.rms_mm:.3f}"),
         ),
     )
 
@@ -30,15 +30,15 @@ def two_way_table(table: TwoWayTable) -> Evidence:
     """Every sphere of the CT and what the room says about it; distances in mm."""
     return Evidence(
         title="CT to room and room to CT"
-        + ("" if table.agrees_both_ways else ": the two ways do NOT agree")
-        + "".join(f"; sphere {one + 1} is confirmed by nothing" for one in table.unmatched_ct)
-        + (f"; {len(table.unmatched_room)} readings are no sphere" if table.unmatched_room else ""),
+        + ("" if table.agrees_both_ways else ": the two directions do NOT agree")
+        + "".join(f"; sphere {one + 1} is not confirmed" for one in table.unmatched_ct)
+        + (f"; {len(table.unmatched_room)} readings match no sphere" if table.unmatched_room else ""),
         head=(
             "sphere",
             "CT estimates differ mm",
-            "off tracker mm",
-            "off stereo head mm",
-            "off, fitted without it mm",
+            "from tracker mm",
+            "from stereo head mm",
+            "when fitted without it mm",
             "partner is nearest",
         ),
         rows=tuple(

@@ -31,12 +31,14 @@ class MotionPreview(Values):
     start: str = Field(description="Name of the pose it begins at.")
     end: str = Field(description="Name of the pose it ends at.")
     kind: str = Field(description="`move` of the joints or straight `line`.")
-    duration_s: float = Field(description="At the speed it would be driven.")
-    clear: bool = Field(description="Whether no body comes too near to another one.")
-    closest: ClosestApproach | None = Field(description="The nearest pair of bodies.")
+    duration_s: float = Field(description="Duration at the intended speed.")
+    clear: bool = Field(description="Whether every body keeps enough clearance.")
+    closest: ClosestApproach | None = Field(description="The closest pair of bodies.")
     largest_joint_speed_share: float = Field(description="Of the limits of the motion.")
-    largest_speed_mm_s: float = Field(description="Of any body that moves.")
-    nearest_to_head_mm: float | None = Field(description="Least distance of anything that moves to the head.")
+    largest_speed_mm_s: float = Field(description="Largest speed of any moving body.")
+    nearest_to_head_mm: float | None = Field(
+        description="Smallest distance of any moving body from the head."
+    )
 
     @classmethod
     def of(cls, motion: PreviewedMotion) -> MotionPreview:

@@ -80,9 +80,9 @@ class PathSearch:
             check.require(advice(would))
         now = self.replaced.get(name, self.setting.strategy)
         served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
-        remain = f"; without it remain {', '.join(others)}" if others else ""
+        remain = f"; {', '.join(others)} would remain without it" if others else ""
         question = UNREACHABLE.question(
-            f"{name} cannot be reached by {now.name} at any angle about its axis",
+            f"{name} cannot be reached with {now.name} at any angle about its axis",
             f"{reason}{served}{remain}",
             name,
             answers,

@@ -13,7 +13,7 @@ from procedures.steps.branches import FINISHED, HOLD, WORK_BEGUN, from_stage
 from procedures.steps.clinical.tools.depth_stop import DepthStop, set_depth_stop
 from ronna_hw.wire import room_tasks
 
-BESIDE = "the guide was led here anew since: its axis can lie beside what was opened"
+BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 
 @dataclass(frozen=True)
@@ -72,8 +72,8 @@ def begun_work(context: StepContext) -> BegunWork:
     before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
         context.find(
-            f"the work at {trajectory} was finished when the guide was there before; "
-            "how it was held then was not watched"
+            f"the work at {trajectory} was finished when the guide was there earlier; the guide was not "
+            "watched then"
         )
         return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
@@ -97,7 +97,7 @@ def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
-    return tuple(f"at {name} hands have worked: {told(stages.at(name))}" for name in names)
+    return tuple(f"work has begun at {name}: {told(stages.at(name))}" for name in names)
 
 
 def _done_before(context: StepContext) -> tuple[str, ...]:
@@ -111,8 +111,8 @@ def _done_before(context: StepContext) -> tuple[str, ...]:
     finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
     trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
     question = WORK_BEGUN.question(
-        f"at {trajectory} hands have worked before: {told(known)}",
-        f"{BESIDE}; look, then say from which stage the work goes on",
+        f"work was already begun at {trajectory}: {told(known)}",
+        f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
         (*((FINISHED,) if finished else ()), *offered, HOLD),
     )
@@ -121,7 +121,7 @@ def _done_before(context: StepContext) -> tuple[str, ...]:
         return tuple(tasks)
     if answer not in offered:
         raise NotConfirmed(
-            f"nobody said from which stage the work at {trajectory} goes on",
+            f"nobody chose the stage to continue from at {trajectory}",
             action="Nothing was done. Repeat the step, or send the arm home.",
         )
     return tuple(tasks[: len(offered) - 1 - offered.index(answer)])

@@ -23,8 +23,8 @@ class DepthStop(Values):
     bore_mm: float = Field(description="Length of the guide's bore.")
     standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
     depth_mm: float = Field(description="From the entry to the target.")
-    computed_mm: float = Field(description="From the instrument's tip to the stop: their sum.")
-    read_mm: float = Field(description="As it was read off the instrument.")
+    computed_mm: float = Field(description="From the instrument's tip to the stop: the sum of these.")
+    read_mm: float = Field(description="As read off the instrument.")
 
     @property
     def too_deep_mm(self) -> float:
@@ -56,15 +56,15 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         problem = DepthStopWrong(
             f"the depth stop for {context.trajectory} is set wrong",
             expected=f"{computed_mm:.2f} mm",
-            limit=f"{STOP_LIMIT_MM:g} mm beside it",
+            limit=f"{STOP_LIMIT_MM:g} mm from it",
             got=f"{read_mm:.2f} mm",
         )
         context.find(problem.summary)
         question = WRONG_STOP.question(
             "the depth stop is set wrong: set it again",
             f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
-            f"{YES}: it is set and read again, attempt {setting + 1} of {SETTINGS}; "
-            f"{NO}: the step ends, no instrument goes in",
+            f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
+            "no instrument is inserted",
             context.trajectory,
         )
         if setting == SETTINGS or context.choose(question) != YES:

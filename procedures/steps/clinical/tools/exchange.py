@@ -30,7 +30,9 @@ def exchange_for(context: StepContext, tool: MountedTool) -> int:
             if mounting == MOUNTINGS:
                 raise
             context.setting.room.change_tool(number, name)
-            again = WRONG_TOOL.question("another tool is mounted: mount again", f"{value}; {problem.summary}")
+            again = WRONG_TOOL.question(
+                "the wrong tool is mounted: mount again", f"{value}; {problem.summary}"
+            )
             if context.choose(again) != YES:
                 raise
     raise AssertionError("the last mounting has returned or raised")

@@ -34,14 +34,14 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
     if on_mount is None or on_tool is None:
         unseen = reference.tool if on_mount is None else frame.tool
         raise ToolSeenElsewhere(
-            f"the tracker does not see {unseen}", expected=f"in {LEAST_FRAMES} of {FRAMES} frames at least"
+            f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"
         )
     seen_mm = (on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
     expected_mm = _mount_from(context, frame).apply(workcell.tracker.markers_mm[frame.tool])
     off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
     if off_mm > SEEN_LIMIT_MM:
         raise ToolSeenElsewhere(
-            f"the tracker sees {frame.tool} beside its place on the mount",
+            f"the tracker sees {frame.tool} off its recorded position on the mount",
             limit=f"{SEEN_LIMIT_MM:g} mm",
             got=f"{beyond(off_mm, SEEN_LIMIT_MM, 2)} mm",
         )

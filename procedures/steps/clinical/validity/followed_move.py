@@ -48,13 +48,17 @@ STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of on
 class FollowedMove(Values):
     """How the head has moved since the stereo head looked, as the tracker measured it and somebody agreed."""
 
-    robot_from_robot: FramedPose = Field(description="From where the head was to where it is, robot frame.")
-    way_mm: float = Field(description="Of the middle of the spheres.")
+    robot_from_robot: FramedPose = Field(
+        description="From the head's previous pose to its present one, robot frame."
+    )
+    way_mm: float = Field(description="Displacement of the spheres' centroid.")
     turn_deg: float = Field(description="Angle of the rotation.")
-    pairs: int = Field(description="Spheres that show it.")
-    residual_mm: float = Field(description="Rms of what they differ from one rigid move.")
-    limit_mm: float = Field(description="Of that residual, by the noise of both readings.")
-    base_mm: float = Field(description="Between frame on the arm and tracker, since the localization.")
+    pairs: int = Field(description="Spheres used.")
+    residual_mm: float = Field(description="Rms deviation from one rigid motion.")
+    limit_mm: float = Field(description="Limit of that residual, from the noise of both readings.")
+    base_mm: float = Field(
+        description="Motion between the frame on the arm and the tracker since the localization."
+    )
     spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
 
 
@@ -68,8 +72,8 @@ class MeasuredMove:
     def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
         """What following it adds to the error at a place (3,) of before, robot frame, by source."""
         return {
-            "measured move of the head": self.fit.error_mm(place_mm),
-            "cart and tracker meanwhile": self.record.base_mm,
+            "measured head movement": self.fit.error_mm(place_mm),
+            "cart and tracker stability": self.record.base_mm,
         }
 
 
@@ -126,8 +130,8 @@ def _measured(context: StepContext) -> MeasuredMove | None:
     workcell = context.workcell
     if not workcell.at_home:
         raise StepRefused(
-            "how the head has moved is measured with the arm at home",
-            action="Send it home, then run it again.",
+            "the movement of the head can only be measured with the arm at home",
+            action="Send the arm home, then run the step again.",
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
     watch = watch_over(workcell, "", localized, pairs)
@@ -137,12 +141,12 @@ def _measured(context: StepContext) -> MeasuredMove | None:
     base_mm = _base_mm(watch, reading)
     rows = same_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
-        raise PatientUnseen("the tracker sees too few known spheres to measure how the head has moved")
+        raise PatientUnseen("the tracker sees too few known spheres to measure the movement of the head")
     before, after = (list(side) for side in zip(*rows, strict=True))
     halves = (average_strays(half).groups for half in (frames[: FRAMES // 2], frames[FRAMES // 2 :]))
     ways = shift_of(*([group.mean_mm for group in groups] for groups in halves))
     if ways is None or ways.rms_mm > AT_REST_MM:
-        raise PatientUnseen("the head does not lie still: how it has moved cannot be measured")
+        raise PatientUnseen("the head is not at rest: its movement cannot be measured")
     to_robot = watch.robot_from_tracker
     groups = average_strays(frames).groups
     each = np.array([groups[row].covariance_mm2 for row in after])
@@ -174,12 +178,12 @@ def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
     shift_mm = watch.base_shift_mm(reading)
     if shift_mm is None:
         raise PatientUnseen(
-            "the tracker does not see the frame on the arm: a head that has moved cannot be told from it"
+            "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
         )
     base_mm = float(np.linalg.norm(shift_mm))
     if base_mm > BASE_LIMIT_MM:
         raise BaseShifted(
-            "cart or tracker was moved: a move of the head cannot be measured",
+            "the cart or the tracker was moved: the movement of the head cannot be measured",
             limit=f"{BASE_LIMIT_MM:g} mm",
             got=f"{beyond(base_mm, BASE_LIMIT_MM, 2)} mm",
         )
@@ -190,7 +194,7 @@ def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
     if not fit.gate.passed:
         residual, limit = told_apart(move.residual_mm, move.limit_mm, 2)
         raise PatientMoved(
-            "the spheres on the head have not moved as one body",
+            "the spheres on the head have not moved as a rigid body",
             limit=f"{limit} mm",
             got=f"{residual} mm",
         )
@@ -207,11 +211,13 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
     moved = f"{told.way_mm:.2f} mm and {told.turn_deg:.2f} deg"
     adds_mm = max(math.hypot(*move.shares_mm(place).values()) for place in np.reshape(places_mm, (-1, 3)))
     question = MOVE_FOLLOWED.question(
-        f"the head has moved by {moved}: the registration for {names} follows",
-        f"{told.pairs} spheres fit one move to {told.residual_mm:.2f} mm, limit {told.limit_mm:.2f} mm; "
-        f"it adds {adds_mm:.2f} mm rms at the target",
+        f"the head has moved by {moved}: let the registration for {names} follow",
+        f"{told.pairs} spheres fit one rigid motion to {told.residual_mm:.2f} mm, limit "
+        f"{told.limit_mm:.2f} mm; following adds {adds_mm:.2f} mm rms at the target",
         context.key.trajectory,
     )
     if context.choose(question) != FOLLOW:
-        raise PatientMoved.by("the head has moved, and nothing follows it", move.fit.rms_mm, PATIENT_LIMIT_MM)
-    context.find(f"the registration for {names} follows a move of the head by {moved}")
+        raise PatientMoved.by(
+            "the head has moved, and no registration follows it", move.fit.rms_mm, PATIENT_LIMIT_MM
+        )
+    context.find(f"the registration for {names} follows a head movement of {moved}")

@@ -28,7 +28,7 @@ Stamps = tuple[Stamp, ...]
 class UnchangedInputs:
     """A guard. A change ends the running step and supersedes everything that descends from what was read."""
 
-    name = "CT, plan and place"
+    name = "CT, plan and cart position"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
         """Raises OSError."""
@@ -49,12 +49,12 @@ class UnchangedInputs:
             except OSError as error:
                 if model is LockedCart and (stored is None or not _proposed(stored.result)):
                     continue  # it need not be there
-                return f"{path.name} cannot be read ({error.strerror}): bring it back"
+                return f"{path.name} cannot be read ({error.strerror}): restore it"
             if stored is None or stamps == self._seen.get(path):
                 continue
             key = StepKey(model.kind)
             if model is LockedCart and not _proposed(stored.result):
-                self._engine.find(f"{path.name} was not there at {key}: the cart is not compared with it")
+                self._engine.find(f"{path.name} did not exist at {key}: the cart is not compared with it")
             elif changed := _changed(stored.result, path):
                 problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
                 self._engine.context(key).void(model, problem)

@@ -45,8 +45,8 @@ def require_head_seen(context: StepContext, where: str) -> None:
     """Refuse to go to a head that the last reading, from where the arm stands now, did not show; PRO-022."""
     if head_hidden(context):
         raise PatientUnseen(
-            f"{where} the tracker does not see where the head is",
-            expected="three known spheres at least in its sight",
+            f"{where}, the tracker does not see the head",
+            expected="at least three known spheres in view",
         )
 
 

@@ -152,7 +152,7 @@ def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
 
 def test_looks_of_an_arm_that_nobody_knows_are_refused(tmp_path: Path) -> None:
     KIND.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
-    with pytest.raises(BadObservations, match=r"CAL-005.*no arm is called 'kr3'"):
+    with pytest.raises(BadObservations, match=r"CAL-005.*there is no arm named 'kr3'"):
         KIND.read_looks(tmp_path)
 
 

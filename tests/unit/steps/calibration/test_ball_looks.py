@@ -100,7 +100,7 @@ def test_nothing_moves_over_the_ball_unless_it_is_confirmed(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
     cell.operator = RecordingOperator(Topic.CALIBRATION)
-    with pytest.raises(NotConfirmed, match="The arm will move about the ball"):
+    with pytest.raises(NotConfirmed, match="The arm will move around the ball"):
         over_ball(cell, step)
     assert cell.arm.motions == cell.arm.calls == []
 

@@ -37,7 +37,7 @@ def test_the_looks_give_the_frame_that_the_cell_has(cell: ClinicalCell) -> None:
 
 def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.CALIBRATION)
-    with pytest.raises(NotConfirmed, match="The arm will turn the frame robot_frame"):
+    with pytest.raises(NotConfirmed, match="The arm will rotate the frame robot_frame"):
         turned(cell)
     assert cell.arm.motions == []
 

@@ -122,7 +122,7 @@ def test_a_sphere_that_is_not_in_its_place_is_left_out_when_the_operator_agrees(
     found = match_five(cell, MISPLACED[what])
     (question,) = cell.operator.asked
     assert question.subject.startswith("sphere 3 of the CT is missing")
-    assert "3: the tracker sees nothing nearer to its place than" in question.value
+    assert "3: the tracker sees nothing within" in question.value
     assert [pair[0] for pair in found.pairs] == [0, 1, 3, 4]
     assert [one.fiducial for one in found.left_out] == [2]
 

@@ -62,5 +62,5 @@ def test_from_home_every_motion_is_told_and_spheres_count_from_one(
 def test_over_a_sphere_only_what_follows_is_told(cell: ClinicalCell, paths: CheckedPaths) -> None:
     cell.arm.joints_rad = paths.localizations["T1"][0].joints_rad
     heading, first, *_others = told(cell, paths)
-    assert heading == "the arm stands over sphere 1; from there"
+    assert heading == "the arm is over sphere 1; from there"
     assert first.startswith("move T1/sphere 1 to T1/sphere 2, ")

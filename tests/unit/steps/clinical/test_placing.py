@@ -114,7 +114,7 @@ def test_a_cart_is_placed_locked_confirmed_and_leaned_on(cell: ClinicalCell) -> 
 @pytest.mark.branch("CART_UNLOCKED")
 def test_a_cart_that_nobody_says_is_locked_is_refused(cell: ClinicalCell) -> None:
     cell.operator.refusing = (Topic.CART_LOCKED,)
-    with pytest.raises(CartNotLocked, match=r"PRO-041.*Close the brakes") as refused:
+    with pytest.raises(CartNotLocked, match=r"PRO-041.*Lock the brakes") as refused:
         lock(cell)
     assert refused.value.exit_code == 3
     assert CART_PUSH not in tasks(cell)
@@ -169,7 +169,7 @@ def test_nobody_leans_on_the_cart_while_a_guide_is_held_at_the_head(
     engine.run_to(engine.order.find("head_clamp"))
     held = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0)
     monkeypatch.setattr(type(cell.workcell), "insertion", held)
-    with pytest.raises(StepRefused, match="held before the entry of T1"):
+    with pytest.raises(StepRefused, match="held in front of the entry of T1"):
         engine.run_to()
 
 
@@ -271,7 +271,7 @@ def test_a_head_that_lies_higher_than_the_map_was_made_for_is_told(cell: Clinica
     propose(cell, assumed_robot_from_ct=[x, y, z - 30.0, a, b, c])
     lock(cell)
     (finding,) = findings(cell)
-    assert "lies +30 mm higher" in finding
+    assert "is +30 mm higher" in finding
 
 
 @pytest.mark.parametrize(

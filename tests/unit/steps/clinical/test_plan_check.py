@@ -82,7 +82,7 @@ def test_with_another_number_of_spheres_all_are_shown_and_it_goes_on_when_the_op
     assert question.subject == "the CT shows 5 spheres, 4 were implanted"
     assert question.value.count("radius 5.75 mm") == 5
     assert done.implanted == 4
-    assert done.warnings[-1] == "the CT shows 5 spheres, 4 were implanted: the operator went on"
+    assert done.warnings[-1] == "the CT shows 5 spheres, 4 were implanted: the operator continued"
 
 
 def test_of_more_implanted_spheres_those_that_the_ct_shows_are_matched_when_the_operator_says_so(

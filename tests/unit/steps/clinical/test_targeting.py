@@ -309,7 +309,7 @@ def test_as_long_as_nobody_says_done_the_instrument_stays_at_its_target(cell: Cl
     cell.operator = RecordingOperator(Topic.AT_TARGET)
     engine = begin(cell)
     run(engine, f"positioning:{FIRST}")
-    with pytest.raises(NotConfirmed, match="it was not confirmed at T1 that the instrument is at depth"):
+    with pytest.raises(NotConfirmed, match="nobody confirmed at T1 that the instrument is at depth"):
         run(engine, f"at_target:{FIRST}")
     assert engine.instrument_in == FIRST
     assert cell.case.find(ReachedTarget, FIRST) is None

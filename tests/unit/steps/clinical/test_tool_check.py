@@ -65,7 +65,7 @@ def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
 
 @pytest.mark.hazard(47)
 def test_a_gauge_that_nobody_reads_is_no_check(cell: ClinicalCell) -> None:
-    with pytest.raises(NotConfirmed, match="PRO-002: nobody read it off"):
+    with pytest.raises(NotConfirmed, match="PRO-002: no readings were given"):
         check(cell)
 
 
@@ -103,7 +103,7 @@ def test_nothing_moves_away_from_the_gauge_before_the_mandrel_is_out(
 
 @pytest.mark.hazard(47)
 def test_what_is_no_number_passes_no_limit(cell: ClinicalCell) -> None:
-    with pytest.raises(NotConfirmed, match="PRO-002: no numbers were read off"):
+    with pytest.raises(NotConfirmed, match="PRO-002: the readings are not finite numbers"):
         check(cell, math.nan, 0.0, 0.0, 0.0, 0.0)
 
 

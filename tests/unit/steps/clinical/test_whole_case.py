@@ -62,8 +62,8 @@ def once(finished: tuple[ClinicalCell, dict[str, str]]) -> ClinicalCell:
 
 def test_a_step_says_what_its_figures_are(finished: tuple[ClinicalCell, dict[str, str]]) -> None:
     said = finished[1]
-    assert re.fullmatch(r"\d+ poses in one branch, nothing nearer than \d+ mm", said["path_check"])
-    assert re.fullmatch(r"\d+ spheres, last residuals at most [\d.]+ mm", said["relocalization"])
+    assert re.fullmatch(r"\d+ poses in one branch, smallest clearance \d+ mm", said["path_check"])
+    assert re.fullmatch(r"\d+ spheres, largest final residual [\d.]+ mm", said["relocalization"])
     assert "predicted target error" in said["registration"]
     words = re.findall(r"\w+", " ".join(said.values()))
     assert not {"look", "looks", "well", "clear", "estimators", "apart"} & set(words)

@@ -121,13 +121,13 @@ def test_a_depth_stop_that_comes_right_is_confirmed(cell: ClinicalCell) -> None:
     engine.questions._operator = corrects
     work(engine)
     assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
-    assert "yes: it is set and read again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
+    assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
 
 
 def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.room.work = lambda _task: ()  # type: ignore[method-assign]
-    with pytest.raises(NotConfirmed, match="nobody read it off"):
+    with pytest.raises(NotConfirmed, match="no readings were given"):
         work(engine)
     assert instrument_lines(cell) == []
 
@@ -136,7 +136,7 @@ def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell
 def test_work_that_was_left_goes_on_where_it_was(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.DRILL,)
-    with pytest.raises(NotConfirmed, match="it was not confirmed at T1 that the skull is drilled"):
+    with pytest.raises(NotConfirmed, match="nobody confirmed at T1 that the skull is drilled"):
         work(engine)
     assert engine.instrument_in == FIRST
     cell.operator.refusing = ()
@@ -213,7 +213,7 @@ def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: Clini
     engine = led_there_again(cell)
     cell.operator.refusing = (Topic.WORK_BEGUN,)
     lines = instrument_lines(cell)
-    with pytest.raises(NotConfirmed, match="nobody said from which stage the work at T1 goes on"):
+    with pytest.raises(NotConfirmed, match="nobody chose the stage to continue from at T1"):
         work(engine)
     assert instrument_lines(cell) == lines
 
