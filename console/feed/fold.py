@@ -138,7 +138,7 @@ def _notice(view: CaseView, what: Fault | Refusal | Finding) -> Notice:
                 "fault", view.theatre_time_s, text, advice, code, step=view.running or view.upcoming
             )
         case Refusal(step=step, unmet=unmet):
-            refused = f"{step} may not begin: {'; '.join(unmet)}"
+            refused = f"{step} cannot start: {'; '.join(unmet)}"
             return Notice("refused", view.theatre_time_s, refused, step=step)
         case Finding(text=text):
             return Notice("finding", view.theatre_time_s, text)

@@ -1,4 +1,4 @@
-"""The course of the case: done, now, next, and why the next step may not begin."""
+"""The course of the case: done, now, next, and why the next step cannot start."""
 
 from __future__ import annotations
 
@@ -53,9 +53,7 @@ def _state(view: CaseView) -> str:
     unmet = view.waiting.unmet if view.waiting else ()
     refused = "".join(tag("li", text(one)) for one in unmet)
     why = (
-        tag("div", f"{text(view.upcoming)} may not begin:" + tag("ul", refused), class_="bad")
-        if unmet
-        else ""
+        tag("div", f"{text(view.upcoming)} cannot start:" + tag("ul", refused), class_="bad") if unmet else ""
     )
     waits = ""
     if view.waiting is not None and not unmet and view.upcoming and view.question is None:

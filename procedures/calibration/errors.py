@@ -74,8 +74,8 @@ class Unobservable(RefusedError):
 
     code = "CAL-011"
     action = (
-        "Measure more spheres, farther apart, from more strongly tilted and rotated poses; then calibrate "
-        "again."
+        "Measure more spheres, farther apart, from more strongly tilted and rotated poses; "
+        "then calibrate again."
     )
 
 

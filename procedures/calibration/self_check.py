@@ -120,8 +120,8 @@ class CheckResult:
         got, limit = told_apart(bad[0].statistic, bad[0].limit, 1)
         raise HeadMoved(
             "the stereo head has changed since its calibration "
-            f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by {1000 * moved:.0f} "
-            "um",
+            f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by "
+            f"{1000 * moved:.0f} um",
             limit=f"chi square {limit}",
             got=got,
         )

@@ -117,7 +117,7 @@ class Engine:
                 step=self._logged(str(key)),
                 unmet=self._logged("; ".join(unmet)),
             )
-            raise StepRefused(f"{key} may not begin: {'; '.join(unmet)}")
+            raise StepRefused(f"{key} cannot start: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
         self._show_state()

@@ -81,5 +81,5 @@ def only_allowed(made: Dataset) -> Dataset:
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue
         if element.keyword not in FILLED_ATTRIBUTES:
-            raise FieldNotAllowed(f"{element.keyword or element.tag} may not leave the run folder")
+            raise FieldNotAllowed(f"{element.keyword or element.tag} must not leave the run folder")
     return made

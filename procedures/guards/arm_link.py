@@ -29,8 +29,8 @@ class ArmLink:
             return None
         if seen.reading is not None and seen.reading.validity is Validity.STALE:
             return (
-                "the arm has not reported its position for too long: check its network cable and the "
-                "controller"
+                "the arm has not reported its position for too long: check its network "
+                "cable and the controller"
             )
         return self._quality()
 

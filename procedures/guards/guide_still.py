@@ -95,8 +95,8 @@ class GuideStill:
         if rest.now_mm <= PUSHED_MM:
             return None
         return (
-            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of the guide and the "
-            "arm"
+            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
+            "the guide and the arm"
         )
 
 

@@ -19,9 +19,9 @@ from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 
 CLEAR_THE_LINE = (
-    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, leave "
-    "the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or continue "
-    "without sight"
+    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, "
+    "leave the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or "
+    "continue without sight"
 )
 ARM_IN_THE_WAY = (
     "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "

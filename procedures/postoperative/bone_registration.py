@@ -90,8 +90,8 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
     if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
         raise HeadsDiffer(
             "the skulls of the two CTs do not match",
-            expected=f"agreement of at least {LEAST_AGREEMENT:g} over at least {LEAST_OVERLAP:.0%} of "
-            "the bone",
+            expected=f"agreement of at least {LEAST_AGREEMENT:g} over at least "
+            f"{LEAST_OVERLAP:.0%} of the bone",
             got=f"{agreement:.2f} over {overlap:.0%}",
         )
 

@@ -37,8 +37,8 @@ def check_head(
     unlikeness = median(2.0 * (left - right) / (left + right) for left, right in radii_mm)
     if abs(unlikeness) > LARGEST_UNLIKENESS:
         raise HeadTurned(
-            "a camera of the stereo head has rotated: the spheres appear larger in one camera than in "
-            "the other",
+            "a camera of the stereo head has rotated: the spheres appear larger in one "
+            "camera than in the other",
             limit=f"{LARGEST_UNLIKENESS:.2%}",
             got=f"{abs(unlikeness):.2%}",
         )

@@ -145,8 +145,8 @@ UNMATCHED_SPHERE = Branch(
     (LEAVE_OUT, HOLD),
 )
 SPHERE_FAILED = Branch(
-    "the stereo head cannot measure a sphere: out of the field of view, hidden, too dark, servo does "
-    "not converge",
+    "the stereo head cannot measure a sphere: out of the field of view, hidden, too dark, "
+    "servo does not converge",
     "three search rings of 5 mm, other exposures, 15 servo steps",
     ("relocalization",),
     f"left out if {FEWEST_SPHERES} remain and the operator agrees; the head backs off along its axis",
@@ -205,8 +205,8 @@ CART_MISPLACED = Branch(
 )
 CART_UNLOCKED = Branch(
     "the cart is not locked",
-    "nobody confirms it, or the frame on the arm moves against the spheres while someone leans on the "
-    "cart; 0.3 mm",
+    "nobody confirms it, or the frame on the arm moves against the spheres while someone "
+    "leans on the cart; 0.3 mm",
     ("cart_lock",),
     "nothing is localized and nothing moves; it is locked and leaned on again",
     Ending.HOLD,
@@ -313,12 +313,12 @@ WRONG_STOP = Branch(
     (YES, NO),
 )
 WORK_BEGUN = Branch(
-    "the guide returns to a target where it has already been worked through: after a move, a restart, "
-    "a repeat",
+    "the guide returns to a target where it has already been worked through: after a "
+    "move, a restart, a repeat",
     "the journal, which records each stage before it begins",
     ("at_target",),
-    "the work done there is listed; the operator chooses the stage to continue from, possibly one "
-    "already done",
+    "the work done there is listed; the operator chooses the stage to continue from, "
+    "possibly one already done",
     Ending.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
@@ -326,8 +326,8 @@ WORK_BEGUN = Branch(
 )
 GUIDE_PUSHED = Branch(
     "someone pushes or pulls the guide, or the arm",
-    "the frame on the mount as seen by the tracker, and the joints, against the held pose of the "
-    "guide; 0.2 mm",
+    "the frame on the mount as seen by the tracker, and the joints, against the held pose "
+    "of the guide; 0.2 mm",
     ("at_target",),
     "reported immediately; the case is suspended until guide and arm are released, or the operator "
     "leaves the step",

@@ -24,8 +24,8 @@ class DepthStopWrong(LimitError):
 
     code = "TOOL-004"
     action = (
-        "Set the depth stop to the expected value, then repeat the step; no instrument is inserted until "
-        "then."
+        "Set the depth stop to the expected value, then repeat the step; no instrument is "
+        "inserted until then."
     )
     exit_code = RefusedError.exit_code
 

@@ -88,6 +88,6 @@ def check_tip(record: ToolRecord, tip: ToolTipCalibration) -> None:
             f"tool record {record.identifier} refers to another calibration of its tip",
             expected=tip.identifier,
             got=record.tip or "none",
-            action="Read the gauge with this tool, then run ronna-tool renew, which updates the record for "
-            "that tip.",
+            action="Read the gauge with this tool, then run ronna-tool renew, which updates the "
+            "record for that tip.",
         )

@@ -71,7 +71,7 @@ def fresh_frames(
             progress(len(frames) / count)
         elif clock.now_s() > limit_s:
             raise GateFailed(
-                "the tracker gives no new measurements", expected=f"{count}", got=f"{len(frames)}"
+                "the tracker returns no new measurements", expected=f"{count}", got=f"{len(frames)}"
             )
         else:
             clock.sleep(FRAME_S / 2)

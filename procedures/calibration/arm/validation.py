@@ -84,8 +84,8 @@ def _require_both_sides(fit: ArmFit) -> None:
     ]
     if unknown:
         raise Unobservable(
-            f"the measurements do not determine the {', '.join(unknown)}: these joints arrived from one "
-            "side only",
+            f"the measurements do not determine the {', '.join(unknown)}: these joints "
+            "arrived from one side only",
             limit=f"{LEAST_LEARNT:g} of the prior uncertainty",
             got="all of it",
         )

@@ -72,8 +72,8 @@ def fit_tip(pairs: TipPairs) -> TipFit:
             "the readings do not agree on one tip position",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
             got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
-            action="Check that stand, guide and dials are rigid and that x, y and z are not mixed up; then "
-            "repeat.",
+            action="Check that stand, guide and dials are rigid and that x, y and z are not "
+            "mixed up; then repeat.",
         )
     gap, gap_error, pivot_scatter = _pivoted_gap(pairs)
     if pivot_scatter > LARGEST_PIVOT_SCATTER_MM:
@@ -85,8 +85,8 @@ def fit_tip(pairs: TipPairs) -> TipFit:
         )
     if SURE * gap_error > MOST_OPEN_MM:
         raise DoesNotFit(
-            "pivoting cannot show whether the divot is where the ball was: too few orientations, or "
-            "too similar",
+            "pivoting cannot show whether the divot is where the ball was: too few "
+            "orientations, or too similar",
             limit=f"an uncertainty of {MOST_OPEN_MM:g} mm",
             got=f"{beyond(SURE * gap_error, MOST_OPEN_MM, 2)} mm",
             action="Tilt the guide farther to all sides, or read more orientations; then repeat.",

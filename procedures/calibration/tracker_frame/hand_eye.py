@@ -127,8 +127,8 @@ def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_])
             limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
             got=f"{beyond(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
             f"{beyond(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
-            action="Check that the frame, the mount and the tracker's stand are rigid and the arm variant is "
-            "right.",
+            action="Check that the frame, the mount and the tracker's stand are rigid and the "
+            "arm variant is right.",
         )
     require_consistent(used, MOST_OUTLIERS, "poses")
 

@@ -138,8 +138,8 @@ def show(
         f"written to {written}"
         if written
         else (
-            "copy calibration.toml into the theatre file, or use --write; with --sim use --calibration "
-            f"{folder}"
+            "copy calibration.toml into the theatre file, or use --write; with --sim use "
+            f"--calibration {folder}"
         )
     )
     console.tell(f"records in {folder}: {told}")

@@ -188,8 +188,8 @@ def _read_off(write: WritePrompt, task: Task) -> tuple[float, ...]:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
             _say(
-                f"{typed!r} is not an answer: {YES} if these are the readings, {AGAIN} to type them all "
-                "again."
+                f"{typed!r} is not an answer: {YES} if these are the readings, {AGAIN} to "
+                "type them all again."
             )
 
 

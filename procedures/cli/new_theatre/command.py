@@ -39,8 +39,8 @@ def new_theatre(
         list[str] | None,
         typer.Option(
             metavar="LINE",
-            help="Line to probe for a tracker: a path or an endpoint; repeatable [default: every serial "
-            "port].",
+            help="Line to probe for a tracker: a path or an endpoint; repeatable "
+            "[default: every serial port].",
         ),
     ] = None,
     controller: Annotated[

@@ -156,7 +156,7 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 
 
 @app.command()
-def check(config: ConfigOption, verbose: console.VerboseOption = False) -> None:
+def check(config: ConfigOption) -> None:
     """Check the records of a theatre file as a case does: valid, for this flange and this tip.
 
     Exit codes: 0 they match, 1 the file has mistakes, 3 refused.

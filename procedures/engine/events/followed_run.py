@@ -67,7 +67,7 @@ class FollowedRun:
             raise EventsUnreadable(f"line {self._lines} of {self._path} is not an event") from error
         if event.version != VERSION:
             raise EventsUnreadable(
-                f"line {self._lines} of {self._path} is of another version",
+                f"line {self._lines} of {self._path} was written by another version",
                 expected=f"version {VERSION}",
                 got=f"version {event.version}",
             )

@@ -59,8 +59,8 @@ def structure_findings(
             warnings.append(f"{outside:.0%} of the points of {one.name} are outside the CT")
         if (gap_mm := widest_gap_mm(one.points_mm)) > one.margin_mm:
             warnings.append(
-                f"points of {one.name} are up to {gap_mm:.1f} mm apart: half of that is subtracted from "
-                "its distances"
+                f"points of {one.name} are up to {gap_mm:.1f} mm apart: half of that is "
+                "subtracted from its distances"
             )
     return findings, warnings
 

@@ -45,8 +45,8 @@ class Structure(Strict):
         allow_inf_nan=False,
         ge=0.0,
         le=LARGEST_MARGIN_MM,
-        description="Largest gap of its surface from the nearest listed point; subtracted from every "
-        "distance.",
+        description="Largest gap of its surface from the nearest listed point; subtracted "
+        "from every distance.",
     )
     points_mm: Annotated[
         tuple[tuple[Coordinate, Coordinate, Coordinate], ...], Field(min_length=1, max_length=MOST_POINTS)

@@ -133,9 +133,9 @@ class _Reading:
         """Hands were at the stand to read the dials. Raises PRO-002 unless they and the divot are away."""
         self.context.confirm(
             Topic.CALIBRATION,
-            "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of the "
-            "stand and the guide, and nobody will be within the arm's reach until the next reading is "
-            "requested",
+            "The arm will leave the divot. Confirm that the divot is lowered, hands are clear of "
+            "the stand and the guide, and nobody will be within the arm's reach until the next "
+            "reading is requested",
             f"orientation {look + 1}",
         )
 

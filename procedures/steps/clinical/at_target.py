@@ -40,8 +40,8 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     """
 
     tool_pose: FramedPose | None = Field(
-        description="Nominal pose robot <- tool at the measured joints; none if the work was finished "
-        "earlier."
+        description="Nominal pose robot <- tool at the measured joints; none if the work "
+        "was finished earlier."
     )
     nominal_error_mm: float | None = Field(
         description="Error of the instrument's end from joints and depth stop: across the axis and along it."
@@ -51,8 +51,8 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
     )
     depth_stop: DepthStop = Field(description="Depth stop of the instrument.")
     pushed_mm: float | None = Field(
-        description="Largest displacement of the guide after a stage done now; none if the work was finished "
-        "earlier."
+        description="Largest displacement of the guide after a stage done now; none if the work "
+        "was finished earlier."
     )
     done_before: tuple[str, ...] = Field(
         default=(), description="Stages done when the guide was there earlier, and not repeated."

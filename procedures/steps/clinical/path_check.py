@@ -59,8 +59,8 @@ class CheckedPaths(StepResult, kind="path_check"):
         default={}, description="With strategy `best`: the one chosen, by trajectory."
     )
     free_angle_turns_rad: dict[str, float] = Field(
-        description="Rotation of each trajectory about its axis, and of the neutral orientation if "
-        "there is one."
+        description="Rotation of each trajectory about its axis, and of the neutral "
+        "orientation if there is one."
     )
     branch: Branch | None = Field(description="Branch of the arm's inverse kinematics.")
     joint_ranges_rad: tuple[tuple[float, float], ...] = Field(description="Least and largest, per joint.")

@@ -72,7 +72,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     with refused_by_name(name):
         workcell.go(standoff_rad)
         workcell.line_to(target, paths.targets[name].approach_signs)
-    context.progress(0.5, f"looking at the ball at {name}")
+    context.progress(0.5, f"measuring the ball at {name}")
     seen, why = _look(context)
     joints_rad = workcell.joints_rad()
     workcell.line_to(standoff)

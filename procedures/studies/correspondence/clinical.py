@@ -174,9 +174,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "least % there, here",
             ),
             rows,
-            f"{len(SCANS)} scans; the thesis reports 24,055 of 24,055. The distances of this frame "
-            f"differ by at least {apart_mm.min():.2f} mm, those of the thesis' frame by more than 4.5. "
-            f"{bounds.NOTE}",
+            f"{len(SCANS)} scans; the thesis reports 24,055 of 24,055. The distances of this "
+            f"frame differ by at least {apart_mm.min():.2f} mm, those of the thesis' frame by "
+            f"more than 4.5. {bounds.NOTE}",
         )
     ]
 

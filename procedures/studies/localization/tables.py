@@ -79,8 +79,8 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             )
             + _cut(sums, cells)
             + (
-                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: Poisson, in as many "
-                "scans."
+                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: "
+                "Poisson, in as many scans."
             ),
         ),
         Table(
@@ -225,8 +225,8 @@ def _fle_table(total: Sums) -> Table:
         ("who", "scans", "FLE mm, truth", "thesis, table 2", "pairs", "FLE mm, pairs", "thesis, table 3"),
         rows,
         "Four spheres of the x-shaped frame. People are simulated with the FLE of the thesis' "
-        "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of scale and "
-        "table feed.",
+        "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of "
+        "scale and table feed.",
     )
 
 

@@ -195,8 +195,8 @@ def _gains(sums: Mapping[str, Sums]) -> Table:
         "Gain over people",
         ("method", "table", "people mm, thesis", "FLE mm, here", "gain %", "gain %, thesis"),
         rows,
-        "People are those of the thesis, whose errors include those of their scanners; so do the "
-        "methods' here.",
+        "People are those of the thesis, whose errors include those of their scanners; so "
+        "do the methods' here.",
     )
 
 

@@ -115,9 +115,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 ]
                 for (strategy, count), each in errors.items()
             ],
-            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} measurements of "
-            f"the phantom's spheres. {bounds.CAPTION}: of the mean, from the scatter of the arms "
-            "(Student).",
+            f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} "
+            f"measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, from the "
+            "scatter of the arms (Student).",
         ),
         Table(
             "What the identification leaves",

@@ -153,5 +153,5 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.
 def test_what_cannot_be_read_any_more_is_told_on_the_page_with_its_code() -> None:
     hub = Hub(Path("nowhere"))
     assert hub.frozen == ""
-    hub.break_off("PRO-018: line 7 is of another version. Use the version that wrote it.")
-    assert hub.frozen.startswith("PRO-018: line 7 is of another version.")
+    hub.break_off("PRO-018: line 7 was written by another version. Use the version that wrote it.")
+    assert hub.frozen.startswith("PRO-018: line 7 was written by another version.")

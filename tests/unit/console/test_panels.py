@@ -28,7 +28,7 @@ def test_the_course_says_what_is_done_what_is_next_and_why_it_may_not_begin() ->
     )
     view = CaseView(steps=rows, waiting=Waiting(upcoming="fit:T1", unmet=("image comes first",)))
     shown = chart(view)
-    for words in ("done", "3 slices", "next", "moves", "fit:T1 may not begin", "image comes first"):
+    for words in ("done", "3 slices", "next", "moves", "fit:T1 cannot start", "image comes first"):
         assert words in shown
 
 

@@ -71,7 +71,7 @@ def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(ce
 
 def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
-    with pytest.raises(StepRefused, match=r"fit:T1 may not begin: image comes first"):
+    with pytest.raises(StepRefused, match=r"fit:T1 cannot start: image comes first"):
         run(engine, "fit:T1")
     assert cell.entries() == [("refused", "fit:T1")]
     assert cell.room.announced == []

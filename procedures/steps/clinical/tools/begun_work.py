@@ -72,8 +72,8 @@ def begun_work(context: StepContext) -> BegunWork:
     before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
         context.find(
-            f"the work at {trajectory} was finished when the guide was there earlier; the guide was not "
-            "watched then"
+            f"the work at {trajectory} was finished when the guide was there earlier; the guide "
+            "was not watched then"
         )
         return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
