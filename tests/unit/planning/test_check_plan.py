@@ -99,7 +99,7 @@ def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_
 def test_fiducials_that_look_alike_from_another_side_are_warned_about(plan, make_volume):
     square = [[0, 0, 50], [90, 0, 50], [90, 90, 50], [0, 90, 50]]
     warnings = check_plan(plan, make_volume(), fiducials_mm=square).warnings
-    assert warnings == ("the fiducials look alike from another side: 2 for 4, 4 for 2 could be taken",)
+    assert warnings == ("the fiducials look alike from another side: 2 for 4, 4 for 2 could be mistaken",)
 
 
 @pytest.mark.hazard(23)
@@ -124,9 +124,9 @@ EXCHANGED = {ENTRY: ENTRY.replace("entry", "target"), TARGET: TARGET.replace("ta
 IN_AIR = {ENTRY: "entry_mm = [10, -85, 90]", TARGET: "target_mm = [5, -80, 75]"}
 REFUSED = {
     "outside": ({ENTRY: "entry_mm = [10, -20, 100.5]"}, OutsideField, "PLAN-006.*entry of trajectory T1"),
-    "exchanged": (EXCHANGED, NotIntoHead, "PLAN-011.*T1.*probably exchanged"),
+    "exchanged": (EXCHANGED, NotIntoHead, "PLAN-011.*T1.*probably swapped"),
     "two points in air": (IN_AIR, NotIntoHead, "PLAN-011.*T1.*in air(?!.*probably)"),
-    "entry deep inside": ({ENTRY: "entry_mm = [5, -35, 40]"}, NotIntoHead, "PLAN-011.*T1.*before the entry"),
+    "entry deep inside": ({ENTRY: "entry_mm = [5, -35, 40]"}, NotIntoHead, "PLAN-011.*T1.*in front of the entry"),
     "unknown tool": ({'"guide"': '"drill"'}, UnknownTool, "PLAN-012.*guide.*drill"),
 }
 

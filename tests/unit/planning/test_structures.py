@@ -53,7 +53,7 @@ def test_a_trajectory_within_the_margin_refuses_the_plan(
     told = check.as_payload()["structures"][0]
     assert (told["name"], told["trajectory"], told["margin_mm"]) == ("vessel", "T1", margin_mm)
     if not passes:
-        with pytest.raises(NearStructure, match=r"PLAN-027.*T1.*vessel.*4\.5 mm or more.*got 4\.0 mm"):
+        with pytest.raises(NearStructure, match=r"PLAN-027.*T1.*vessel.*at least 4\.5 mm.*got 4\.0 mm"):
             check.require()
 
 
@@ -68,7 +68,7 @@ def test_a_structure_of_another_place_refuses_the_plan(
 def test_gaps_wider_than_the_margin_are_told(plan: Plan, make_volume: Callable[..., Volume]) -> None:
     sparse = structure_of("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
     (warning,) = check_plan(avoiding(plan, sparse), make_volume()).warnings
-    assert "vessel lie up to 20.0 mm apart" in warning
+    assert "vessel are up to 20.0 mm apart" in warning
 
 
 def test_a_gap_between_slices_is_taken_off_where_the_points_of_each_lie_close(plan: Plan) -> None:

@@ -125,7 +125,7 @@ def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registe
 def test_a_torn_last_line_is_said(registered: Path) -> None:
     path = registered / JOURNAL_FILE
     path.write_bytes(path.read_bytes()[:-5])
-    assert "The last line of the journal is torn" in write_report(registered).read_text()
+    assert "The last line of the journal is truncated" in write_report(registered).read_text()
 
 
 @pytest.mark.hazard(39)

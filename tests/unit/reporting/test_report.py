@@ -116,7 +116,7 @@ def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> Non
     again = (registered / "report" / "numbers.txt").read_text()
     assert again in text
     assert [line.split()[0] for line in again.splitlines()[1:]] == list(TRAJECTORIES)
-    assert "come out differently" not in text
+    assert "these figures differ" not in text
 
 
 def test_a_registration_that_was_voided_and_made_again_stands_there_once(engine: Engine) -> None:
@@ -126,7 +126,7 @@ def test_a_registration_that_was_voided_and_made_again_stands_there_once(engine:
     )
     engine.run_to()
     engine.close("left")
-    assert "come out differently" not in write_report(engine.case.folder, truth=TRUTH).read_text()
+    assert "these figures differ" not in write_report(engine.case.folder, truth=TRUTH).read_text()
 
 
 @pytest.mark.hazard(6)
@@ -134,7 +134,7 @@ def test_a_formatter_that_drops_a_digit_is_noticed(registered: Path, monkeypatch
     monkeypatch.setattr(
         target_table, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:]
     )
-    assert "come out differently" in write_report(registered, truth=TRUTH).read_text()
+    assert "these figures differ" in write_report(registered, truth=TRUTH).read_text()
 
 
 @pytest.mark.hazard(6)
@@ -199,7 +199,7 @@ def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_pl
     text = write_report(cell.folder).read_text()
     table = text.partition("Refusals, rests, faults")[2].partition("</table>")[0]
     assert "A. Nurse acknowledged the fault of the arm: EKI-010" in table
-    assert table.count("The program ended before at_target:T1 had ended") == 1
+    assert table.count("The program ended before at_target:T1 was complete") == 1
     assert not re.search(r"bore_mm|inside|torn|the head was hidden", table)
     assert table.count("stopped. Look.") == 1
     assert len(re.findall(r"<td>\d\d:\d\d:\d\d<br>\d\.\d s</td>", table)) == 3

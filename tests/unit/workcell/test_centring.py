@@ -128,7 +128,7 @@ def test_where_there_is_no_sphere_the_whole_pattern_is_looked_at_and_then_refuse
         [0.0, 0.0, 80.0]
     )  # the starts are drawn far above the spheres
     start = start_of(cell, 5.0)
-    with pytest.raises(SphereNotFound, match="PRO-008: no sphere in 36 looks") as caught:
+    with pytest.raises(SphereNotFound, match="PRO-008: no sphere in 36 image pairs") as caught:
         cell.centre(start)
     assert cell.stereo.pairs == 2 + SEARCH_LOOKS + 2  # servo's area, sensors, pattern, other light
     assert "15 mm around" in str(caught.value)

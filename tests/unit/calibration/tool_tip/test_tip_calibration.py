@@ -95,7 +95,7 @@ def test_dials_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) ->
     _, observed = read
     generator = np.random.default_rng(2)
     spoilt = [with_dials(one, generator.normal(0.0, 0.2, 3)) for one in observed.readings]
-    with pytest.raises(DoesNotFit, match="do not put the tip in one place"):
+    with pytest.raises(DoesNotFit, match="do not agree on one tip position"):
         calibrate_tip(among(observed, spoilt))
 
 
@@ -154,7 +154,7 @@ def test_a_gap_that_is_accepted_is_counted_and_bad_readings_excuse_none(
     assert np.linalg.norm(result.fit.gap_mm) <= 3.0 * result.tool_tip.stated_error_mm
     generator = np.random.default_rng(2)
     shaky = [with_dials(one, generator.normal(0.0, 0.06, 3)) for one in observed.readings]
-    with pytest.raises(DoesNotFit, match="does not tell whether"):
+    with pytest.raises(DoesNotFit, match="cannot show whether"):
         calibrate_tip(among(observed, shaky))
 
 
@@ -164,7 +164,7 @@ def test_a_figure_beyond_its_limit_by_little_is_told_apart_from_it(
     _, observed = read
     scatter_mm = calibrate_tip(observed).fit.scatter_mm
     monkeypatch.setattr(tip_module, "LARGEST_SCATTER_MM", round(0.9999 * scatter_mm, 6))
-    with pytest.raises(DoesNotFit, match="in one place") as refused:
+    with pytest.raises(DoesNotFit, match="one tip position") as refused:
         calibrate_tip(observed)
     got, limit = (float((words or "").split()[0]) for words in (refused.value.got, refused.value.limit))
     assert got > limit

@@ -159,7 +159,7 @@ def test_a_tracker_that_creeps_is_noticed_though_no_step_of_it_is(seen: tuple[Fr
     first, *_ = (one for one in observed.looks if one.use is Use.RETURN)
     others = [one for one in observed.looks if one.use is not Use.RETURN]
     creeping = [pushed(first, (0.0, 0.15 * step, 0.0)) for step in range(3)]
-    with pytest.raises(TrackerMoved, match="between looks 1 and 3"):
+    with pytest.raises(TrackerMoved, match="between measurements 1 and 3"):
         calibrate_frame(among(observed, [*others, *creeping]))
 
 
@@ -174,7 +174,7 @@ def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, Fra
         ]
         return among(observed, looks)
 
-    with pytest.raises(DoesNotFit, match="no place of the frame"):
+    with pytest.raises(DoesNotFit, match="no pose of the frame"):
         calibrate_frame(spoilt(Use.FIT, 2.0))
     with pytest.raises(DoesNotFit, match="does not hold"):
         calibrate_frame(spoilt(Use.VALIDATION, 1.0))

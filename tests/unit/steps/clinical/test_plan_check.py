@@ -107,7 +107,7 @@ def test_too_few_spheres_are_refused_unasked(cell: ClinicalCell) -> None:
 def test_a_trajectory_whose_ends_are_exchanged_is_refused(cell: ClinicalCell) -> None:
     first, *others = plan().trajectories
     exchanged = first.model_copy(update={"entry_mm": first.target_mm, "target_mm": first.entry_mm})
-    with pytest.raises(NotIntoHead, match=r"trajectory T1.*probably exchanged"):
+    with pytest.raises(NotIntoHead, match=r"trajectory T1.*probably swapped"):
         checked(cell, plan().model_copy(update={"trajectories": (exchanged, *others)}))
 
 

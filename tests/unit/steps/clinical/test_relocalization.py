@@ -108,7 +108,7 @@ def test_with_enough_others_a_sphere_is_left_out_when_the_operator_agrees(
     assert "3 spheres would remain" in question.value
     assert done.fiducials == (0, 2, 3)
     assert [one.fiducial for one in done.left_out] == [1]
-    assert "no sphere in 36 looks" in done.left_out[0].reason
+    assert "no sphere in 36 image pairs" in done.left_out[0].reason
 
 
 def test_after_a_sphere_that_is_left_out_the_head_backs_off_along_its_axis(

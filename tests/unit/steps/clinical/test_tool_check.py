@@ -155,7 +155,7 @@ UNFIT: dict[str, tuple[Damage, type[Exception], str]] = {
     "no guide": (
         lambda cell: records(cell, purpose=ToolPurpose.GRIPPER),
         NoToolRecord,
-        "TOOL-002: .*no guide's",
+        "TOOL-002: .*not that of a guide",
     ),
     "none": (
         lambda cell: replace(records(cell), records={}),
