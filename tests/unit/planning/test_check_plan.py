@@ -126,7 +126,11 @@ REFUSED = {
     "outside": ({ENTRY: "entry_mm = [10, -20, 100.5]"}, OutsideField, "PLAN-006.*entry of trajectory T1"),
     "exchanged": (EXCHANGED, NotIntoHead, "PLAN-011.*T1.*probably swapped"),
     "two points in air": (IN_AIR, NotIntoHead, "PLAN-011.*T1.*in air(?!.*probably)"),
-    "entry deep inside": ({ENTRY: "entry_mm = [5, -35, 40]"}, NotIntoHead, "PLAN-011.*T1.*in front of the entry"),
+    "entry deep inside": (
+        {ENTRY: "entry_mm = [5, -35, 40]"},
+        NotIntoHead,
+        "PLAN-011.*T1.*in front of the entry",
+    ),
     "unknown tool": ({'"guide"': '"drill"'}, UnknownTool, "PLAN-012.*guide.*drill"),
 }
 
