@@ -46,6 +46,8 @@ def test_a_case_whose_clock_jumps_comes_to_the_same_numbers_and_says_that_it_jum
     assert json.loads(stdout)["targets"] == undisturbed["targets"]
     folder = run_folder(out)
     assert folder is not None
-    found = [line for line in read_journal(folder / JOURNAL_FILE) if "clock was set by" in json.dumps(line)]
+    found = [
+        line for line in read_journal(folder / JOURNAL_FILE) if "clock was changed by" in json.dumps(line)
+    ]
     assert len(found) == len(jumps_s)
     assert commands.run("ronna-procedure", "verify", str(folder)).returncode == 0

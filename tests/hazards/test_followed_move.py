@@ -101,7 +101,7 @@ def test_what_is_agreed_to_follows_the_head_and_says_what_that_costs(tmp_path: P
     assert predicted.budget[-2].source == "measured head movement"
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.MOVE_FOLLOWED]
     assert "2.29 mm and 0.50 deg" in question.subject
-    assert any("follows a move of the head" in text for text in findings(cell))
+    assert any("follows a head movement" in text for text in findings(cell))
 
 
 def test_the_guide_goes_where_the_head_is_now_and_a_second_move_is_noticed(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_what_is_not_agreed_to_is_void(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.operator.refusing = (Topic.MOVE_FOLLOWED,)
-    with pytest.raises(PatientMoved, match="nothing follows it"):
+    with pytest.raises(PatientMoved, match="no registration follows it"):
         run(engine, NAME)
     assert voided(cell)[-1] == "global_localization"
 

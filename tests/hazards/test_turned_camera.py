@@ -33,7 +33,7 @@ def test_positions_of_a_head_with_a_turned_camera_are_refused(tmp_path: Path) ->
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
     before = (checked_paths(cell), *coarse(), checked_plan(), fiducials())
-    with pytest.raises(HeadTurned, match=r"STE-014.*larger to one.*ronna-stereo check") as refused:
+    with pytest.raises(HeadTurned, match=r"STE-014.*larger in one.*ronna-stereo check") as refused:
         cell.run(*before, STEP)
     assert refused.value.exit_code == EXIT_REFUSED
     assert len(SPHERES_MM) == 4

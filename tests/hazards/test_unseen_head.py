@@ -168,4 +168,4 @@ def test_the_time_counts_when_the_tracker_fails_under_way(tmp_path: Path) -> Non
     on_the_way(cell, break_it)
     with pytest.raises(GuardUnmet):
         positioned(engine)
-    assert any("nothing watched the head" in text for text in findings(cell))
+    assert any("the head was not watched" in text for text in findings(cell))

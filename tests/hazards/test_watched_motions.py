@@ -130,7 +130,7 @@ def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path
 
     def told() -> bool:
         said = [one.what for one in reader.read(0.1).events]
-        return any(isinstance(one, Finding) and "nothing watches the head" in one.text for one in said)
+        return any(isinstance(one, Finding) and "the head is not watched" in one.text for one in said)
 
     def break_it() -> None:
         cell.tracker.read_frame = fail  # type: ignore[assignment,method-assign]
@@ -139,7 +139,7 @@ def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path
 
     on_the_way(cell, break_it)
     positioned(engine)
-    assert any("nothing watched the head" in text for text in findings(cell))
+    assert any("the head was not watched" in text for text in findings(cell))
 
 
 @pytest.mark.parametrize(("when", "watches"), [(WatchPatient.NEVER, False), (WatchPatient.INSTRUMENT, True)])

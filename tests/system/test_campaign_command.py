@@ -61,7 +61,7 @@ def test_the_pairing_of_the_thesis_is_chosen_with_its_e_beside_ours(tmp_path: Pa
 def test_methods_are_not_chosen_for_a_sweep(tmp_path: Path) -> None:
     refused = in_this_process(app, "correspondence", "--sweep", "--method", "count", "--out", tmp_path)
     assert refused.returncode == 2
-    assert refused.stderr.startswith("CLI-001: --method and --e do not go with --sweep")
+    assert refused.stderr.startswith("CLI-001: --method and --e cannot be combined with --sweep")
 
 
 def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> None:

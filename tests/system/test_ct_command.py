@@ -84,7 +84,7 @@ def test_a_layout_of_two_points_is_refused_before_the_series_is_read(tmp_path):
     (tmp_path / "lay.csv").write_text("0,0,0\n30,0,0\n")
     done = ronna_ct("localize", tmp_path / "none", "--layout", tmp_path / "lay.csv")
     assert done.returncode != 0
-    assert "CT-018: lay.csv is no layout; expected 3 points or more, got 2" in done.stderr
+    assert "CT-018: lay.csv is not a layout; expected at least 3 points, got 2" in done.stderr
 
 
 def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> None:
@@ -93,7 +93,7 @@ def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> N
     assert done.stdout.count("covariance_assumed") == 2
     refused = ronna_ct("localize", series, "--method", "thesis-line", "--pick", "any.csv")
     assert refused.returncode == 2
-    assert "leave --method out" in refused.stderr
+    assert "omit --method" in refused.stderr
 
 
 def test_another_count_is_refused_with_every_candidate(series: Path, tmp_path: Path) -> None:

@@ -103,5 +103,5 @@ def test_with_three_spheres_a_displaced_one_ends_the_case(commands: Commands, tm
     code, _, asked, said = run(commands, tmp_path, "--scene", scene)
     assert code == EXIT_REFUSED
     assert "PRO-007" in said
-    assert "With three spheres nobody can tell which has moved" in said
+    assert "With three spheres it cannot be told which one has moved" in said
     assert "moved_sphere:T1" not in asked

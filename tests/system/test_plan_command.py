@@ -186,7 +186,7 @@ SCENE = "[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\nsemi_axes_mm = [75.0, 95.0, 90.
         (("--scene", "absent.toml"), 2, ("PLAN-016", "absent.toml")),
         ((), 2, ("CLI-001", "--ct or from --scene")),
         (("--scene", "scene.toml", "--markers", "5"), 2, ("CLI-001", "--markers")),
-        (("--scene", "scene.toml", "--out", "scene.toml"), 2, ("CLI-001", "left as it is")),
+        (("--scene", "scene.toml", "--out", "scene.toml"), 2, ("CLI-001", "was not changed")),
     ],
 )
 def test_a_template_that_cannot_be_made_is_one_line(tmp_path, monkeypatch, arguments, exit_code, said):

@@ -217,8 +217,8 @@ def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        (None, "STE-002: both cameras: the image is dark all over"),
-        ("camera darken right", "STE-002: both cameras: the image is dark all over"),
+        (None, "STE-002: both cameras: the image is completely dark"),
+        ("camera darken right", "STE-002: both cameras: the image is completely dark"),
         ("camera saturate both", "STE-011: both cameras: the image is saturated"),
         ("camera saturate left", "STE-011: left camera: the image is saturated; right camera: the image is"),
         ("camera glare left 90 px", "STE-003: left camera: no sphere in view; right camera: the image is"),

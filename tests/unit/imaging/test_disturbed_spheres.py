@@ -107,7 +107,7 @@ def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
     scan = make_scan(shape=(40, 80, 80))
     for step_mm in np.linspace(-0.5, 0.5, 5) * longer_mm:
         scan.ball(np.array([20.3, 19.6, 20.2]) + step_mm * np.array(way) / np.linalg.norm(way))
-    with pytest.raises(errors.MarkerCountWrong, match="longer one way than another") as raised:
+    with pytest.raises(errors.MarkerCountWrong, match="longer in one direction than in another") as raised:
         localize(as_volume(scan))
     assert max(one.odds for one in raised.value.candidates) < 0.2
 
@@ -149,8 +149,8 @@ def beads(scan: Any, at: Array) -> None:
     ("look_alike", "reason"),
     [
         (knob, "extends beyond a sphere"),
-        (capsule, "longer one way than another"),
-        (cap, "lies off a sphere"),
+        (capsule, "longer in one direction than in another"),
+        (cap, "is off a sphere"),
         (hollow_ball, "of its core is a different material"),
         (ball_with_metal_core, "has metal in its core"),
         (beads, "is one of a row"),

@@ -53,7 +53,7 @@ def test_a_rough_pick_is_refined_as_if_it_had_been_detected(
             [(500.0, 0.0, 0.0)],
             r"pick 1 at .* mm is outside the scanned volume; expected L -?\d+ to -?\d+, P .* mm\.",
         ),
-        ([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "pick 2 at .* found already"),
+        ([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)], "pick 2 at .* already found"),
         ([(float("nan"), 0.0, 0.0)], "three finite numbers"),
     ],
     ids=["beside the sphere", "outside", "twice", "not a number"],

@@ -132,7 +132,7 @@ EDITED = {
         "TOPOGRAM",
     ),
     "several frames": (every(setting(NumberOfFrames=2)), errors.PixelsUnusable, "several frames"),
-    "decimal pixels": (every(decimal_pixels), errors.PixelsUnusable, "decimal point"),
+    "decimal pixels": (every(decimal_pixels), errors.PixelsUnusable, "floating-point"),
     "no frame": (
         every(lambda data: data.pop("FrameOfReferenceUID")),
         errors.AttributeMissing,

@@ -113,7 +113,7 @@ def test_without_the_new_check_no_positioning_may_begin(cell: ClinicalCell) -> N
 def test_who_accepts_the_restart_reads_that_the_guide_is_checked_again(cell: ClinicalCell) -> None:
     again, _ = restarted(cell, operation(cell, FIRST), f"positioning:{FIRST}")
     told = again.operator.asked[0].value.split("\n")
-    assert f"then to do: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in told
+    assert f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in told
     assert any("tool_check is repeated" in line for line in told)
 
 

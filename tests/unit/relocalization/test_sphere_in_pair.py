@@ -104,9 +104,9 @@ def test_what_is_wrong_with_either_image_is_told_by_its_camera(renderer, head, l
     black, white = (AreaImage(np.full((1088, 2048), level, np.uint8)) for level in (3, 255))
     good = pair(renderer, head, look)[0]
     for images, kind, told in (
-        ((good, black), NoContrast, "right camera: the image is dark all over"),
-        ((black, black), NoContrast, "both cameras: the image is dark all over"),
-        ((black, white), Saturated, "left camera: the image is dark all over; right camera: .* saturated"),
+        ((good, black), NoContrast, "right camera: the image is completely dark"),
+        ((black, black), NoContrast, "both cameras: the image is completely dark"),
+        ((black, white), Saturated, "left camera: the image is completely dark; right camera: .* saturated"),
     ):
         with pytest.raises(kind, match=told):
             locate_sphere(*images, head.calibration)

@@ -171,7 +171,7 @@ def test_an_input_that_is_no_grey_image_is_refused_in_one_line(image):
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("level", "said"), [(0, "dark all over"), (120, "no contrast")])
+@pytest.mark.parametrize(("level", "said"), [(0, "completely dark"), (120, "no contrast")])
 def test_an_even_image_has_no_contrast(level, said):
     with pytest.raises(NoContrast, match=f"STE-002.*{said}"):
         measure_sphere(np.full((1088, 2048), level, np.uint8))

@@ -166,7 +166,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (LOCALIZER, "mine:stays", r"cannot be called as a localizer: .* expected a function \(volume\)"),
         (STRATEGY, "mine:nothing", r"cannot be called as a strategy: .* expected a class \(\)"),
         (PAIRING, "mine:in_ordr", r"mine\.py has no 'in_ordr'; expected in_order"),
-        (PAIRING, "mine:number", "mine:number is no pairing; expected a function .* got int"),
+        (PAIRING, "mine:number", "mine:number is not a pairing; expected a function .* got int"),
         (
             PAIRING,
             "theirs:pair",
@@ -201,11 +201,15 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
 @pytest.mark.parametrize(
     ("kind", "text", "said"),
     [
-        (PAIRING, "mine:not_whole", r"no pairing; expected None, or whole numbers \(k, 2\).* of float64"),
+        (
+            PAIRING,
+            "mine:not_whole",
+            r"did not return a pairing; expected None, or whole numbers \(k, 2\).* of float64",
+        ),
         (PAIRING, "mine:twice", "got a point in two pairs"),
         (PAIRING, "mine:beyond", "got index 99 of 5 points"),
-        (PAIRING, "mine:uneven", "no pairing"),
-        (REGISTRATION, "mine:mirror", "no rigid transform; .* got a mirror image"),
+        (PAIRING, "mine:uneven", "did not return a pairing"),
+        (REGISTRATION, "mine:mirror", "did not return a rigid transform; .* got a mirror image"),
         (REGISTRATION, "mine:larger", "got axes off by 0.2"),
         (REGISTRATION, "mine:only_turn", r"got shape \(3, 3\)"),
         (REGISTRATION, "mine:inverted", r"expected physical <- image, mm, got its inverse fits"),
@@ -214,10 +218,10 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
         (
             LOCALIZER,
             "mine:indices",
-            r"got \(500.0, 20.0, 30.0\), which lies outside the volume",
+            r"got \(500.0, 20.0, 30.0\), which is outside the volume",
         ),
-        (LOCALIZER, "mine:flat", r"no centres; .* got shape \(2,\)"),
-        (LOCALIZER, "mine:nothing", r"no centres; .* got shape \(\)"),
+        (LOCALIZER, "mine:flat", r"did not return centres; .* got shape \(2,\)"),
+        (LOCALIZER, "mine:nothing", r"did not return centres; .* got shape \(\)"),
         (STRATEGY, "mine:Beside", r"localization_poses answers wrongly; expected the tool's origin at each"),
         (
             STRATEGY,
@@ -311,7 +315,7 @@ def test_an_edited_method_is_another_study_and_no_worker_runs_another_version(fo
     before = tried(PAIRING, "mine:in_order")
     Ledger(folder / "out", study_of(before))
     (folder / "mine.py").write_text(METHODS.replace("[:3]", "[:4]"))
-    with pytest.raises(MethodRefused, match="STU-012: mine:in_order is another version here"):
+    with pytest.raises(MethodRefused, match="STU-012: mine:in_order is a different version here"):
         before.function()
     after = tried(PAIRING, "mine:in_order")
     with pytest.raises(OtherStudy, match=r"STU-001: .*own"):
@@ -336,7 +340,7 @@ def test_what_a_method_imports_from_beside_it_belongs_to_it(folder: Path) -> Non
     assert set(modules_beside(sys.modules["lazy"])) == {"lazy", "helping", "helping.pairs"}
     assert before.function()(None, None) == [(0, 0)]
     pairs.write_text("import numpy\nfirst = [(0, 0), (1, 1)]\n")
-    with pytest.raises(MethodRefused, match="STU-012: lazy:pair is another version here"):
+    with pytest.raises(MethodRefused, match="STU-012: lazy:pair is a different version here"):
         before.function()
     after = own_method(PAIRING, "lazy:pair")
     assert after.sha256 != before.sha256
@@ -353,7 +357,7 @@ def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: 
 
 def test_a_method_that_ends_its_process_is_told_when_it_is_tried(folder: Path) -> None:
     (folder / "gone.py").write_text("import os\ndef gone(image_mm, physical_mm, **given):\n    os._exit(0)\n")
-    with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: by os\._exit, .* tried"):
+    with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: os\._exit, .* tried"):
         tried_apart(PAIRING, "gone:gone")
 
 
@@ -383,7 +387,7 @@ def test_a_method_that_does_not_answer_is_told_once_and_ends_with_the_campaign(
 
     with pytest.raises(KeyboardInterrupt):
         run_study(study, Ledger(folder / "out", study), workers=1, tell=interrupt_after_the_first)
-    assert told == ["loops:loops has not answered for 0.1 s, in norm|1|4|0 #0; Ctrl-C ends it"]
+    assert told == ["loops:loops has not answered for 0.1 s, in norm|1|4|0 #0; Ctrl-C stops it"]
     assert not active_children()
 
 
