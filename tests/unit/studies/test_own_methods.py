@@ -172,7 +172,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
             "theirs:pair",
             r"theirs of the pairing cannot be imported; .* ModuleNotFoundError",
         ),
-        (PAIRING, "mine:", "'mine:' names no pairing; expected module:function"),
+        (PAIRING, "mine:", "'mine:' does not name a pairing; expected module:function"),
         (PAIRING, "mine", "there is no pairing 'mine'; expected module:function"),
         (PAIRING, "mine:remembers", "returns different results for the same input"),
         (
@@ -183,7 +183,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (
             STRATEGY,
             "mine:Shorter",
-            r"no strategy; expected turns_rad\(along, fiducials_mm, robot_from_ct",
+            r"not a strategy; expected turns_rad\(along, fiducials_mm, robot_from_ct",
         ),
     ],
 )
@@ -222,18 +222,22 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
         ),
         (LOCALIZER, "mine:flat", r"did not return centres; .* got shape \(2,\)"),
         (LOCALIZER, "mine:nothing", r"did not return centres; .* got shape \(\)"),
-        (STRATEGY, "mine:Beside", r"localization_poses answers wrongly; expected the tool's origin at each"),
+        (
+            STRATEGY,
+            "mine:Beside",
+            r"localization_poses returned a wrong result; expected the tool's origin at each",
+        ),
         (
             STRATEGY,
             "mine:Once",
-            "localized_along answers wrongly; expected 10 Trajectory, got 1 of",
+            "localized_along returned a wrong result; expected 10 Trajectory, got 1 of",
         ),
         (
             STRATEGY,
             "mine:Still",
-            "turns_rad answers wrongly; expected at least one finite angle",
+            "turns_rad returned a wrong result; expected at least one finite angle",
         ),
-        (STRATEGY, "mine:Endless", "turns_rad answers wrongly; expected angles within ±2π rad"),
+        (STRATEGY, "mine:Endless", "turns_rad returned a wrong result; expected angles within ±2π rad"),
         (STRATEGY, "mine:Degrees", r"turns_rad .* expected angles within ±2π rad, got 90: degrees\?"),
     ],
 )
