@@ -49,11 +49,11 @@ def measure() -> list[Figure]:
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
     figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
     with _image_load():
-        name = "lock-step cycles per second beside an image load"
+        name = "lock-step cycles per second under an image load"
         figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
-        name = "turnaround at 1 ms beside an image load"
+        name = "turnaround at 1 ms under an image load"
         figures += _turnaround(name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT))
-        name = "turnaround at 4 ms beside an image load"
+        name = "turnaround at 4 ms under an image load"
         figures += _turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
     return figures
 

@@ -69,7 +69,9 @@ def bench(
         return EXIT_DONE
     names = only or list(MEASUREMENTS)
     if unknown := [name for name in names if name not in MEASUREMENTS]:
-        raise typer.BadParameter(f"{', '.join(unknown)}: none of {', '.join(MEASUREMENTS)}")
+        raise typer.BadParameter(
+            f"unknown measurement {', '.join(unknown)}; expected one of {', '.join(MEASUREMENTS)}"
+        )
     figures_of: dict[str, list[Figure]] = {}
     failures: dict[str, str] = {}
     with message_console().status("measuring"):

@@ -162,7 +162,7 @@ def refused(case: Case, seed: int) -> dict[str, object]:
     with tempfile.TemporaryDirectory() as folder:
         try:
             read_series(write_case(scan.scene, Path(folder), scan=scan).series)
-            told = "read without a word"
+            told = "read without a warning"
         except RonnaError as error:
             told = f"{error.code}: {error.summary}"
     return {"fault": case.words, "options": _options(case), "told": told}

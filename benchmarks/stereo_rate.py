@@ -111,8 +111,8 @@ def _figures(told: dict[str, list[Told]]) -> Iterator[Figure]:
         gone = total.get("lost", 0.0) + total["broken"]
         loss = Figure(f"images lost or broken in {pairs:,} pairs", who, gone, "images")
         yield replace(loss, goal="none", met=gone == 0) if ours else loss
-        yield Figure(f"packets or ranges asked for again in {pairs:,} pairs", who, total["repeated"], "")
-        yield Figure(f"datagrams that found the socket full in {pairs:,} pairs", who, total["kernel"], "")
+        yield Figure(f"packets or ranges requested again in {pairs:,} pairs", who, total["repeated"], "")
+        yield Figure(f"datagrams dropped at a full socket in {pairs:,} pairs", who, total["kernel"], "")
         yield cpu
 
 

@@ -1,8 +1,8 @@
-"""Calibration of the guide's tip beside the stereo head, over drawn arms, heads and stands, in process.
+"""Calibration of the guide's tip beside the stereo head, over random arms, heads and stands, in process.
 
-`beside what the head sees`: against where the head, by its record, would see a ball at the true tip; this is
-what a case depends on, which localizes with that head and record. `beside the true tool centre` has the error
-of the head's record in it, too.
+`relative to the head's measurement`: against the position at which the head, with its record, would see a ball
+at the true tip. A case depends on this error, as it localizes with that head and record. `relative to the true
+tool centre` also includes the error of the head's record.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _figures(calibrated: bool) -> list[Figure]:
     rows = np.array([_errors(seed, calibrated) for seed in range(SEEDS)])
     arm = "calibrated arm" if calibrated else "uncalibrated arm"
     figures = []
-    for column, what in enumerate(("beside what the head sees", "beside the true tool centre")):
+    for column, what in enumerate(("relative to the head's measurement", "relative to the true tool centre")):
         errors = rows[:, column]
         rms = float(np.sqrt(np.mean(errors**2)))
         figures.append(
@@ -45,7 +45,7 @@ def _figures(calibrated: bool) -> list[Figure]:
 
 
 def _errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
-    """Errors beside what the head sees and beside the true tool centre, and the stated one, mm."""
+    """Errors relative to the head's measurement and to the true tool centre, and the stated one, mm."""
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(READINGS, VALIDATION))
     true = matrix_of(cell.scene.mount.tool_from_tip_true)[:3, 3]

@@ -1,6 +1,6 @@
 """Calibration of the reference frame on the mount, over drawn arms and trackers, in process.
 
-Two truths. `as this arm has it` is what a tracker without any error finds with the same arm and record: what
+Two truths. `as on this arm` is what a tracker without any error finds with the same arm and record: what
 the procedure itself is answerable for. `as drawn` is the place on the flange of the scene; its difference to
 the first is the error of the arm's last links, which no measurement with that arm can tell from a shift of
 the frame, and which cancels wherever the record is used with the arm.
@@ -36,7 +36,7 @@ def _figures(calibrated: bool) -> list[Figure]:
     arm = "calibrated arm" if calibrated else "uncalibrated arm"
     figures = []
     for column, (what, unit) in enumerate(
-        (truth, unit) for truth in ("as this arm has it", "as drawn") for unit in ("mm", "°")
+        (truth, unit) for truth in ("as on this arm", "as designed") for unit in ("mm", "°")
     ):
         errors = rows[:, column]
         rms = float(np.sqrt(np.mean(errors**2)))

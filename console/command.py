@@ -34,7 +34,7 @@ def review(
     certificate: CertificateOption = None,
     key: KeyOption = None,
 ) -> None:
-    """Serve a page with the whole course of a run, until Ctrl-C. Its address holds a key."""
+    """Serve a page with the full history of a run, until Ctrl-C. Its address contains a key."""
     from console.reviewing import review
 
     viewers = viewers_address(bind, certificate, key)

@@ -46,7 +46,7 @@ def make(
     """Write a definition from marker coordinates.
 
     A description needs at least part_number and markers_mm (a list of [x, y, z]); show --toml prints a full
-    one for an existing definition. Exit codes: 0 written, perhaps with warnings about similar distances;
+    one for an existing definition. Exit codes: 0 written, possibly with warnings about similar distances;
     1 the description is wrong or the file cannot be written.
     """
     from drivers.ndi_polaris.rom.definition import decode_definition, definition_hash, encode_definition

@@ -73,7 +73,7 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
     refused(pair.grab_pair, StateError, "grab_pair before activate")
 
 
-@SUITE.case("S04", "one trigger gives one complete pair, each image from the camera of its side")
+@SUITE.case("S04", "one trigger yields one complete pair, each image from the camera of its side")
 def one_pair_per_trigger(dut: DeviceUnderTest) -> None:
     for reading in pairs_of(dut):
         images = both(reading)
@@ -147,7 +147,7 @@ def second_controller_is_refused(dut: DeviceUnderTest) -> None:
     second = beside(dut)
     try:
         second.connect()
-        refused(second.configure, ConnectError, "configure beside another controller")
+        refused(second.configure, ConnectError, "configure while another application has control")
     finally:
         second.close()
     both(pair.grab_pair())
@@ -184,7 +184,7 @@ def no_camera_there(dut: DeviceUnderTest) -> None:
     fails_to_connect(lonely, CONNECT_LIMIT_S)
 
 
-@SUITE.case("S14", "closing ends in bounded time, is final, and gives up control")
+@SUITE.case("S14", "closing ends in bounded time, is final, and releases control")
 def closing_is_bounded(dut: DeviceUnderTest) -> None:
     pair = dut.make()
     dut.brought_to(Lifecycle.ACTIVE, pair)

@@ -55,7 +55,7 @@ class NoNewFrame(LinkTimeout):
     """The tracker replies, but makes no new measurement within the time limit."""
 
     code = "DEV-009"
-    action = "Check that the tracker is tracking, and give it more than one frame period."
+    action = "Check that the tracker is tracking, and allow more than one frame period."
 
 
 class UnknownTool(ConfigurationError, LookupError):

@@ -356,6 +356,6 @@ WARNING_MEANINGS: Final = MappingProxyType(
         0x02: "tool breaks the unique-geometry rules",
         0x03: "tool conflicts with another loaded tool",
         0x04: "tool breaks the unique-geometry rules and conflicts with another loaded tool",
-        0x05: "tool gives no wavelength; the default is used",
+        0x05: "tool specifies no wavelength; the default is used",
     }
 )

@@ -100,11 +100,11 @@ def phantom(
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Write the CT series of a head phantom, a plan on it, and its truth.
+    """Write the CT series of a head phantom, a plan for it, and its ground truth.
 
-    Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps. For judging it:
-    narrow, broad, clamp, electrodes, bandage, crowded, edge, streaks, rays, bare, and of objects that are no
-    spheres: ends, plates, hollow, fittings.
+    Families for tuning a localizer: plain, posts, bands, dressing, rounded, joined, caps. For testing it:
+    narrow, broad, clamp, electrodes, bandage, crowded, edge, streaks, rays, bare and, with objects that are
+    not spheres, ends, plates, hollow, fittings.
     """
     from sim.errors import BadScene, FolderNotEmpty
     from sim.phantom.case import write_case

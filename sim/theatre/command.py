@@ -176,7 +176,7 @@ def stand(
     holds: Annotated[OnStand, typer.Argument(help="Object to put on the calibration stand.")],
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
-    """Put ball or divot on the calibration stand of a running theatre, or take both off."""
+    """Put ball or divot on the calibration stand of a running theatre, or remove both."""
     from ronna_hw.host.control_port import ask_control_port
 
     ask_control_port(control, "stand", holds=holds.value)
@@ -191,7 +191,7 @@ def work(
     trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")] = "",
 ) -> None:
-    """Work with guide and instrument in a running theatre, as the staff would; prints what is read off."""
+    """Work with guide and instrument in a running theatre, as the staff would; prints the readings."""
     from ronna_hw.host.control_port import ask_control_port
 
     if not control:
@@ -240,7 +240,7 @@ def verify(
     run: Annotated[Path, typer.Argument(help="Folder of a completed run.")],
     as_json: JsonOption = False,
 ) -> None:
-    """Compare a finished run with the truth of its theatre."""
+    """Compare a completed run with the ground truth of its theatre."""
     from sim.theatre.verify import verify_run
 
     outcome = verify_run(run)

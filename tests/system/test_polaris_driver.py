@@ -1,4 +1,4 @@
-"""The tracker driver and the simulated unit over real lines, each in a process of its own."""
+"""The tracker driver and the simulated unit over real lines, each in its own process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tracker simulator driven by clients that we did not write, each in a process of its own."""
+"""The tracker simulator driven by clients that we did not write, each in its own process."""
 
 from __future__ import annotations
 

@@ -12,12 +12,12 @@ _LINES: dict[int, str] = {
     2: "DISCOVERY is answered with 0x0003, status 0, 248 bytes equal to memory 0, and the request id",
     3: "DISCOVERY is answered whether or not another application has control",
     4: "datagrams without key 0x42 or shorter than 8 bytes are ignored",
-    5: "unknown commands give 0x8001; commands without the acknowledge flag get no answer",
+    5: "unknown commands return 0x8001; commands without the acknowledge flag get no answer",
     6: "READREG serves lists of addresses in order",
-    7: "READMEM serves 536 bytes; misaligned addresses give 0x8005",
-    8: "nonexistent addresses give 0x8003",
-    9: "writes to read-only registers give 0x8004",
-    10: "writes without control give 0x8006",
+    7: "READMEM serves 536 bytes; misaligned addresses return 0x8005",
+    8: "nonexistent addresses return 0x8003",
+    9: "writes to read-only registers return 0x8004",
+    10: "writes without control return 0x8006",
     11: "WRITEREG of several pairs stops at the first failure and returns its index",
     12: "control, exclusive, release; a second application is refused with 0x8006",
     13: "under control access others may read; under exclusive access they get 0x8006",
@@ -51,11 +51,11 @@ _LINES: dict[int, str] = {
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {
-    14: "that other clients' commands do not count is shown by G15, where another client keeps asking",
-    27: "the wrap takes 65,535 images: tests/unit/sim_basler/test_camera_stream.py",
-    29: "the moment of the exposure needs a still clock: tests/unit/sim_basler/test_camera_stream.py",
+    14: "other clients' commands: covered by G15, where another client keeps polling",
+    27: "the wrap-around needs 65,535 images: tests/unit/sim_basler/test_camera_stream.py",
+    29: "the time of exposure needs a stopped clock: tests/unit/sim_basler/test_camera_stream.py",
     36: "the rate needs minutes: tests/soak/test_camera_stream.py, benchmarks/stereo_rate.py",
-    40: "a client that falls silent; one that is killed: tests/system/test_basler_driver_sim.py",
+    40: "covers a client that falls silent; for a killed one see tests/system/test_basler_driver_sim.py",
 }
 
 GIGE_CHECKLIST = Checklist(letters="G", lines=_LINES, remarks=_REMARKS, also={40: ("G15",)})

@@ -53,7 +53,7 @@ def discovery_is_bootstrap_memory(dut: DeviceUnderTest) -> None:
         camera.expect(answer, GevStatus.SUCCESS, "discovery")
         check(answer.code == GvcpCommand.DISCOVERY_ACK, "a discovery answer", hex(answer.code))
         check(len(answer.payload) == DISCOVERY_BYTES, f"{DISCOVERY_BYTES} bytes", len(answer.payload))
-        check(answer.payload == camera.memory(0, DISCOVERY_BYTES), "what READMEM gives from address 0")
+        check(answer.payload == camera.memory(0, DISCOVERY_BYTES), "what READMEM returns from address 0")
 
 
 @case("G03", "discovery is answered while another application has control")
@@ -71,7 +71,7 @@ def invalid_datagrams(dut: DeviceUnderTest) -> None:
         camera.expect(camera.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery afterwards")
 
 
-@case("G05", "an unknown command gives NOT_IMPLEMENTED; without the acknowledge flag there is no answer")
+@case("G05", "an unknown command returns NOT_IMPLEMENTED; without the acknowledge flag there is no answer")
 def unknown_commands(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         answer = camera.exchange(UNKNOWN_COMMAND)
@@ -176,4 +176,4 @@ def cameras_differ(dut: DeviceUnderTest) -> None:
         (Bootstrap.CURRENT_ADDRESS, REGISTER_BYTES, "IP address"),
     ):
         values = {memory[begin : begin + count] for memory in memories}
-        check(len(values) == len(memories), f"a {what} of its own for each", len(values))
+        check(len(values) == len(memories), f"a different {what} for each", len(values))

@@ -91,7 +91,7 @@ def three_conditions(dut: DeviceUnderTest) -> None:
         frames(started(stream), 1)
 
 
-@case("G25a", "giving up control ends the stream")
+@case("G25a", "releasing control ends the stream")
 def release_ends_the_stream(dut: DeviceUnderTest) -> None:
     for camera in cameras(dut):
         with controlled_stream(camera) as stream:
@@ -180,7 +180,7 @@ def discarded_packets(dut: DeviceUnderTest) -> None:
         check(answer.status in GONE and not answer.content, "0x800C or 0x8012", hex(answer.status))
 
 
-@case("G33", "one software trigger gives one image; a trigger while busy is dropped and counted")
+@case("G33", "one software trigger yields one image; a trigger while busy is dropped and counted")
 def software_trigger(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         check(started(stream).silent(), "nothing without a trigger")
@@ -207,7 +207,7 @@ def repeated_commands_act_once(dut: DeviceUnderTest) -> None:
         check(stream.silent(), "one image for a repeated trigger")
 
 
-@case("G35", "an action with matching keys and mask takes one image; others take none")
+@case("G35", "an action with matching keys and mask triggers one image; others trigger none")
 def actions(dut: DeviceUnderTest) -> None:
     for stream in streams(dut):
         if not stream.features.has("ActionDeviceKey"):

@@ -15,7 +15,7 @@ _LINES: dict[int, str] = {
     5: "S: elements and attributes in the order of the configuration, IPOC last",
     6: "S: the root has Type KUKA",
     7: "S: six values of EIPos, always",
-    8: "S: as many decimals as Precision says",
+    8: "S: as many decimals as Precision states",
     9: "S: Delay D is an integer",
     10: "S: IPOC increases by exactly the cycle time and never repeats",
     11: "D: the IPOC is echoed unchanged, as an integer",
@@ -26,7 +26,7 @@ _LINES: dict[int, str] = {
     16: "S: HOLDON 1 keeps and 0 zeroes, element by element",
     17: "S: late cycles are counted in D and end the run at Timeout, in both counting modes",
     18: "S: ONLYSEND never counts and ignores replies",
-    19: "S: the wiring gives a tag its meaning: AK, AKorr, RKorr",
+    19: "S: the wiring defines the meaning of a tag: AK, AKorr, RKorr",
     20: "S: ABSOLUTE is start plus value, RELATIVE adds the value every cycle",
     21: "S: the first telegram has AIPos = ASPos; corrections do not move ASPos and RSol",
     22: "S: clamps at the object's limits and reports it in Stat",
@@ -55,8 +55,8 @@ _LINES: dict[int, str] = {
 }
 _SDK_CHANNEL = "a channel not used by any driver here: tests/system/kuka_sim/test_eki_channels.py"
 _ELSEWHERE: dict[int, str] = {
-    18: "needs a context of its own: tests/unit/sim_kuka",
-    19: "needs contexts of its own: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
+    18: "needs a dedicated context: tests/unit/sim_kuka",
+    19: "needs dedicated contexts: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     22: "our context reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     23: "our monitor reaches to the end switches; a narrow one: tests/unit/sim_kuka",
     24: "not run on a real arm: tests/unit/sim_kuka/rsi/test_program_run.py",
@@ -73,9 +73,9 @@ _ELSEWHERE: dict[int, str] = {
 }
 # What a line asks beyond its cases, and where that is tested.
 _REMARKS: dict[int, str] = {
-    16: "HOLDON 0 needs a context of its own: tests/unit/sim_kuka",
+    16: "HOLDON 0 needs a dedicated context: tests/unit/sim_kuka",
     17: "needs --allow destructive; the second counting mode: tests/unit/sim_kuka",
-    20: "RELATIVE needs a program of its own: tests/system/test_kuka_sim_rsipi.py",
+    20: "RELATIVE needs a dedicated program: tests/system/test_kuka_sim_rsipi.py",
     21: "our context sends neither ASPos nor RSol: tests/unit/sim_kuka, tests/system/test_kuka_sim_rsipi.py",
     30: "needs --allow destructive: the controller ends the run as well",
 }

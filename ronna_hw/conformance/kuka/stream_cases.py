@@ -107,7 +107,7 @@ def six_external_axes(dut: DeviceUnderTest) -> None:
     check(len(telegram.values("EIPos")) == len(AXES), "six values", telegram.values("EIPos"))
 
 
-@case("K08", "numbers have as many decimals as Precision says")
+@case("K08", "numbers have as many decimals as Precision states")
 def precision_is_kept(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
         (telegram,) = line.cycles(1)
@@ -253,7 +253,7 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
         again = line.cycles(FEW)
     stamps = {telegram.ipoc for telegram in first}
     stamps.add(first[-1].ipoc + line.context.program.cycle_ms)
-    check(again[0].ipoc not in stamps, "an IPOC of its own", again[0].ipoc)
+    check(again[0].ipoc not in stamps, "a different IPOC", again[0].ipoc)
     check(first[-1].sender != again[0].sender, "another port", again[0].sender)
     moved = max(abs(again[0].values("AIPos")[name] - first[-1].values("AIPos")[name]) for name in AXES)
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")

@@ -8,15 +8,15 @@ from __future__ import annotations
 from ronna_hw.conformance.checklist import Checklist
 
 _LINES: dict[int, str] = {
-    1: "S: power-up and break give RESET with its CRC at 9600 baud, 8N1",
+    1: "S: power-up and break cause RESET with its CRC at 9600 baud, 8N1",
     2: "S: every text reply ends in four upper-case hex digits of CRC and CR",
-    3: "S: a command with a wrong CRC gives ERROR04 and has no effect",
+    3: "S: a command with a wrong CRC returns ERROR04 and has no effect",
     4: "S: a command with a space needs no CRC; its reply has one",
     5: "S: INIT without a separator is accepted",
-    6: "S: an unknown name gives ERROR01",
+    6: "S: an unknown name returns ERROR01",
     7: "S: commands that arrive byte by byte work",
     8: "S: OKAY to COMM goes out at the old rate",
-    9: "S: before INIT, set-up commands give ERROR10",
+    9: "S: before INIT, set-up commands return ERROR10",
     10: "S: INIT is answered within 150 ms",
     11: "D: waits for the unit's own limit plus the transfer before a time-out",
     12: "D: discards stale input before each command",
@@ -28,11 +28,11 @@ _LINES: dict[int, str] = {
     18: "S: PHSR 00 to 04 list the right handles at each step",
     19: "S: PVWR takes 64-byte blocks up to 07C0, in upper- or lower-case hex",
     20: "S: PINIT refuses a wrong checksum",
-    21: "S: PENA before PINIT gives ERROR0E, a wrong priority ERROR09",
+    21: "S: PENA before PINIT returns ERROR0E, a wrong priority ERROR09",
     22: "S: PHINF 0001 has 33 characters and agrees with the definition, 0004 has 20",
     23: "S: PHINF 0025 has 67 characters",
-    24: "S: TSTART, PHSR and PENA while tracking give ERROR0C",
-    25: "S: TX, BX and TSTOP outside tracking give ERROR0C, as text",
+    24: "S: TSTART, PHSR and PENA while tracking return ERROR0C",
+    25: "S: TX, BX and TSTOP outside tracking return ERROR0C, as text",
     26: "S: TSTART 80 restarts the frame number",
     27: "S: the frame number advances at 60 per second, never backwards",
     28: "S: TX has its exact form",
@@ -40,10 +40,10 @@ _LINES: dict[int, str] = {
     30: "S: TX and BX of one frame agree to 0.005 mm and 5e-5",
     31: "S: MISSING keeps status and frame number, DISABLED carries neither",
     32: "S: BX has the right length and CRCs, and no byte after it",
-    33: "S: BX holds little-endian float32",
+    33: "S: BX contains little-endian float32",
     34: "S: option 0002 adds 22 hex digits to TX and 11 bytes to BX",
     35: "S: without 0800 a tool out of the volume is MISSING with status bit 0040",
-    36: "S: strays only while a passive handle is enabled, at most 50, in and out right",
+    36: "S: strays only while a passive handle is enabled, at most 50, with correct in and out flags",
     37: "D: uses 1801 and filters strays by its own test of the volume and by the tools' markers",
     38: "D: normalises the quaternions of TX",
     39: "D: orders by frame number, and detects repeats and gaps",
@@ -51,8 +51,8 @@ _LINES: dict[int, str] = {
     41: "D: on closing TSTOP, PHF, COMM 00000",
     42: "D: reads New Alerts on system status 0100, and a bump is a safety event",
     43: "D: uses no pose on system status 0200 or 0010",
-    44: "S: GET of an unknown name gives ERROR34, SET of a read-only one ERROR39",
-    45: "S: SFLIST 03 gives the two volumes of a Spectra",
+    44: "S: GET of an unknown name returns ERROR34, SET of a read-only one ERROR39",
+    45: "S: SFLIST 03 returns the two volumes of a Spectra",
     46: "S: the status of markers follows the formulas of those volumes",
     47: "S: a generated definition and one of the vendor both load",
     48: "S: ndicapi and scikit-surgerynditracker work unmodified, over pty and TCP",
@@ -72,8 +72,8 @@ _ALSO: dict[int, tuple[str, ...]] = {
     41: ("T14", "T19"),
 }
 _ELSEWHERE: dict[int, str] = {
-    48: "one client cannot show what others can do: tests/system/test_polaris_sim_strangers.py drives "
-    "the simulator with both packages, each in a process of its own",
+    48: "one client cannot represent others: tests/system/test_polaris_sim_strangers.py drives "
+    "the simulator with both packages, each in its own process",
     50: "simulator only: tests/unit/sim_polaris, tests/system/test_live_faults.py",
 }
 # What a line asks beyond its cases, and where that is tested.

@@ -94,7 +94,7 @@ def stale_input_is_dropped(dut: DeviceUnderTest) -> None:
             asked = tap.count(name)
             frame = tracker.read_frame(PATIENT_S)
             check(tap.count(name) > asked, "a new request", tap.commands[-3:])
-            check(frame.stamp.device_clock > before, "a frame of its own", frame.stamp.device_clock)
+            check(frame.stamp.device_clock > before, "a different frame", frame.stamp.device_clock)
 
 
 @case("D13", "a reply with a wrong CRC, of text, header or body, never becomes a reading", needs=TAPPED)

@@ -48,7 +48,7 @@ def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[Polar
         yield unit
 
 
-@case("P24", "while tracking, TSTART and setting up handles give ERROR0C", needs=WITH_TOOL)
+@case("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
 def set_up_while_tracking(dut: DeviceUnderTest) -> None:
     with tracking(dut) as unit:
         handle = seen(unit).handles[0].handle
@@ -56,7 +56,7 @@ def set_up_while_tracking(dut: DeviceUnderTest) -> None:
             unit.refused(command, 0x0C)
 
 
-@case("P25", "outside tracking, TX, BX and TSTOP give ERROR0C", needs=NEEDS)
+@case("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
 def reading_while_idle(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         for command in ("TX:0001", "BX:0001", "TSTOP:"):
@@ -191,7 +191,7 @@ def bx_is_whole(dut: DeviceUnderTest) -> None:
             check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
-@case("P33", "BX holds little-endian float32", needs=WITH_TOOL)
+@case("P33", "BX contains little-endian float32", needs=WITH_TOOL)
 def little_endian(dut: DeviceUnderTest) -> None:
     with tracking(dut) as unit:
         body = unit.binary("BX:0801")

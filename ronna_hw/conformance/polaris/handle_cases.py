@@ -41,7 +41,7 @@ def handle_lists(dut: DeviceUnderTest) -> None:
         _is_listed_under(unit, handle, "00", "03")
 
 
-@case("P19", "PVWR takes blocks of 64 bytes up to address 07C0, in upper- or lower-case hex", needs=NEEDS)
+@case("P19", "PVWR accepts blocks of 64 bytes up to address 07C0, in upper- or lower-case hex", needs=NEEDS)
 def memory_is_written_in_blocks(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         handle = unit.request_handle()
@@ -98,7 +98,7 @@ def joined_information(dut: DeviceUnderTest) -> None:
 
 @case(
     "P47",
-    "a definition of our own and one with a manufacturer's published numbers both load",
+    "a generated definition and one with a manufacturer's published numbers both load",
     needs=WITH_TOOL,
 )
 def both_makers_definitions_load(dut: DeviceUnderTest) -> None:

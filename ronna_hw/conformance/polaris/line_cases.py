@@ -59,7 +59,7 @@ def replies_carry_a_crc(dut: DeviceUnderTest) -> None:
             unit.ask(command)
 
 
-@case("P03", "a command with a wrong CRC gives ERROR04 and has no effect", needs=NEEDS)
+@case("P03", "a command with a wrong CRC returns ERROR04 and has no effect", needs=NEEDS)
 def wrong_crc_has_no_effect(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         good = with_crc("PHRQ:*********1****")
@@ -79,7 +79,7 @@ def bare_init(dut: DeviceUnderTest) -> None:
         unit.okay(b"INIT\r")
 
 
-@case("P06", "an unknown command gives ERROR01", needs=NEEDS)
+@case("P06", "an unknown command returns ERROR01", needs=NEEDS)
 def unknown_command(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.refused("XYZZY:", 0x01)
@@ -105,7 +105,7 @@ def rate_changes_after_the_answer(dut: DeviceUnderTest) -> None:
 
 @case(
     "P09",
-    "before INIT, commands about tools and tracking give ERROR10",
+    "before INIT, commands about tools and tracking return ERROR10",
     needs=(*NEEDS, DESTRUCTIVE),
 )
 def set_up_before_init(dut: DeviceUnderTest) -> None:

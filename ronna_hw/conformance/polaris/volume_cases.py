@@ -46,7 +46,9 @@ def out_of_volume_is_missing(dut: DeviceUnderTest) -> None:
 
 
 @case(
-    "P36", "strays are reported only while a passive tool is enabled; their flags are right", needs=WITH_TOOL
+    "P36",
+    "strays are reported only while a passive tool is enabled; their flags are correct",
+    needs=WITH_TOOL,
 )
 def strays_need_illuminators(dut: DeviceUnderTest) -> None:
     block = definition(dut)
@@ -62,7 +64,7 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         raise NotShown("no stray marker is in view")
 
 
-@case("P44", "GET of an unknown parameter gives ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+@case("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
 def unknown_parameter(dut: DeviceUnderTest) -> None:
     with idle_unit(dut) as unit:
         unit.refused("GET:No.Such Parameter", 0x34)

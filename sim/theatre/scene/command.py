@@ -25,7 +25,7 @@ def scene(
         ),
     ] = None,
 ) -> None:
-    """Print the whole truth of a scene as TOML: a starting point for a scene of your own."""
+    """Print the full ground truth of a scene as TOML, as a starting point for your own scene."""
     import tomli_w
 
     from ronna_hw.marker_template import read_marker_template
