@@ -1,1 +1,1 @@
-"""Measurements beside bare baselines and peers, all in the same run. `make bench` runs them."""
+"""Measurements against bare baselines and peers, all in the same run. `make bench` runs them."""

@@ -1,4 +1,4 @@
-"""What the console's page costs, and how fast an event is on it, beside a bare page of the same library.
+"""Cost of the console's page and latency of events on it, against a bare page of the same library.
 
 The engine is a script; its events are numbered by the microsecond in which they were sent, so that the page
 itself can tell how late it is. Without Chromium the server alone is measured, without pages. Then a case in

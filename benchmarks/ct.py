@@ -1,4 +1,4 @@
-"""Spheres in phantom scans: cost beside bare reading, error beside the thesis' methods and the bound.
+"""Spheres in phantom scans: cost against bare reading, error against the thesis' methods and the bound.
 
 The scans come from `ronna-sim phantom`, of families that the localizer was not tuned on, 512 x 512 x 200
 voxels in the good protocol. The bound is that of a homogeneous ball in white noise, so what posts, film and

@@ -1,4 +1,4 @@
-"""What a measurement hands on: figures, each beside a baseline of the same run."""
+"""The result of a measurement: figures, each with a baseline of the same run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is no whole sphere: round ends of rods, beads, domes, hollow balls beside markers in phantom scans.
+"""Look-alikes of spheres: round ends of rods, beads, domes, hollow balls next to markers in phantom scans.
 
 Scans are painted in memory, cut to the box around markers and objects. Nothing is told to the localizer: a
 marker that is missed and an object that becomes one count, and so does how far the odds of both lie apart.

@@ -1,4 +1,4 @@
-"""The whole case on the small scene, from the command line: wall seconds beside the theatre's."""
+"""The whole case on the small scene, from the command line: wall time against theatre time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairing at 12 x 12 points beside a plain random search, and the rigid fit beside SciPy's."""
+"""Pairing at 12 x 12 points against a plain random search, and the rigid fit against SciPy's."""
 
 from __future__ import annotations
 

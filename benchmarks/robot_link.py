@@ -1,4 +1,4 @@
-"""The robot link beside bare exchanges and peers, idle and with the machine's other processor at work.
+"""The robot link against bare exchanges and peers, idle and with the machine's other processor at work.
 
 Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record; and
 of whole moves, where planning comes first and nothing passes meanwhile. Turnaround: telegram sent to matching

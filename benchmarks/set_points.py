@@ -1,4 +1,4 @@
-"""What one set-point costs, prepared and judged for go and stop, beside a bare step of the generator.
+"""Cost of one set-point, prepared and checked for go and stop, against a bare step of the generator.
 
 Watched: with a head, clamp, table and spheres around, the guide on the flange and the speed zone in force.
 """

@@ -1,4 +1,4 @@
-"""Spheres in rendered pictures: cost and error of our measurement beside what is usually tried first."""
+"""Spheres in rendered pictures: cost and error of our measurement against the usual first choices."""
 
 from __future__ import annotations
 

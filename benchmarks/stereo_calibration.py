@@ -1,4 +1,4 @@
-"""Calibration of the stereo head from looks at one ball, and its self-check, over many drawn heads and arms.
+"""Calibration of the stereo head from views of one ball, and its self-check, over many random heads and arms.
 
 The looks come from the scenes' truth as numbers, without pictures. `plain adjustment` is the same bundle
 adjustment with every error of the arm taken for random, which is what is usually done.

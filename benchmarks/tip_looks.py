@@ -1,4 +1,4 @@
-"""Looks of a true head at the stand's ball, and readings of its divot, on a true arm: for studies."""
+"""Views of the stand's ball by a true head, and readings of its divot, on a true arm: for studies."""
 
 from __future__ import annotations
 

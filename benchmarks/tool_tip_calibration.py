@@ -1,8 +1,8 @@
-"""Calibration of the guide's tip beside the stereo head, over random arms, heads and stands, in process.
+"""Calibration of the guide's tip relative to the stereo head, over random arms, heads and stands, in process.
 
-`relative to the head's measurement`: against the position at which the head, with its record, would see a ball
-at the true tip. A case depends on this error, as it localizes with that head and record. `relative to the true
-tool centre` also includes the error of the head's record.
+`relative to the head's measurement`: against the position at which the head, with its record, would see a
+ball at the true tip. A case depends on this error, as it localizes with that head and record. `relative to
+the true tool centre` also includes the error of the head's record.
 """
 
 from __future__ import annotations

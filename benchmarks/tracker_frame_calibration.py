@@ -1,9 +1,9 @@
-"""Calibration of the reference frame on the mount, over drawn arms and trackers, in process.
+"""Calibration of the reference frame on the mount, over random arms and trackers, in process.
 
-Two truths. `as on this arm` is what a tracker without any error finds with the same arm and record: what
-the procedure itself is answerable for. `as drawn` is the place on the flange of the scene; its difference to
-the first is the error of the arm's last links, which no measurement with that arm can tell from a shift of
-the frame, and which cancels wherever the record is used with the arm.
+Two references. `as on this arm` is the result of an error-free tracker with the same arm and record: this is
+the error due to the procedure itself. `as designed` is the position on the flange in the scene; it differs
+from the first by the error of the arm's last links, which no measurement with that arm can distinguish from a
+shift of the frame, and which cancels wherever the record is used with the arm.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Clients of the tracker, each at a simulated unit of its own, asked in turn for as much as they can get."""
+"""Clients of the tracker, each at its own simulated unit, each in turn reading as fast as it can."""
 
 from __future__ import annotations
 

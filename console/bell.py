@@ -1,4 +1,4 @@
-"""Who waits to be told that something has changed."""
+"""Subscribers waiting for a change notification."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What can go wrong with the console itself."""
+"""Errors of the console itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run has measured, read again whenever a result comes to stand or falls, and its pictures."""
+"""Measurements and pictures of a run, read again whenever a result is added or superseded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One case for all pages: what holds in it, who waits to be told, and the way of orders to its engine."""
+"""One case for all pages: its state, its subscribers, and the path of orders to its engine."""
 
 from __future__ import annotations
 

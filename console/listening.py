@@ -1,4 +1,4 @@
-"""Where the console listens: on this computer itself, and at an address of its own for viewers elsewhere."""
+"""Listening sockets of the console: on loopback, and at a separate address for remote viewers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shows a case that is over, or that another program runs: the same page, with a slider through its time."""
+"""Shows a finished case, or one run by another program: the same page, with a slider through its time."""
 
 from __future__ import annotations
 

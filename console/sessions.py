@@ -1,4 +1,4 @@
-"""Who may look and who may operate: two tokens of a run, each exchanged once per browser for a session."""
+"""Who may view and who may operate: two tokens of a run, each exchanged once per browser for a session."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a log line may say: no patient data, no secrets, no path that could name somebody.
+"""Permitted content of a log line: no patient data, no secrets, no path that could identify a person.
 
 Redaction errs on the side of too much. Text is kept only where it cannot come out of a patient's files: an
 error about a CT, a plan or a file is logged by its code alone, and so is every exception of a library.

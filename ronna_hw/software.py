@@ -1,4 +1,4 @@
-"""Which software this is: its version, the commit of a checkout, and the lock of its packages.
+"""Identity of this software: version, commit of a checkout, and the lock of its packages.
 
 A result can be computed again only with the packages that computed it, so each run keeps them by the hash of
 the lock file and the names of what is installed otherwise.

@@ -1,6 +1,6 @@
 """Simulated or real: a theatre is one or the other, and a simulated one says so.
 
-What tells is the address. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
+The address decides. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
 in shared memory; a real one is at a line or an address of a network. The clock of a simulated theatre is in
 shared memory.
 """

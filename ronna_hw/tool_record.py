@@ -1,7 +1,7 @@
-"""Records of what can hang on the arm: table `[tools.NAME]` of the theatre file.
+"""Records of the tools that can be mounted on the arm: table `[tools.NAME]` of the theatre file.
 
-A record says what a tool is, for what it is there, and what it needs around it. Where its tip is says a
-calibration record of its own, to which it refers.
+A record states identity, purpose and clearance bodies of a tool. Its tip position is in a separate
+calibration record, to which it refers.
 """
 
 from __future__ import annotations

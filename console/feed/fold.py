@@ -1,4 +1,4 @@
-"""`fold`: what holds after an event, out of what held before. Pure."""
+"""`fold`: the state after an event from the state before it. Pure."""
 
 from __future__ import annotations
 

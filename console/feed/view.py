@@ -1,4 +1,4 @@
-"""What holds in a case at one moment: everything that the page shows, and nothing that it has to ask for."""
+"""The state of a case at one moment: everything the page shows, without further queries."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What stands on the page, one module each: HTML out of a view, and the few parts that can be pressed."""
+"""The parts of the page, one module each: HTML made from a view, and the few controls."""

@@ -1,4 +1,4 @@
-"""HTML for text that somebody else wrote: everything is escaped, and nothing but these tags is made."""
+"""HTML for untrusted text: everything is escaped, and only these tags are generated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The slider through a recorded case: each page looks at a moment of its own."""
+"""The slider through a recorded case: each page has its own playback position."""
 
 from __future__ import annotations
 

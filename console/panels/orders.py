@@ -1,4 +1,4 @@
-"""The buttons of whoever operates, and the seat. A button only asks: the engine decides."""
+"""The operator's buttons, and the seat. A button only sends a request: the engine decides."""
 
 from __future__ import annotations
 

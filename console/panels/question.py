@@ -1,4 +1,4 @@
-"""The question that stands, docked: what is asked, by what it is decided, and the answers.
+"""The open question, docked: what is asked, the evidence for it, and the answers.
 
 An answer that moves the arm, or lets it go by a result, is held for a second, and counts only when the panel
 has been there for a moment: neither a slip nor Enter gives it.

@@ -1,4 +1,4 @@
-"""The surface of the head out of its CT, as a mesh light enough for any graphics."""
+"""The surface of the head from its CT, as a mesh light enough for any graphics hardware."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One plan for all pages: the CT, the draft as it stands, what is said of it, and the file it is saved in."""
+"""One plan for all pages: the CT, the current draft, its assessment, and the file it is saved in."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A number that is typed: taken on Enter or when it is left, refused with a reason beside it."""
+"""A number field: committed on Enter or on leaving it; an invalid entry shows the reason next to it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where one page looks: crosshair, zoom, grey window, and how the picture along a trajectory is turned."""
+"""The view of one page: crosshair, zoom, CT window, and the rotation of the picture along a trajectory."""
 
 from __future__ import annotations
 

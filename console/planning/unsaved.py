@@ -1,4 +1,4 @@
-"""What has been drawn and not yet saved: kept beside the plan, so that no crash and no Ctrl-C loses it."""
+"""Unsaved changes: kept next to the plan so that neither a crash nor Ctrl-C loses them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is said of the draft, as HTML: mistakes, reach and clearance, and the error to expect."""
+"""Assessment of the draft, as HTML: mistakes, reach and clearance, and the expected error."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SHARES_SHOWN = 6
 
 
 def verdict(judged: Judged, draft: Draft) -> str:
-    """Of the draft as it stands, or, while it is judged, of the one before."""
+    """Assessment of the current draft or, until it is checked, of the previous one."""
     late = judged.draft is not draft or not judged.thorough
     head = _outcome(judged)
     parts = [tag("p", head, class_="judging") if late else head]
@@ -33,7 +33,7 @@ def verdict(judged: Judged, draft: Draft) -> str:
 
 
 def expected(judged: Judged, draft: Draft) -> str:
-    """The error to expect at each target, beside its margin."""
+    """Expected error at each target, with its margin."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")

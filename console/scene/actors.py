@@ -1,4 +1,4 @@
-"""What stands in the scene, made out of the few shapes of the page library."""
+"""Objects in the scene, built from the few shapes of the page library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where capsules stand, and which two that are checked against each other come closest."""
+"""Positions of the capsules, and the closest of the pairs that are checked."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Binds what arrives on a socket to the session that its page was given to.
+"""Binds messages on a socket to the session that owns its page.
 
 The page library takes a message from any socket for any page whose name it bears. Here a socket speaks for a
 page of its own session only, and what is malformed is dropped.

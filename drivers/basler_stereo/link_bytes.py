@@ -1,4 +1,4 @@
-"""What passes on one camera's links, for whoever records it.
+"""The traffic on one camera's links, for recording.
 
 Every datagram of the control channel; of the stream what each image says about itself, and the counters. The
 receiver process sends its resend requests and keep-alives by itself: they are not among the datagrams.

@@ -1,4 +1,4 @@
-"""What every driver of two cameras holds: the cameras, their identities, and its state as a device."""
+"""Common base of stereo drivers: the cameras, their identities, and the device state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Controllers on the networks of a search, each as it could stand in a theatre file."""
+"""Controllers on the networks of a search, each in the form of a theatre file entry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bytes of the arm's two links, for whoever records them: the EKI session and the RSI telegrams."""
+"""The bytes of the arm's two links, for recording: the EKI session and the RSI telegrams."""
 
 from __future__ import annotations
 

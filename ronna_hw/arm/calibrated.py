@@ -1,4 +1,4 @@
-"""Where a calibrated arm really brings its flange, and what its controller must be told for that.
+"""The true flange pose of a calibrated arm, and the command that reaches a wanted pose.
 
 A controller knows the nominal chain only. It is told a pose beside the wanted one, such that the deviations
 lead to the wanted one. Deviations are small and smooth, so each round leaves a thousandth of the error.

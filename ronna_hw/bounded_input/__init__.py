@@ -1,8 +1,8 @@
-"""What comes from outside, held to bounds before it is believed: size, depth, count, expansion.
+"""External input, checked against bounds before use: size, depth, count, expansion.
 
-A file, a reply or a datagram may be damaged, or made by somebody who wishes us ill; a few bytes must not cost
-gigabytes or minutes. Everything here raises INP-001, which is also a ValueError, so that whoever reads a form
-of his own can refuse with his own code.
+A file, a reply or a datagram may be damaged, or malicious; a few bytes must not cost
+gigabytes or minutes. Everything here raises INP-001, which is also a ValueError, so that a reader of a
+specific format can refuse with its own code.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Files, read no further than their bound: a size that the file system tells may be untrue, or none."""
+"""Files, read only up to their bound: the size reported by the file system may be wrong or missing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where people at other computers may look at a page: one address of this computer, behind TLS."""
+"""The address at which remote viewers can open a page: one address of this computer, over TLS."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cases for what a device of any kind owes: being active for a block, a look from outside, a probe."""
+"""Cases that any device must pass: active for a block, observation from outside, a probe."""
 
 from __future__ import annotations
 

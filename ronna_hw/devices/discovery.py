@@ -1,4 +1,4 @@
-"""What a driver finds on this computer's lines and networks, as it could stand in a theatre file."""
+"""Devices that a driver finds on this computer's lines and networks, in the form of theatre file entries."""
 
 from __future__ import annotations
 

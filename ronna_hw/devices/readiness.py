@@ -1,4 +1,4 @@
-"""What must be true of a device before a case can begin, as the device itself tells it."""
+"""Conditions a device must meet before a case can begin, as reported by the device."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What holds a run's folder to what it was: journal's chain, records' hashes, seal, and the one check."""
+"""Integrity of a run's folder: the journal's chain, the records' hashes, the seal, and the check."""

@@ -1,4 +1,4 @@
-"""The one check of a run's folder: nothing in it is changed, missing, added, exchanged or foreign.
+"""The integrity check of a run's folder: nothing in it is changed, missing, added, replaced or foreign.
 
 Journal and seal say how the run left its folder. A run that was killed has neither its last line nor a seal:
 it is checked as far as it goes, and what only its end could tell is `unfinished`, not changed.

@@ -1,7 +1,7 @@
-"""Reads a journal back and checks its chain. What a crash may leave at its end is told from what was changed.
+"""Reads a journal back and checks its chain. Damage from a crash is distinguished from later changes.
 
 A crash or a loss of power tears the end: a line without its end, or a last block of zeros. Nothing whole can
-follow it. A whole line after a broken one means that somebody changed or removed something.
+follow it. A whole line after a broken one means that someone changed or removed something.
 """
 
 from __future__ import annotations

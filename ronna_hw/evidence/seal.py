@@ -1,4 +1,4 @@
-"""What holds a run's files to what they were: hashes in the journal's last line, and a seal over the rest.
+"""Integrity of a run's files: hashes in the journal's last line, and a seal over the rest.
 
 The journal's chain covers its lines, its last line every file that was there when the run was closed. What is
 written after that (the log's end, how the theatre was left, the report) the seal covers, and the journal as a

@@ -1,4 +1,4 @@
-"""Loopback addresses that belong to one process: nobody has to ask for a free port and hope."""
+"""Loopback addresses that belong to one process, without a race for free ports."""
 
 from __future__ import annotations
 

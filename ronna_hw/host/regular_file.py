@@ -1,4 +1,4 @@
-"""Opens a file where somebody else may have put something else under its name."""
+"""Opens a file safely if another user may have replaced it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""What passed on the links of a theatre, kept for whoever has to explain it afterwards."""
+"""Traffic on the links of a theatre, recorded for later analysis."""

@@ -1,6 +1,6 @@
-"""The flight recorder: the bytes of all links, written by a thread of its own.
+"""The flight recorder: the bytes of all links, written by a separate thread.
 
-Whoever hands bytes over pays for one append to a queue. When the disk does not keep up, bytes are dropped and
+A caller pays only for one append to a queue. When the disk does not keep up, bytes are dropped and
 counted, and a note in the link's file says how many; nobody ever waits.
 """
 

@@ -1,4 +1,4 @@
-"""The RSI context: what travels in a telegram, what each channel feeds, which limits the controller keeps.
+"""The RSI context: the content of a telegram, the input fed by each channel, the controller's limits.
 
 `load_context()` reads our own description, `kuka_rsi_context.toml` beside this module; `load_context(path)`
 another one in the same form. Driver, generator of the controller's files and the controller's stand-in all

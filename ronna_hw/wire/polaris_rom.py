@@ -1,6 +1,6 @@
 """Layout of an NDI tool definition (.rom): offsets and sizes of a 752-byte block, little endian.
 
-Only the layout is here. Whoever reads or writes definitions does so with code of its own.
+Only the layout is here. Readers and writers of definitions have their own code.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What can be asked for at the control port, the only access of the scripted operator to the simulated room.
+"""Requests accepted at the control port, the scripted operator's only access to the simulated room.
 
 `{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`,
 `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and

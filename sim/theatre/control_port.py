@@ -1,4 +1,4 @@
-"""The control port: JSON lines over TCP on loopback, one answer per line, for whoever has the token.
+"""The control port: JSON lines over TCP on loopback, one answer per line, for clients with the token.
 
 A theatre has one, and so has each simulator that was started alone. Everybody on this computer can connect to
 it, a page in a browser included, so a connection is believed only when its first line is `{"token": "..."}`

@@ -1,4 +1,4 @@
-"""What the calibration stand on the table can hold."""
+"""Objects that fit on the calibration stand on the table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far what stands in the room is moved now, and the arm pushed, by the faults of device `room`."""
+"""Current displacement of objects in the room, and push on the arm, by the faults of device `room`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The guide as it really hangs on the arm now: pushed, badly seated, bent; and the instrument in its bore."""
+"""The guide as it is really mounted: pushed, badly seated, bent; and the instrument in its bore."""
 
 from __future__ import annotations
 

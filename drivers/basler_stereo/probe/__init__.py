@@ -1,4 +1,4 @@
-"""Finds out why a camera does not reply: looks at each address, then connects as a procedure would."""
+"""Diagnoses a camera that does not reply: checks each address, then connects as a procedure would."""
 
 from __future__ import annotations
 

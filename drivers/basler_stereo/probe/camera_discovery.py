@@ -1,4 +1,4 @@
-"""Pairs of cameras on the networks of a search, each as it could stand in a theatre file."""
+"""Pairs of cameras on the networks of a search, each in the form of a theatre file entry."""
 
 from __future__ import annotations
 

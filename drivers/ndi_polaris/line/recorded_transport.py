@@ -1,4 +1,4 @@
-"""A transport whose bytes are handed over to whoever records them."""
+"""A transport that passes its bytes to a recorder."""
 
 from __future__ import annotations
 

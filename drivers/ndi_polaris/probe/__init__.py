@@ -1,4 +1,4 @@
-"""Finds out why a tracker does not answer: looks at its line, then connects as a procedure would."""
+"""Diagnoses a tracker that does not answer: checks its line, then connects as a procedure would."""
 
 from __future__ import annotations
 

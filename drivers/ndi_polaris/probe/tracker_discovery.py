@@ -1,4 +1,4 @@
-"""Trackers on the lines of a search, each as it could stand in a theatre file."""
+"""Trackers on the lines of a search, each in the form of a theatre file entry."""
 
 from __future__ import annotations
 

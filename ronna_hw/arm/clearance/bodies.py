@@ -1,4 +1,4 @@
-"""All bodies that can meet: the links of an arm, its tool, and what stands around it."""
+"""All bodies that can collide: the links of an arm, its tool, and its surroundings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the suite holds for GigE Vision cameras: registers, control, features, stream."""
+"""Cases of the suite for GigE Vision cameras: registers, control, features, stream."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the suite holds for KUKA controllers on RSI and EKI: stream, EKI, driver."""
+"""Cases of the suite for KUKA controllers on RSI and EKI: stream, EKI, driver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the suite holds for devices on the NDI Polaris protocol, in the order of the checklist."""
+"""Cases of the suite for devices on the NDI Polaris protocol, in the order of the checklist."""
 
 from __future__ import annotations
 

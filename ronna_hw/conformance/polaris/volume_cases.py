@@ -1,4 +1,4 @@
-"""Checklist lines 35, 36 and 44 to 46: the measuring volume, what lies outside it, strays."""
+"""Checklist lines 35, 36 and 44 to 46: the measuring volume, tools outside it, strays."""
 
 from __future__ import annotations
 

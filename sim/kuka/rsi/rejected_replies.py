@@ -1,4 +1,4 @@
-"""Replies that the controller does not take, told between two cycles and seldom: a real one says nothing."""
+"""Replies rejected by the controller, reported between cycles, rate-limited: a real one reports nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of nobody's device: the room moves, screws loosen, hands do wrong, tools are not what they were.
+"""Faults outside the devices: the room moves, screws loosen, manual errors, altered tools.
 
 Ways and forces are along the axes of the robot before it moved; of a tool, along those of its tip frame.
 """

@@ -1,4 +1,4 @@
-"""What faults have changed and no program puts right by ending: things that were moved, bent or turned."""
+"""Lasting effects of faults, which outlive the program: things moved, bent or rotated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the spheres of a named scene stand on, as the commands name it."""
+"""Fixation of the spheres of a named scene, as named by the commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The x-shaped frame on a drawn head: screwed to the skull by one foot, beside where instruments enter.
+"""The x-shaped frame on a generated head: screwed to the skull by one foot, next to the entry points.
 
 It stays from the CT to the end of the operation; its spheres come off and are put back like any others.
 """

@@ -1,4 +1,4 @@
-"""A frame of spheres on the guide, by which the tracker sees whether that guide hangs there, and how."""
+"""A frame of spheres on the guide, by which the tracker identifies the mounted guide and its pose."""
 
 from __future__ import annotations
 

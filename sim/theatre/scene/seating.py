@@ -1,4 +1,4 @@
-"""Where the spheres stand in the theatre.
+"""Positions of the spheres in the theatre.
 
 Their screws stay, bases and spheres come off after the CT and are put back: each then stands a little beside
 its place in the CT. One may also stand on a screw that has loosened or on a base that is bent, on the base of
