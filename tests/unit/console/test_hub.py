@@ -35,7 +35,7 @@ def test_an_engine_that_falls_silent_is_told() -> None:
     hub.live = True
     assert hub.frozen == ""
     clock.now_s = SILENT_S + 2.0
-    assert "NOTHING HEARD" in hub.frozen
+    assert "NO DATA FROM" in hub.frozen
     hub.heard()
     assert hub.frozen == ""
 
