@@ -22,6 +22,6 @@ class Bell:
         self._waiting.discard(event)
 
     def tell(self) -> None:
-        """Wake whoever waits."""
+        """Wake all subscribers."""
         for event in self._waiting:
             event.set()

@@ -55,7 +55,7 @@ def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> Case
 
 
 class Figures:
-    """The latest of them; reading goes on in a thread, beside the pages."""
+    """The latest of them; a thread reads in the background."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub

@@ -36,7 +36,7 @@ class BadTemplate(ConfigurationError):
 
 
 class TemplateMarker(Strict):
-    """One sphere: its centre, and which way its post stands."""
+    """One sphere: its centre, and the direction of its post."""
 
     centre_mm: Point = Field(
         description="Centre of the sphere, LPS of the CT on which the template was made."

@@ -10,12 +10,12 @@ from ronna_hw.text.printable import printable
 
 
 def text(words: object) -> str:
-    """Plain text as it may stand in a page."""
+    """Plain text, escaped for a page."""
     return escape(printable(str(words)))
 
 
 def tag(name: str, content: str, **attributes: str) -> str:
-    """An element around HTML; `class_` is its class, underscores stand for hyphens."""
+    """An element around HTML; `class_` is its class; underscores become hyphens."""
     shown = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
         for key, value in attributes.items()

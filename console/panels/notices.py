@@ -40,7 +40,7 @@ def problems(figures: CaseFigures | None) -> str:
 
 
 def log(lines: tuple[str, ...]) -> str:
-    """The last lines, newest first; a warning or an error stands out by its word."""
+    """The last lines, newest first; warnings and errors are marked by their level."""
     shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 

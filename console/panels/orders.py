@@ -56,7 +56,7 @@ class SeatPanel:
 
 
 class OrderPanel:
-    """Next, Run to, Pause, Resume, Acknowledge, Abort; Stop stands apart and needs no seat."""
+    """Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give

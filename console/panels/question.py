@@ -88,7 +88,7 @@ class QuestionPanel:
         )
 
     def show(self, view: CaseView, *, is_mine: bool, has_seat: bool) -> None:
-        """Show the question that stands, if one does."""
+        """Show the open question, if any."""
         question = view.question
         key = None if question is None else (question.question, shown_digest(question), is_mine, has_seat)
         if key != self._shown:

@@ -49,7 +49,7 @@ DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Where a picture lies: its middle, its directions to the right and down, LPS; `step_mm` per pixel."""
+    """Pose of a picture: its centre, its directions to the right and down, LPS; `step_mm` per pixel."""
 
     middle_mm: Array
     right: Array
@@ -68,7 +68,7 @@ class Cut:
         return point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
-        """Where a place appears, px, and how far it lies behind the picture, mm."""
+        """Image position of a point, px, and its distance behind the picture, mm."""
         away = np.asarray(place_mm, dtype=float) - self.middle_mm
         half = SIZE_PX / 2.0
         return (

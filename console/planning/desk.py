@@ -41,7 +41,7 @@ AGAIN_S = 0.5  # host time between two looks at whether the plan is free by now
 
 
 class PlanDesk(Bell):
-    """Holds one draft. Whatever changes it says so; it is judged again in threads beside the pages."""
+    """Holds one draft. Every change is announced; background threads check it again."""
 
     def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
         super().__init__()
@@ -156,7 +156,7 @@ class PlanDesk(Bell):
             self.notice = UnsavedChanges("unsaved changes from the last session were restored")
 
     def keep(self) -> Path | None:
-        """Keep what is not saved beside the plan; the file, or None where nothing is to be kept."""
+        """Store unsaved changes next to the plan; returns the file, or None if there are none."""
         self.not_kept = None
         if not self._begun:
             return None
@@ -174,7 +174,7 @@ class PlanDesk(Bell):
 
     @property
     def is_saved(self) -> bool:
-        """Whether the file holds the draft as it stands."""
+        """Whether the file contains the current draft."""
         return self._saved is not None and self._saved.content("") == self.draft.content("")
 
     async def save(self, author: str) -> None:
@@ -223,7 +223,7 @@ class PlanDesk(Bell):
 
     @property
     def draft(self) -> Draft:
-        """As it stands."""
+        """The current draft."""
         return self.history.now
 
     def change(self, draft: Draft, *, goes_on: bool = False) -> None:
@@ -245,7 +245,7 @@ class PlanDesk(Bell):
         self.altered()
 
     def altered(self) -> None:
-        """Have the draft judged and kept, and pages told."""
+        """Have the draft checked and stored, and the pages notified."""
         self._changed.set()
         self._to_keep.set()
         self.tell()

@@ -146,7 +146,7 @@ def _way(planned: PlannedTrajectory) -> Way:
 
 
 class History:
-    """The draft as it stands, with the way back and forth."""
+    """The current draft, with undo and redo."""
 
     def __init__(self, draft: Draft) -> None:
         self._past: list[Draft] = []

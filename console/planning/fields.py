@@ -10,7 +10,7 @@ from console.planning.draft import typed_number
 
 
 class NumberField:
-    """Shows a number with so many decimals; `take` is told what was typed."""
+    """Shows a number with the given decimals; `take` receives the entered value."""
 
     def __init__(self, label: str, name: str, take: Callable[[float], None], decimals: int = 1) -> None:
         self._take, self._decimals = take, decimals

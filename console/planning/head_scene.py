@@ -61,7 +61,7 @@ class HeadScene:
         self._view("front")
 
     def show(self) -> None:
-        """Show the draft as it stands."""
+        """Show the current draft."""
         desk, draft = self._desk, self._desk.draft
         with self._scene:
             if self._head is None and desk.head:

@@ -51,7 +51,7 @@ class MarkerPanel:
                 one.enable(may_edit)
 
     def show(self) -> None:
-        """Show the draft as it stands."""
+        """Show the current draft."""
         desk, draft = self._desk, self._desk.draft
         self._implanted.show(draft.implanted)
         self._standoff.show(draft.standoff_mm)

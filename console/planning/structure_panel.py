@@ -25,7 +25,7 @@ Say = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Strokes and files go to the structure whose name stands in the field."""
+    """Strokes and files go to the structure named in the field."""
 
     def __init__(
         self, desk: PlanDesk, look: Look, go: Callable[[Point], None], say: Say, *, may_edit: bool
@@ -59,7 +59,7 @@ class StructurePanel:
         self._change(lambda draft: drawn(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
 
     def show(self, distances: Iterable[StructureDistance]) -> None:
-        """Show the draft as it stands, and the distances that are known."""
+        """Show the current draft and the known distances."""
         structures = self._desk.draft.structures
         names = tuple(one.name for one in structures)
         if names != self._names:

@@ -37,7 +37,7 @@ class _Kept(BaseModel):
 
 
 class UnsavedFile:
-    """The file beside a plan in which its unsaved changes are kept."""
+    """The file next to a plan that stores its unsaved changes."""
 
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")

@@ -51,7 +51,7 @@ class WayPanel:
                 self._field("margin", "margin mm", self._set_margin, 2)
 
     def show(self) -> None:
-        """Show the draft as it stands."""
+        """Show the current draft."""
         draft = self._desk.draft
         names = tuple(one.identifier for one in draft.ways)
         if self._look.way not in names:

@@ -27,7 +27,7 @@ class Capsule:
         self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Remember where it stands; returns the calls that put it there on a page that is open."""
+        """Remember its pose; returns the calls that place it on an open page."""
         return placed(self.group, start, upright(start, end))
 
     def delete(self) -> None:

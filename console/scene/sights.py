@@ -128,7 +128,7 @@ def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
 
 
 def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
-    """Whether a moving body stands in a line of sight."""
+    """Whether a moving body blocks a line of sight."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return False
     capsules = zip(bodies.moving, pose.bodies_mm, strict=True)

@@ -143,7 +143,7 @@ class Camera:
         return known_state.temperature_C(self.features)
 
     def start(self, deadline_s: float) -> None:
-        """Open the stream and start the acquisition; block ids begin anew."""
+        """Open the stream and start the acquisition; block ids restart."""
         self._until(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
         self._trigger = self._trigger_of(self._options)

@@ -13,7 +13,7 @@ from ronna_hw.devices.byte_sink import ByteSink, Direction
 
 
 class LinkBytes:
-    """Of the camera `name`, such as `stereo.left`; `sink` None when nobody records them."""
+    """Of the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
 
     def __init__(self, name: str, sink: ByteSink | None) -> None:
         self._name = name

@@ -31,7 +31,7 @@ class Connections:
 
     @property
     def said(self) -> ControllerState | None:
-        """What the controller told last of itself, asked or not."""
+        """The last state reported by the controller, requested or not."""
         return None if self.open_eki is None else self.open_eki.latest
 
     @property

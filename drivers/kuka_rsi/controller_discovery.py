@@ -55,7 +55,7 @@ def example_arm(search: Search) -> Proposal:
 
 
 def stream_of(search: Search) -> str:
-    """Where telegrams are to arrive: as told, or as the shipped Ethernet file has it."""
+    """Receiving address of telegrams: as given, or as in the shipped Ethernet file."""
     ethernet = load_context().ethernet
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
 

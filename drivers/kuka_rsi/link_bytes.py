@@ -19,7 +19,7 @@ class LinkBytes:
 
     @property
     def of_eki(self) -> BytesPassed | None:
-        """Takes what passes on the EKI session; None when nobody records it."""
+        """Receives the bytes of the EKI session; None without a recorder."""
         sink, link = self.sink, f"{self._arm}.eki"
         if sink is None:
             return None

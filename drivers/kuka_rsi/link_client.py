@@ -160,7 +160,7 @@ class LinkClient:
         return self._mailbox.jitter_histogram()
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """The last cycles, oldest first; they stand still while a fault is latched."""
+        """The last cycles, oldest first; frozen while a fault is latched."""
         return tuple(
             RecordedCycle(
                 r.cycle,

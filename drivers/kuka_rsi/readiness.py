@@ -14,7 +14,7 @@ AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at
 
 
 def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:
-    """What a person sets and the controller tells unasked; nothing before it has told anything."""
+    """Settings made by a person and reported by the controller unasked; empty before its first report."""
     return () if state is None else tuple(_standing(state))
 
 

@@ -18,7 +18,7 @@ STALE_S = 0.5  # age of a measured pose beyond which it is called stale, host ti
 
 
 class ArmReadings:
-    """Numbers the readings of one arm, and keeps the newest for whoever only looks."""
+    """Numbers the readings of one arm, and keeps the newest for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections

@@ -104,7 +104,7 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def branch_of(self, joints_rad: JointVector) -> Branch:
-        """The branch a joint vector lies in."""
+        """The branch of a joint vector."""
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:

@@ -62,7 +62,7 @@ COLUMN_NAME = "base column"
 
 
 class ArmBodies(Protocol):
-    """Where the bodies of an arm are. A tool hangs on the flange and touches the last link only."""
+    """Where the bodies of an arm are. A tool is mounted on the flange and touches the last link only."""
 
     @property
     def chain(self) -> Chain:

@@ -43,7 +43,7 @@ class ProgressBar:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Taken away for the length of the block, in which somebody is asked and types."""
+        """Hidden for the duration of the block, in which the user is prompted."""
         with self._writing:
             since_s = time.monotonic()
             self.close()

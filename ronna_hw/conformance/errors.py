@@ -27,7 +27,7 @@ class NoSuchCase(ConfigurationError):
 
 
 class NotConfirmed(RefusedError):
-    """The suite would move a device that is not our simulator, and nobody has confirmed that."""
+    """The suite would move a device that is not our simulator, and this was not confirmed."""
 
     code = "CNF-005"
     action = (

@@ -45,7 +45,7 @@ def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
 
 
 def beside(dut: DeviceUnderTest, **changes: Any) -> Any:
-    """A second driver object beside the shared one; the caller closes it."""
+    """A second driver object in addition to the shared one; the caller closes it."""
     return make_device(dut.name, dut.config.model_copy(update=changes), dut.clock)
 
 

@@ -38,7 +38,7 @@ class Option:
 
 @dataclass(frozen=True)
 class Proposal:
-    """A device as it could stand in a theatre file."""
+    """A device in the form of a theatre file entry."""
 
     driver: str
     what: str  # what was found, in words; empty for an example

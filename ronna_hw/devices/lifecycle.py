@@ -107,7 +107,7 @@ class Device(Protocol):
         ...
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """Bring the device to ACTIVE for a block, from wherever it stands; deactivate it on leaving.
+        """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
 
         `ronna_hw.devices.activation.activated` implements it for every driver.
         """

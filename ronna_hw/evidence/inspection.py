@@ -63,7 +63,7 @@ class Inspection:
 
     @property
     def superseded(self) -> frozenset[str]:
-        """Identifiers of the records that no longer stand."""
+        """Identifiers of the superseded records."""
         gone = (line.get("supersedes") for line in self.chain.lines)
         return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
 

@@ -20,7 +20,7 @@ class RingPart(NamedTuple):
 
 
 class ByteRing:
-    """`longest` is the longest entry: the writer may be within one while somebody reads."""
+    """`longest` is the longest entry: the writer may be within one during a read."""
 
     def __init__(self, written: Word, place: Bytes, longest: int) -> None:
         """`written` counts all bytes ever written."""

@@ -116,7 +116,7 @@ class Counters:
 
 
 class Bytes:
-    """Plain bytes, for whoever keeps their own order in them."""
+    """Plain bytes, laid out by the caller."""
 
     def __init__(self, offset: int, size_bytes: int) -> None:
         self.offset = offset

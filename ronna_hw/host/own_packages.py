@@ -22,7 +22,7 @@ class ForeignPackage(ConfigurationError):
 
 
 def foreign_packages() -> tuple[str, ...]:
-    """Those of our package names that Python would not load from beside `ronna_hw`."""
+    """Those of our package names that Python would not load from the folder of `ronna_hw`."""
     home = Path(__file__).resolve().parents[2]
     foreign = []
     for name in OWN_PACKAGES:

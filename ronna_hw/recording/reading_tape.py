@@ -48,7 +48,7 @@ class Answer(NamedTuple):
 
 
 class ReadingTape:
-    """Of one run. `opening` is the first line: what a replay has to know beside the answers."""
+    """Of one run. `opening` is the first line: what a replay needs in addition to the answers."""
 
     def __init__(
         self,

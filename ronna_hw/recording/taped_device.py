@@ -14,7 +14,7 @@ from ronna_hw.recording.reading_tape import ReadingTape
 
 
 def taped(device: Device, tape: ReadingTape) -> Device:
-    """The same device, for whoever asks it: it has every public name that the device has, and no other."""
+    """The same device to its callers: it has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     members = {name: _member(name) for name in names}
     return cast("Device", type("Taped", (_Taped,), members)(device, tape))

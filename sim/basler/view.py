@@ -43,7 +43,7 @@ class View:
 
     @property
     def head_mounted(self) -> bool:
-        """True while the stereo head, not the guide, hangs on the arm."""
+        """True while the stereo head, not the guide, is mounted."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
     @property

@@ -104,7 +104,7 @@ class Theatre:
             threading.Thread(target=wait, args=(child,), daemon=True).start()
 
     def close(self) -> None:
-        """Keep how the world stands, then end all device processes and the control port."""
+        """Save the state of the world, then end all device processes and the control port."""
         self._leave_world()
         for child in self._children:
             if child.alive:

@@ -84,7 +84,7 @@ class LeftWorld(Strict):
 
 
 def write_left_world(world: World, folder: Path) -> None:
-    """Keep how a world stands, whole or not at all."""
+    """Save the state of a world, completely or not at all."""
     write_whole(folder / LEFT_WORLD_FILE, LeftWorld.of(world).model_dump_json(indent=1).encode())
 
 

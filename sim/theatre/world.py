@@ -161,7 +161,7 @@ class World:
 
     @property
     def has_arm(self) -> bool:
-        """Whether somebody has said where the arm is."""
+        """Whether the arm's pose has been set."""
         return _ARM_SEQUENCE.read(self._memory) > 0
 
     def robot_from_tool(self) -> NDArray[np.float64]:
@@ -180,7 +180,7 @@ class World:
         _TOOL.write(self._memory, number)
 
     def on_stand(self) -> OnStand:
-        """What the calibration stand holds."""
+        """The object on the calibration stand."""
         return tuple(OnStand)[_STAND.read(self._memory)]
 
     def put_on_stand(self, what: OnStand) -> None:

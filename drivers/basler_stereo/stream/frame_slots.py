@@ -66,7 +66,7 @@ class FrameSlots:
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
-        """The slot that was written longest ago, to be written anew: its number and its memory."""
+        """The least recently written slot, to be overwritten: its number and its memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
         self._use_counts[slot] = self._claimed

@@ -42,7 +42,7 @@ NO_STEP = SpeedStep(0.0, 0.0)
 
 
 class CommandRow(NamedTuple):
-    """A `Command` in plain numbers; `surroundings_number` tells when they have to be read anew."""
+    """A `Command` in plain numbers; a change of `surroundings_number` means that they must be read again."""
 
     number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]

@@ -55,7 +55,7 @@ class SetPoints:
 
     @property
     def held_rad(self) -> JointVector:
-        """The point that the controller holds, as far as it has told."""
+        """The controller's current point, according to its last report."""
         return self.monitor.held_rad
 
     @property

@@ -86,11 +86,11 @@ class LinkSockets:
             self._line.sendto(reply, address)
 
     def sleep(self, limit_s: float) -> bool:
-        """Until something lies there; False when nothing has come in time."""
+        """Wait for a datagram; False if none arrived in time."""
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
     def something_there(self) -> bool:
-        """Whether a datagram lies there. Cheaper than the exception of an empty socket."""
+        """Whether a datagram is waiting. Cheaper than the exception of an empty socket."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def stranger(self) -> Address | None:

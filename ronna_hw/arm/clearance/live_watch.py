@@ -90,7 +90,7 @@ class LiveWatch:
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """This set-point was sent, or is where the arm stands."""
+        """This set-point was sent, or is the arm's current position."""
         if joints_rad is self._joints:
             return
         segments, moved = None, 0.0

@@ -43,7 +43,7 @@ BRANCHES = tuple(
 
 
 def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
-    """The branch a joint vector lies in."""
+    """The branch of a joint vector."""
     _, A2, A3, _, A5, _ = joints_rad
     ahead_mm = (
         arm.shoulder_offset_mm

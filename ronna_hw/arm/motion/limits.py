@@ -64,7 +64,7 @@ class MotionLimits:
         )
 
     def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:
-        """The same with a person beside the arm: 250 mm/s and a tenth of the full axis speed."""
+        """The same with a person at the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
             speed_rad_s=_vector(

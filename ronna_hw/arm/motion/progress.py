@@ -52,7 +52,7 @@ class _Course(NamedTuple):
 
 
 class PathProgress:
-    """The parameter's set-points, one per cycle, each with the first one of a stop beside it."""
+    """The parameter's set-points, one per cycle, each paired with the first one of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
         """Raises ARM-006 when the limits admit no profile."""

@@ -52,7 +52,7 @@ class MeasuringVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """How far inside a point lies, along the closest axis; negative outside."""
+        """How far inside a point is, along the closest axis; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)

@@ -112,7 +112,7 @@ class Camera:
         self.privilege.seize(self.faults.active("taken"))
 
     def restart(self) -> None:
-        """Power off and on: nobody is in control, everything as after power-on; saved user sets are kept."""
+        """Power cycle: no application in control, everything as after power-on; saved user sets are kept."""
         self.privilege.drop()
         self.acquisition.stop()
         self.channel.shut()

@@ -77,7 +77,7 @@ class Privilege:
             self._last_sign_s = self._now_s()
 
     def seize(self, wanted: bool) -> None:
-        """Have somebody else in control while `wanted`, whoever was before."""
+        """Put another application in control while `wanted`, whatever the state before."""
         if wanted and self._owner != SOMEBODY_ELSE:
             self.drop()
             self._owner, self._value = SOMEBODY_ELSE, CCP_CONTROL

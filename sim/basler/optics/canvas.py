@@ -41,7 +41,7 @@ class Area:
 
     @property
     def empty(self) -> bool:
-        """True when no pixel lies in it."""
+        """True if it contains no pixel."""
         return self.width == 0 or self.height == 0
 
 
@@ -56,7 +56,7 @@ def row_bands(height: int, width: int) -> Iterator[slice]:
 
 
 def bounds_of(lens: Lens, points_mm: NDArray[np.float64]) -> Area:
-    """Area of the images of points (n, 3), with a margin for what lies between; empty behind the lens."""
+    """Area of the images of points (n, 3), with a margin for the points between; empty behind the lens."""
     points = points_mm[points_mm[:, 2] > NEAREST_POINT_MM]
     if not len(points):
         return Area(0, 0, 0, 0)

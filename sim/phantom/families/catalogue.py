@@ -23,7 +23,7 @@ class Purpose(StrEnum):
 
 
 class Headrest(StrEnum):
-    """What the head lies on."""
+    """Support of the head."""
 
     TROUGH = "trough"
     CUSHION = "cushion"  # a flat block of foam on a board

@@ -95,7 +95,7 @@ class Anatomy:
 
 
 def draw_anatomy(scene: Scene) -> Anatomy:
-    """The anatomy of a scene; details are drawn from its seed. Raises SIM-001 for a post beside the head."""
+    """The anatomy of a scene; its seed draws the details. Raises SIM-001 for a post that is off the head."""
     generator = noise(scene.seed, "ct anatomy", 0)
     head = scene.head
     teeth, fillings = jaw_teeth(head, generator)
@@ -160,7 +160,7 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
-    """A sheathed wire beside the head."""
+    """A sheathed wire next to the head."""
     centre = shifted(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
     centre = shifted(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(

@@ -37,7 +37,7 @@ ATTEMPTS = 200
 
 
 def frame_fiducials(head: Head, frame: str, generator: np.random.Generator) -> tuple[Fiducial, ...]:
-    """Where the frame's spheres are; raises SIM-001 when it does not stand clear of the head."""
+    """Where the frame's spheres are; raises SIM-001 if it is not clear of the head."""
     in_frame = np.array(FRAMES[frame])
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):

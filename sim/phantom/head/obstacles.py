@@ -117,7 +117,7 @@ def bandage(head: Head, thickness_mm: float, hu: float) -> Obstacles:
 def distractor(
     head: Head, direction: Vector, cylinder: bool, generator: np.random.Generator
 ) -> tuple[Shape, Point]:
-    """A ball or a cylinder of polymer beside the head, and its middle."""
+    """A ball or a cylinder of polymer next to the head, and its centre."""
     skin, normal = skin_point(head, direction)
     middle = _three(skin + normal * generator.uniform(*DISTRACTOR_STANDOFF_MM))
     hu = float(generator.uniform(*DISTRACTOR_HU))

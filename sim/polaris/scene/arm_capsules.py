@@ -41,7 +41,7 @@ SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints between which upper arm and forearm r
 
 
 class ArmBody:
-    """The arm of a scene and what may hang on it."""
+    """The arm of a scene and its possible tools."""
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount

@@ -105,7 +105,7 @@ class TrueScene:
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
     def on_mount(self, tool: TrueTool) -> bool:
-        """Whether a tool hangs on the arm's mount, or on the guide there."""
+        """Whether a tool is on the arm's mount, or on the mounted guide."""
         return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
     def tool(

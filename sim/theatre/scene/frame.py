@@ -47,7 +47,7 @@ class FrameOnHead:
 
 
 def draw_frame(generator: np.random.Generator) -> FrameOnHead:
-    """Place the frame on the head; raises SIM-001 when it does not stand clear of it."""
+    """Place the frame on the head; raises SIM-001 if it is not clear of it."""
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     left = np.array(LEFT_CT)
     front = np.cross(axis, left)

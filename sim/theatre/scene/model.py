@@ -291,7 +291,7 @@ class TrackerTruth(Strict):
 
 
 class Stand(Strict):
-    """The calibration stand on the table, empty until ball or divot are put on it.
+    """The calibration stand on the table, empty until ball or divot is put on it.
 
     Divot and ball share one position to within the stand's own tolerance.
     """

@@ -109,7 +109,7 @@ def _stand(seed: int) -> Stand:
 
 
 def robot_frame() -> TrackerTool:
-    """The reference frame M that hangs on the tool mount."""
+    """The reference frame M on the tool mount."""
     return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
 
 

@@ -16,7 +16,7 @@ SEATING = "seating"  # of the noise: each screw has its own, whatever the others
 
 
 def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
-    """The spheres as they stand in the theatre, in the order of the scene; CT frame, mm."""
+    """Sphere positions in the theatre, in the order of the scene; CT frame, mm."""
     return tuple(_put_back(one, scene) for one in scene.head.fiducials if not one.missing)
 
 
