@@ -8,7 +8,7 @@ from ronna_hw.records import Record
 
 
 def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
-    """Identifiers of results that stand while something that they descend from does not, in their order.
+    """Identifiers of results that are valid while something they descend from is not, in their order.
 
     They are of trajectories that were finished before something moved.
     """

@@ -1,4 +1,4 @@
-"""The arm and what is around it as the bodies that motions are checked against, for whoever shows them."""
+"""The arm and what is around it as the bodies that motions are checked against, for displays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LINK_EVERY = 20  # looks from one report of the link to the next
 
 
 class BodyView:
-    """What the workcell's arm was last told, and where its bodies are. Asks no device."""
+    """What the workcell's arm was last given, and where its bodies are. Asks no device."""
 
     def __init__(self, workcell: Workcell) -> None:
         self._workcell = workcell

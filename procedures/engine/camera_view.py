@@ -1,4 +1,4 @@
-"""What the cameras of the stereo head see, as a pyramid each, for whoever draws it."""
+"""What the cameras of the stereo head see, as one pyramid each, for drawing."""
 
 from __future__ import annotations
 

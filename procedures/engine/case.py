@@ -49,7 +49,7 @@ class Case:
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
         """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.
 
-        It stands only when it is accepted, which is after the journal has it.
+        It is valid only once accepted, which is after the journal has it.
         """
         self._written += 1
         name = "-".join(part for part in (f"{self._written:02d}", key.name, key.trajectory) if part)
@@ -90,7 +90,7 @@ class Case:
 
     @property
     def past(self) -> frozenset[str]:
-        """Identifiers of results that stand without their ancestors, of finished trajectories."""
+        """Identifiers of results of finished trajectories that are valid without their ancestors."""
         return without_ancestors(stored.record for stored in self._standing.values())
 
     @property
@@ -101,7 +101,7 @@ class Case:
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Let a result stand in place of those that it supersedes; but as `superseded_by`."""
+        """Accept a result in place of those that it supersedes; but as `superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 
@@ -147,7 +147,7 @@ class Case:
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
-        """From now on somebody must say whether that step's standing result is kept."""
+        """From now on the operator must say whether that step's valid result is kept."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
 
@@ -185,13 +185,13 @@ class Case:
 
     @property
     def records(self) -> tuple[Record, ...]:
-        """Every result, in order, also those that do not stand any more."""
+        """Every result, in order, including those that are no longer valid."""
         standing = (stored.record for stored in self._standing.values())
         return tuple(sorted((*self._superseded, *standing), key=_number))
 
     @property
     def standing(self) -> tuple[Stored[StepResult], ...]:
-        """The results that stand, in order."""
+        """The valid results, in order."""
         return tuple(self._standing.values())
 
 

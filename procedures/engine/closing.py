@@ -15,7 +15,7 @@ _log = logger(part="engine")
 
 
 class Recorder(Protocol):
-    """Writes files of the run beside the engine."""
+    """Writes files of the run alongside the engine."""
 
     def close(self) -> None:
         """Write what is left and close the files. Bounded in time; never raises."""
@@ -30,7 +30,7 @@ def close_run(
     clinical: ClinicalInput | None,
     **more: JournalValue,
 ) -> None:
-    """Write the journal's last line and close it; what prevents that `verify` tells."""
+    """Write the journal's last line and close it; whatever prevents that is reported by `verify`."""
     try:
         evidence = _evidence(folder, clinical)
         journal.write(Entry.CLOSED, theatre_time_s, outcome=outcome, **more, **evidence)

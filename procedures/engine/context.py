@@ -46,7 +46,7 @@ class ClinicalInput:
 
     @property
     def place(self) -> Path:
-        """Where the cart's proposed place is, beside the plan, if there is one."""
+        """Where the cart's proposed position is, next to the plan, if there is one."""
         return self.plan.with_name("place.json")
 
 
@@ -57,7 +57,7 @@ def this_second() -> datetime:
 
 @dataclass(frozen=True)
 class CaseSetting:
-    """What all steps of a procedure share, beside their results."""
+    """What all steps of a procedure share besides their results."""
 
     workcell: Workcell
     clock: Clock
@@ -141,11 +141,11 @@ class StepContext:
 
     @property
     def done_before(self) -> bool:
-        """Whether this step has a result that stands."""
+        """Whether this step has a valid result."""
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """The fault after which somebody must say whether that result is kept; None when there was none."""
+        """The fault after which the operator must decide whether to keep that result, or None."""
         return self._case.doubt_of(self._case.get(model, self.key.trajectory).record)
 
     def keep(self, model: type[R]) -> None:
@@ -215,7 +215,7 @@ class StepContext:
         self._support.find(text)
 
     def identifier(self, model: type[R]) -> str:
-        """Of the record of a result that stands."""
+        """Identifier of the record of a valid result."""
         return self._case.get(model, self.key.trajectory).record.identifier
 
     def standing(self, model: type[R]) -> tuple[R, ...]:

@@ -24,7 +24,7 @@ class Course:
         return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
 
     def settled(self, key: StepKey) -> bool:
-        """Whether a step's result stands, or its trajectory is left out, or was finished before a move."""
+        """Whether a step's result is valid, or its trajectory is left out, or was finished before a move."""
         if self.case.stands(key) or self.left_out(key) is not None:
             return True
         return key.trajectory is not None and key.trajectory in self.case.past_trajectories
@@ -36,7 +36,7 @@ class Course:
 
     @property
     def over(self) -> bool:
-        """Whether nothing remains to be done; the arm may still stand where it was stopped."""
+        """Whether nothing remains to be done; the arm may still be where it was stopped."""
         return self._all_finished_before or all(map(self.settled, self.order.sequence))
 
     @property
@@ -109,7 +109,7 @@ class Course:
         return self.case.superseded_by(key, self._outlasting_again(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
-        """Let a new result stand in place of what it supersedes."""
+        """Accept a new result in place of what it supersedes."""
         self.case.accept(key, stored, self._outlasting_again(key))
 
     def voided_with(self, key: StepKey) -> tuple[Record, ...]:

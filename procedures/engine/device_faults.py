@@ -87,11 +87,11 @@ class DeviceFaults:
 
     @property
     def told(self) -> dict[str, str]:
-        """The same for a person: as each device stands now, and what is to be done."""
+        """The same for a person: the present state of each device, and what to do."""
         return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     def require_arm_moves(self) -> None:
-        """Raise PRO-001 for an arm in fault, as it stands."""
+        """Raise PRO-001 for an arm in fault, with its present state."""
         if (fault := self.told.get(ARM)) is not None:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 

@@ -27,7 +27,7 @@ SEEN_MOVING_S = 0.05  # where an arm is drawn
 
 
 class DeviceWatch:
-    """State and fault of every device when they change, the age of its newest reading, where arms stand.
+    """State and fault of every device when they change, the age of its newest reading, arm positions.
 
     It looks in a thread of its own for the length of a `with` block, once more at its end.
     """
@@ -107,7 +107,7 @@ class DeviceWatch:
             self._look()
 
     def _look(self) -> None:
-        """It looks again, and what it cannot see is told once; nothing else ends by it."""
+        """It looks again, and what it cannot see is reported once; nothing else ends by it."""
         try:
             self.look()
         except Exception as problem:

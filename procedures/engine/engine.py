@@ -61,7 +61,7 @@ class Engine:
     ) -> None:
         """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`.
 
-        `latest` is the step that was done last, in a run that goes on.
+        `latest` is the step that was done last, in a resumed run.
         """
         self.order = order
         self.case = case
@@ -324,7 +324,7 @@ class Engine:
             self.events.end()
 
     def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
-        """Record, journal, accept, in this order: what the journal does not have does not stand."""
+        """Record, journal, accept, in this order: what the journal does not have is not valid."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
             raise WrongResult(

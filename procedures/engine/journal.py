@@ -2,7 +2,7 @@
 
 Append-only JSON lines, each flushed to disk before the call returns, each naming the SHA-256 of the line
 before it. Without a journal nothing moves: a write that fails raises PRO-003 and leaves no part of its line.
-How a step or the run ended is told also on a disk that is full: room for it is held in a file of its own.
+How a step or the run ended is recorded even on a full disk: room for it is held in a file of its own.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Journal:
     def taken_up(
         cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
     ) -> Journal:
-        """The journal of a run that ended or broke off, to go on with. A torn end is cut off and kept.
+        """The journal of a run that ended or broke off, to be continued. A torn end is cut off and kept.
 
         Raises PRO-003 when it cannot be written.
         """
@@ -149,7 +149,7 @@ class Journal:
         self._settle()
 
     def _hold_room(self) -> None:
-        """Before a step begins there is room to tell how it ended."""
+        """Before a step begins there is room to record how it ended."""
         if self._room.exists():
             return
         try:

@@ -69,7 +69,7 @@ class LeftRun:
 
     @property
     def orphans(self) -> tuple[str, ...]:
-        """Records that were written and never came into the journal: they do not stand, and are kept."""
+        """Records that were written and never came into the journal: they are not valid, and are kept."""
         named = {record.identifier for record in self.run.records}
         folder = self.run.path / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
@@ -97,7 +97,7 @@ class LeftRun:
 
 
 def read_left_run(folder: Path) -> LeftRun:
-    """Read a run that is to be taken up again; one without a journal has none of all that.
+    """Read a run that is to be resumed; one without a journal has none of all that.
 
     Raises PRO-033 for one that was changed.
     """

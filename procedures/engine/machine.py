@@ -94,7 +94,7 @@ class ProcedureMachine:
         self._go(f"back_to_{self._before}")
 
     def finish(self) -> None:
-        """The last step is done and every result stands."""
+        """The last step is done and every result is valid."""
         self._go("case_finish")
 
     def abort(self) -> None:

@@ -1,7 +1,7 @@
 """The operator's mind, which answers, and the room's hands, which act; or the scripts that stand in for them.
 
 A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
-never goes on. Only one of the listed words answers; anything else is asked again.
+never continues. Only one of the listed words answers; anything else is asked again.
 """
 
 from __future__ import annotations
@@ -127,11 +127,11 @@ def _unread(_readings: tuple[float, ...]) -> None:
 class Question:
     """What is asked. The first of `answers` goes on, the last is what silence means.
 
-    `timeout_s` is host time; None stands until somebody answers. The operator calls `misread` each time that
-    something else was read back, and `signed` once before it returns an answer that somebody stands for.
-    `number` counts the questions of a run; `evidence` is shown beside the value. Where `reads` says what is
-    read off, the answer that goes on comes with that many numbers, each within `plausible_mm`, which `read`
-    is called with.
+    `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
+    value was read back, and `signed` once before it returns an answer that a named person gave. `number`
+    counts the questions of a run; `evidence` is shown with the value. Where `reads` says what is read off,
+    the answer that goes on comes with that many numbers, each within `plausible_mm`, which `read` is called
+    with.
     """
 
     topic: Topic
@@ -169,8 +169,8 @@ class Question:
 class Task:
     """What hands are to do, by its name in `ronna_hw.wire.room_tasks`, and what they read off after it.
 
-    `numbers` are what they need for it; `reads` says of each reading what it is, such as `depth stop in mm`,
-    and `plausible_mm` between what it can lie at all: something else was mistyped.
+    `numbers` are what they need for it; `reads` names each reading, such as `depth stop in mm`, and
+    `plausible_mm` is its possible range: something else was mistyped.
     """
 
     name: str

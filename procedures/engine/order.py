@@ -83,7 +83,8 @@ class CaseOrder:
     ) -> tuple[str, ...]:
         """Why a step may not come now, after `latest`; empty when its turn may be now.
 
-        A step may come when everything before it stands: next in the order, for another trajectory, or again.
+        A step may come when everything before it is valid: next in the order, for another trajectory, or
+        again.
         """
         only = self.continuation(latest)
         if only is not None and key != only and not stands(only):

@@ -1,6 +1,6 @@
 """What an operator may ask of a running case: the same for a page's buttons, a script and a test.
 
-An order says which session gives it and what that session saw when it did. What it saw is past: nothing is
+An order says which session gave it and what that session saw at the time. What it saw is past: nothing is
 done. Only to stop needs nothing. Each order has a nonce of its own and is carried out once.
 """
 
@@ -97,7 +97,7 @@ class Acknowledge(_Order):
 
 
 class Answer(_Order):
-    """Answer the question that stands."""
+    """Answer the open question."""
 
     kind: Literal["answer"] = "answer"
     question: int

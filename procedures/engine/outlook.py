@@ -1,4 +1,4 @@
-"""What a case consists of and what it waits for, as events for whoever shows it."""
+"""What a case consists of and what it waits for, as events for displays."""
 
 from __future__ import annotations
 

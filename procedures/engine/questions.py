@@ -11,7 +11,7 @@ from procedures.engine.operator import Operator, Question, Signature
 
 
 def as_shown(question: Question, number: int) -> Questioned:
-    """A question as whoever follows the case is shown it."""
+    """A question as shown to followers of the case."""
     return Questioned(
         question=number,
         topic=question.name,

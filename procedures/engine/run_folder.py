@@ -55,7 +55,7 @@ class RunFolder:
         return without_ancestors(self.what_stands)
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """The results of a step that stand, in order. Raises REC-001, REC-003."""
+        """The valid results of a step, in order. Raises REC-001, REC-003."""
         return _as(model, self.what_stands)
 
     def made(self, model: type[R]) -> tuple[Stored[R], ...]:

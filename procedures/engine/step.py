@@ -91,5 +91,5 @@ class StepSpec(Generic[R_co]):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Kinds of the results that must stand before it may begin."""
+        """Kinds of the results that must be valid before it can start."""
         return tuple(model.kind for model in self.reads)

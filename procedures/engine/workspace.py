@@ -8,7 +8,7 @@ T = TypeVar("T")
 
 
 class Workspace:
-    """Holds one object of each type until it is dropped; whoever finds nothing reads the input again."""
+    """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
 
     def __init__(self) -> None:
         self._kept: dict[type[object], object] = {}

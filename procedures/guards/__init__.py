@@ -1,4 +1,4 @@
-"""What must hold while the arm works, beside what the devices watch themselves.
+"""What must hold while the arm works, besides what the devices monitor themselves.
 
 Guards are asked at every checkpoint: before each motion and whenever a step says how far it is. What is unmet
 suspends the case with a reason in plain words, until it is met or the operator leaves the step.

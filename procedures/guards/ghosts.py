@@ -4,7 +4,7 @@ Each of its two sensors knows a marker only as a line. Two markers that both sen
 besides their own places, up to two crossings where nothing is. A marker that only one sensor sees is not
 reported itself and yet takes part in them, so that a half hidden head shows points in no known place.
 
-Such a point lies, for one sensor, on the line to one marker and, for the other, on that to another.
+Such a point is, for one sensor, on the line to one marker and, for the other, on that to another.
 """
 
 from __future__ import annotations

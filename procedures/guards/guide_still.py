@@ -1,4 +1,4 @@
-"""While somebody works through the guide, it stays where it was held.
+"""While someone works through the guide, it stays where it was held.
 
 The encoders do not see how an arm gives way under a hand; the tracker does, by the frame on the mount. What
 the arm's own joints say is compared as well.
@@ -33,8 +33,8 @@ class GuideAtRest:
     """How the guide was held when it had come to rest.
 
     `frame_mm` (3,) is the place of the frame on the mount, tracker frame, and None where it is not seen.
-    `worked` says that somebody works through it now: else nothing waits for it. `now_mm` is how far it was
-    from its place when it was seen last, which is `fresh` until a guard has met it.
+    `worked` says that someone is working through it now: else nothing waits for it. `now_mm` is how far it
+    was from its place when it was seen last, which is `fresh` until a guard has met it.
     """
 
     trajectory: str
@@ -73,7 +73,7 @@ class GuideAtRest:
 
 @dataclass
 class GuideStill:
-    """Asked at checkpoints while the workspace keeps a `GuideAtRest` through which somebody works."""
+    """Asked at checkpoints while the workspace keeps a `GuideAtRest` through which someone works."""
 
     workcell: Workcell
     clock: Clock

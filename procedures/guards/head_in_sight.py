@@ -1,7 +1,7 @@
 """While a guide approaches the head, or an instrument is in it, the tracker must see the head now and then.
 
 A head that moves while every sphere is covered is noticed when one is seen again. This bounds how long that
-may take: then the case suspends, and the operator decides whether it goes on without sight.
+may take: then the case suspends, and the operator decides whether it continues without sight.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class HeadInSight:
         return MOST_UNSEEN_S
 
     def excuse(self) -> None:
-        """The operator goes on without sight."""
+        """The operator continues without sight."""
         room = self.workspace.find(RoomWatch)
         if room is not None:
             room.excuse()

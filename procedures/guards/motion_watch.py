@@ -2,7 +2,7 @@
 
 A thread of its own reads the tracker; it stops the arm when the spheres on the head are not where they were
 localized, or when a guide approaches them unseen for too long. It reads every fourth frame, and every frame
-while there is doubt. What it saw is told by the thread that moves, when the motion has ended.
+while there is doubt. What it saw is reported by the moving thread, when the motion has ended.
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ class MotionWatch:
 
 @dataclass
 class _Looking:
-    """Reads frames until it is told to end. `unseen_s` is theatre time since the head was seen last."""
+    """Reads frames until it is ended. `unseen_s` is theatre time since the head was seen last."""
 
     workcell: Workcell
     clock: Clock
@@ -163,7 +163,7 @@ class _Looking:
         self._first.wait(FIRST_FRAME_S)
 
     def end(self) -> _Looking:
-        """Stop looking; what was seen stands in the fields."""
+        """Stop looking; the fields hold what was seen."""
         self._ending.set()
         self._thread.join()
         if self._stopping is not None:

@@ -1,4 +1,4 @@
-"""The tool that was checked still hangs on the arm, as far as the controller's inputs say."""
+"""The checked tool is still mounted, according to the controller's inputs."""
 
 from __future__ import annotations
 

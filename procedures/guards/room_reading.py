@@ -25,7 +25,7 @@ def read_room(workcell: Workcell, clock: Clock, robot_from_tracker: Transform) -
 def room_reading(
     workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
 ) -> RoomReading:
-    """What these frames say, with the arm as it stands now."""
+    """What these frames show, with the arm in its present pose."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     seen = mean_pose(frames, workcell.calibrations.tracker_frame.tool, round(LEAST_SHARE * len(frames)))

@@ -1,4 +1,4 @@
-"""Does the room still stand as it was localized? The frame on the arm and the patient's spheres say so.
+"""Is the room still as it was localized? The frame on the arm and the patient's spheres show it.
 
 The place of the frame is compared by its difference between tracker and arm. That difference depends on the
 arm's orientation by as much as the mount is off its drawing, some millimetres, so it is compared with what it
@@ -93,7 +93,7 @@ class RoomWatch:
         return now_s - max(self.seen_s, excused_s)
 
     def excuse(self) -> None:
-        """The operator goes on without sight: the time begins again with the next motion or wait."""
+        """The operator continues without sight: the time begins again with the next motion or wait."""
         if self.approach is not None:
             self.approach.excused_s = math.inf
 
@@ -109,7 +109,7 @@ class RoomWatch:
 
     @property
     def arm_hides_head(self) -> bool:
-        """Whether the arm is expected to hide the head as it stands now."""
+        """Whether the arm is expected to hide the head in its present pose."""
         return self.approach is not None and self.approach.arm_hides_head()
 
     def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
@@ -171,7 +171,7 @@ class RoomWatch:
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def hides_head(self, robot_from_flange: Transform) -> bool:
-        """Whether the arm stands where, at the last reading, it hid the head from the tracker."""
+        """Whether the arm is where, at the last reading, it hid the head from the tracker."""
         return self.hidden_from is not None and _same_pose(self.hidden_from, robot_from_flange)
 
     def _reference(self, reading: RoomReading) -> RoomReading | None:

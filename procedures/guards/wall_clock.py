@@ -1,6 +1,6 @@
 """The wall clock against the monotonic one: it dates the records, and a step of it makes their dates wrong.
 
-No limit hangs on the wall clock, so a step stops nothing: it is a finding.
+No limit depends on the wall clock, so a jump stops nothing: it is a finding.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ LARGEST_STEP_S = 1.0  # a clock that is slewed stays below that between two chec
 
 
 class WallClock:
-    """Notices that somebody or something set the host's clock."""
+    """Notices that the host's clock was changed."""
 
     name = "clock"
 

@@ -1,4 +1,4 @@
-"""A run that was killed, left or interrupted is taken up again: compared first, accepted then, moved last."""
+"""A run that was killed, left or interrupted is resumed: compared first, accepted then, moved last."""
 
 from procedures.recovery.taking_up import bring_home, recover
 

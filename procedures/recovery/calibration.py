@@ -1,4 +1,4 @@
-"""An arm that a calibration left: what stands around it, and the way off a divot that may be raised to it."""
+"""An arm that a calibration left: its surroundings, and the way off a divot that may be raised to it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TIP_KNOWN_MM = 15.0  # how far the tip may be from where its record has it, and 
 
 
 def surround_calibration(engine: Engine) -> None:
-    """Say what stands around the arm, by what the calibration knows so far, before anything moves."""
+    """Set the arm's surroundings, from what the calibration knows so far, before anything moves."""
     workcell, cell = engine.setting.workcell, engine.setting.surroundings
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)

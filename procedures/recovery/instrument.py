@@ -46,7 +46,7 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
 
 
 def guide_in_gauge(engine: Engine) -> bool:
-    """Whether the arm carries the guide and stands where the mandrel is put into the gauge."""
+    """Whether the arm carries the guide and is where the mandrel is put into the gauge."""
     workcell = engine.setting.workcell
     if workcell.tool is not MountedTool.GUIDE:
         return False

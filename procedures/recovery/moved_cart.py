@@ -1,4 +1,4 @@
-"""After the cart or the tracker has moved: the case goes on when the operator agrees."""
+"""After the cart or the tracker has moved: the case continues if the operator agrees."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class MovedCart:
         self._moves = 0
 
     def agreed_to_go_on(self, problem: RonnaError) -> bool:
-        """Whether a case that this has stopped goes on by itself. Raises what the way home raises."""
+        """Whether a case that this has stopped continues by itself. Raises what the way home raises."""
         engine = self._engine
         if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
             return False

@@ -43,7 +43,7 @@ def surround(engine: Engine) -> None:
 
 
 def head_moved_since(engine: Engine) -> bool:
-    """Whether the guide has to find its way out by a registration that no longer holds."""
+    """Whether the guide must leave by a registration that is no longer valid."""
     return (led := _led(engine)) is not None and not led.holds
 
 

@@ -1,8 +1,8 @@
 """Takes a run up again: nothing moves before everything was read again, compared, and accepted.
 
-Then an instrument is taken out by hand, the guide comes back along its axis, and the arm goes home; there
-the tracker has its sight, and what it could not see before is compared. Then every step that does not stand
-is run, planned anew from where the arm is.
+Then an instrument is taken out by hand, the guide comes back along its axis, and the arm goes home; there the
+tracker has its sight, and what it could not see before is compared. Then every step without a valid result is
+run, re-planned from the arm's position.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _take_up_arm(
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
-    """Have the operator accept what was found, beside what will be done; raises PRO-032."""
+    """Have the operator accept the findings, together with what will be done; raises PRO-032."""
     for begun in begun_elsewhere(engine):
         comparison.warn(begun)
     if head_moved_since(engine):
@@ -166,7 +166,7 @@ def _conclude(engine: Engine, comparison: Comparison) -> None:
 
 
 def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
-    """Whether somebody was asked to change the tool, and no result says that it was done.
+    """Whether a tool change was requested and no result says that it was done.
 
     Where the journal's end is lost and every sphere is localized, the lost lines can have said so.
     """

@@ -35,7 +35,7 @@ def use(strategy: str) -> str:
 
 
 def from_stage(task: str) -> str:
-    """The answer that goes on with that stage of the work through the guide."""
+    """The answer that continues from that stage of the work through the guide."""
     return f"from {task}"
 
 

@@ -23,7 +23,7 @@ OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less 
 
 
 def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] | None:
-    """One line for each motion of a step, from where the arm stands; None before the path check."""
+    """One line for each motion of a step, from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
         return None
@@ -41,7 +41,7 @@ def would_move(case: Case, key: StepKey, workcell: Workcell) -> tuple[str, ...] 
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
-    """The sphere that the stereo head stands over while a localization is interrupted, counted from 0."""
+    """The sphere that the stereo head is over when a localization was interrupted, counted from 0."""
     if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.tool_pose().translation_mm

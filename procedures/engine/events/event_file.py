@@ -1,8 +1,8 @@
-"""`RUN/events.jsonl`: the stream of events on disk, one event per line, for whoever follows from outside.
+"""`RUN/events.jsonl`: the stream of events on disk, one event per line, for followers outside the process.
 
 Evidence is the journal's business; this file is a convenience and never stops anything. Every fact is in it,
-signals at a bounded rate and size. Its writer holds a lock on it, so that a follower can tell a run that is
-quiet from one that was killed.
+signals at a bounded rate and size. Its writer holds a lock on it, so that a follower can distinguish a quiet
+run from a killed one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class EventFile:
     """Writes the events of a session to the file of its run, in a thread of its own."""
 
     def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
-        """Never raises: a file that cannot be written is logged, and the case goes on without it."""
+        """Never raises: a file that cannot be written is logged, and the case continues without it."""
         self._path = folder / EVENTS_FILE
         self._reader = events.subscribe()
         self._signals_left = signals_bytes

@@ -86,7 +86,7 @@ class FollowedRun:
 
 
 def _in_order(course: Sequence[Event]) -> list[Event]:
-    """As it happened: signals are written late, and each time that a run is taken up numbers begin anew."""
+    """As it happened: signals are written late, and numbers restart each time a run is resumed."""
     session, latest, sessions = 0, 0, list[tuple[int, int, Event]]()
     for event in course:
         if not event.what.signal:  # facts are written in their order

@@ -64,7 +64,7 @@ class Evidence(BaseModel):
 
 
 class Questioned(_Happening):
-    """A question stands."""
+    """A question is open."""
 
     kind: Literal["question"] = "question"
     question: int = Field(description="Number of the question in this run.")
@@ -125,7 +125,7 @@ class Order(_Happening):
 
 
 class Waiting(_Happening):
-    """The engine waits between steps for whoever operates it."""
+    """The engine waits between steps for its operator."""
 
     kind: Literal["waiting"] = "waiting"
     upcoming: str | None = Field(description="The step that comes next; none: the case is finished.")
@@ -133,7 +133,8 @@ class Waiting(_Happening):
 
 
 class DeviceFact(BaseModel):
-    """What a device says of itself, such as its operating mode, and whether a case can go on so."""
+    """What a device reports of itself, such as its operating mode, and whether a case can continue with
+    it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -178,7 +179,7 @@ class DeviceAge(_Happening):
 
 
 class Pose(_Happening):
-    """Where an arm stands, at a bounded rate."""
+    """Position of an arm, at a bounded rate."""
 
     signal: ClassVar[bool] = True
     kind: Literal["pose"] = "pose"

@@ -2,7 +2,7 @@
 
 A reader begins with a snapshot (the latest of everything that has a present value) and then gets changes.
 Facts wait for it without limit: a case has some thousands. Of a signal only the latest waits, so that a slow
-reader loses poses first; how many it lost stands in the next batch.
+reader loses poses first; the next batch says how many it lost.
 """
 
 from __future__ import annotations

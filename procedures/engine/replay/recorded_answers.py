@@ -60,7 +60,7 @@ class RecordedAnswers:
             self.peeks = False
 
     def look(self, device: str, name: str) -> object:
-        """The next value of a property, or the last once more: how often it is looked at says nothing."""
+        """The next value of a property, or the last once more: how often it is read does not matter."""
         waiting = self._section.get((device, name))
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")

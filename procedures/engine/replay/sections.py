@@ -39,7 +39,7 @@ def opening_line(
     began: datetime,
     calibration: Mapping[str, object] | None = None,
 ) -> dict[str, object]:
-    """What a replay has to know beside the answers; paths inside the run folder are relative to it.
+    """What a replay must know besides the answers; paths inside the run folder are relative to it.
 
     `calibration` says of what is no clinical case which steps it had, and the records that were in use.
     """

@@ -1,4 +1,4 @@
-"""One look of the stereo head: where it stands, or after it has been brought over the ball."""
+"""One look of the stereo head: from its present pose, or after moving over the ball."""
 
 from __future__ import annotations
 

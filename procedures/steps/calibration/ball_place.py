@@ -68,7 +68,7 @@ class StatedPlace:
 
 
 def run(context: StepContext) -> Outcome[BallPlace]:
-    """By the tracker: the ball nearest to the head as it stands. Raises CAL-009.
+    """By the tracker: the ball nearest to the head in its present pose. Raises CAL-009.
 
     The arm rests, as the localization by the tracker wants it.
     """

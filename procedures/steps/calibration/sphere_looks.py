@@ -1,4 +1,4 @@
-"""Look at every sphere that stands alone from the poses that reveal most of the arm."""
+"""Measure every isolated sphere from the poses that determine most of the arm."""
 
 from __future__ import annotations
 
@@ -191,7 +191,7 @@ def flanks_of(number: int) -> Flanks:
 
 
 def _places(points_mm: NDArray[np.float64], workcell: Workcell) -> tuple[BallPlace, ...]:
-    """Spheres that stand alone, the nearest to the head first."""
+    """Isolated spheres, the nearest to the head first."""
     alone = standing_alone(points_mm)
     if not alone:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")

@@ -1,4 +1,4 @@
-"""Look at the ball on the calibration stand, in the orientations in which the tip will be in its place."""
+"""Measure the ball on the calibration stand, in the orientations in which the tip will take its place."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ class StandBall:
 
 
 def _stated(context: StepContext) -> Outcome[BallPlace]:
-    """Where the theatre file says that the stand is. Raises CAL-009."""
+    """Position of the stand according to the theatre file. Raises CAL-009."""
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
         raise NoBall(
@@ -109,7 +109,7 @@ def _stated(context: StepContext) -> Outcome[BallPlace]:
 
 
 def stand_place_step() -> StepSpec[BallPlace]:
-    """The step that takes the place of the stand from the theatre file."""
+    """The step that takes the stand's position from the theatre file."""
     return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _stated)
 
 

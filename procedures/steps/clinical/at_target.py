@@ -1,4 +1,4 @@
-"""At the target: the guide is held outside the skin, and somebody works through it, stage by stage.
+"""At the target: the guide is held outside the skin, and someone works through it, stage by stage.
 
 From before the first stage until the instrument is confirmed to be out, nothing moves. The instrument's tip
 is at the target when its depth stop rests on the guide.
@@ -105,7 +105,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
 
 
 def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
-    """Where the guide is now says nothing of where it was when somebody worked through it."""
+    """The present position of the guide says nothing about where it was during the work."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
@@ -143,7 +143,7 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
 
 
 def _look_at_guide(context: StepContext, rest: GuideAtRest, begun: BegunWork) -> None:
-    """After a stage: the guard at the next checkpoint suspends when it is beside its place."""
+    """After a stage: the guard at the next checkpoint suspends if it is out of place."""
     now_mm = rest.look(context.workcell, context.setting.clock)
     rest.fresh = True
     begun.pushed_mm = max(begun.pushed_mm, now_mm)

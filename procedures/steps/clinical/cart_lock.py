@@ -1,6 +1,7 @@
-"""People place and lock the cart of the arm; the tracker says whether it stands, and where it should.
+"""People place and lock the cart of the arm; the tracker shows whether it is locked and at its proposed
+position.
 
-The frame on the arm moves with the cart, the spheres with the head: somebody leans on the cart, and neither
+The frame on the arm moves with the cart, the spheres with the head: someone leans on the cart, and neither
 may have moved against the other.
 """
 
@@ -53,7 +54,7 @@ class Proposal(Values):
 
 
 class LockedCart(StepResult, kind="cart_lock", version=2):
-    """The cart as it was locked, how it stood when somebody leaned on it, and where."""
+    """The locked cart, how far it moved when leaned on, and its position."""
 
     placings: int = Field(description="How many times it was placed.")
     moved_mm: Numbers3 = Field(
@@ -141,7 +142,7 @@ def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
 def _beside(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> BesideProposal | None:
-    """Where the cart stands, by a match of its own; None, with a finding, where that is not unique."""
+    """Position of the cart, from its own match; None, with a finding, where that is not unique."""
     image = context.result(LocalizedFiducials).centres_mm
     found = coarse_match(context.result(CheckedPlan), image, robot_from_tracker.apply(look.spheres_mm))
     if found.transform is None:
@@ -157,7 +158,7 @@ def _beside(
 
 
 def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int) -> bool:
-    """Whether it may stand there; False to place it again. Raises PRO-042."""
+    """Whether it may stay there; False to place it again. Raises PRO-042."""
     if proposal.allows(beside):
         return True
     problem = CartMisplaced(

@@ -1,7 +1,7 @@
 """Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
 The arm rests and its correction stream is off. Exactly FRAMES measurements are taken and averaged. A tracker
-that is asked faster than it measures gives the same one again; those do not count.
+polled faster than it measures returns the same frame again; those do not count.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""People clamp the head and say so; then the tracker has to see the spheres on it."""
+"""People clamp the head and say so; then the tracker must see the spheres on it."""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ from ronna_hw.arm.kinematics import Branch
 
 
 class LocalizationPose(Values):
-    """How one sphere is to be localized."""
+    """How one sphere will be localized."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")

@@ -92,7 +92,7 @@ def _as_held(context: StepContext) -> Plan:
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
-    """The planned ways in the CT, for whoever confirms them now or reads the report later."""
+    """The planned trajectories in the CT, for the operator now and the report later."""
     from procedures.imaging.trajectory_cuts import trajectory_cuts
 
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
@@ -118,7 +118,7 @@ def _confirm_patient(context: StepContext, plan: Plan) -> None:
 
 
 def _shown(plan: Plan) -> str:
-    """What is confirmed, without a name: the series is told by a hash of its UID."""
+    """What is confirmed, without a name: the series is identified by a hash of its UID."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = ", ".join(f"{one.id} {one.depth_mm:.1f} mm deep" for one in plan.trajectories)
     instrument = f"instrument {plan.instrument_length_mm:g} mm, stand-off {plan.standoff_mm:g} mm"
@@ -130,7 +130,8 @@ def _counted(
 ) -> tuple[PlanCheck, int]:
     """The check without a wrong count of spheres that the operator agreed to, and how many are to be matched.
 
-    Of too many, tracker and matching tell which are on the head; with too few it goes on without the missing.
+    Of too many, tracker and matching show which are on the head; with too few it continues without the
+    missing ones.
     """
     planned, found = check.plan.implanted, len(candidates)
     others = tuple(one for one in check.findings if not isinstance(one, WrongMarkerCount))

@@ -334,7 +334,7 @@ def _advice(moved: list[int], spheres: int) -> str:
 
 
 def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
-    """Every sphere of the CT beside what tracker and stereo head measured of it, and the reverse."""
+    """Every sphere of the CT against the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
     return verify_two_way(

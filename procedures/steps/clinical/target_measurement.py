@@ -1,4 +1,4 @@
-"""On a phantom with a ball at each target: the stereo head stands in for the guide and measures the error.
+"""On a phantom with a ball at each target: the stereo head takes the guide's place and measures the error.
 
 The arm goes to the target as it will with the guide, by the same registration and along the same axis, with
 the centre of the stereo head where the tip will be. How far the ball is from there is the application error,
@@ -47,7 +47,8 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
-    """Bring the stereo head to the target, look, and back out. Without a ball in view, say so and go on."""
+    """Bring the stereo head to the target, look, and back out. Without a ball in view, say so and
+    continue."""
     workcell, name = context.workcell, context.trajectory
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)

@@ -27,7 +27,7 @@ class MountedGuide(StepResult, kind="tool_change"):
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
-    """Park, stop RSI, have the tool changed, then let the controller's inputs say what hangs there."""
+    """Park, stop RSI, have the tool changed, then read the mounted tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if workcell.identify_mounted() is MountedTool.STEREO_HEAD or workcell.streaming or not workcell.at_home:

@@ -1,6 +1,6 @@
 """Compare the mounted guide with itself, as it was when its tip was calibrated: on a gauge on the table.
 
-The gauge stands where the mandrel's end was then, with the arm in recorded joints, reached from the same
+The gauge is where the mandrel's end was then, with the arm in the recorded joints, reached from the same
 side. So only the arm's repeatability comes in, not its accuracy. Hands put the mandrel in and read the dials.
 """
 

@@ -1,4 +1,4 @@
-"""What a registration is accepted by, as tables beside the question: the error budget, and both ways."""
+"""The evidence for accepting a registration, as tables with the question: the error budget, and both ways."""
 
 from __future__ import annotations
 

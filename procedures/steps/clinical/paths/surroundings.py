@@ -1,4 +1,4 @@
-"""What the arm is told of its surroundings: the head, as far as the case knows where it is, and the room."""
+"""The surroundings that the arm is given: the head, as far as the case knows where it is, and the room."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def planning_scene_of(context: StepContext) -> PlanningScene:
 
 
 def surround_stereo_head(context: StepContext, trajectory: Trajectory | None = None) -> None:
-    """Tell the arm what is around while the stereo head hangs on it, by the coarse registration.
+    """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
     With a trajectory its corridor into the head is open.
     """
@@ -39,7 +39,7 @@ def surround_stereo_head(context: StepContext, trajectory: Trajectory | None = N
 
 
 def surround_guide(context: StepContext, robot_from_ct: Transform) -> Surroundings:
-    """Tell the arm what is around while the guide hangs on it, by this trajectory's registration."""
+    """Set the arm's surroundings while the guide is mounted, from this trajectory's registration."""
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
     guide = workcell.flange_from(MountedTool.GUIDE)

@@ -1,4 +1,4 @@
-"""Work through the guide that was begun: what was done, and from which stage it goes on."""
+"""Work through the guide that was begun: what was done, and from which stage it continues."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ STAGES = (
 
 @dataclass
 class BegunWork:
-    """What was done through the guide, so that it goes on there when the step was left.
+    """What was done through the guide, so that it continues there if the step was left.
 
     `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
     """
@@ -59,9 +59,9 @@ class BegunWork:
 
 
 def begun_work(context: StepContext) -> BegunWork:
-    """What was begun and left with the instrument inside; else anew, with the depth stop set.
+    """What was begun and left with the instrument inside; otherwise new work, with the depth stop set.
 
-    Where hands had worked there the operator says from which stage it goes on; raises PRO-002 otherwise.
+    If work was done there before, the operator chooses the stage to continue from; raises PRO-002 otherwise.
     """
     workspace, instrument = context.setting.workspace, context.workcell.instrument
     trajectory = context.trajectory

@@ -1,4 +1,4 @@
-"""People exchange the tool on the parked arm; the controller's inputs say when the right one hangs there."""
+"""People exchange the tool on the parked arm; the controller's inputs show when the right one is mounted."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show b
 
 
 def require_seen_in_place(context: StepContext, frame: ToolFrame) -> float:
-    """How far the sphere of the tool that is off most is beside its place, mm. Raises TOOL-006."""
+    """Largest distance of a sphere of the tool from its recorded position, mm. Raises TOOL-006."""
     workcell = context.workcell
     reference = workcell.calibrations.tracker_frame
     workcell.rest()  # the tracker measures while the arm's stream is off

@@ -46,7 +46,8 @@ STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of on
 
 
 class FollowedMove(Values):
-    """How the head has moved since the stereo head looked, as the tracker measured it and somebody agreed."""
+    """How the head has moved since the re-localization, as measured by the tracker and accepted by the
+    operator."""
 
     robot_from_robot: FramedPose = Field(
         description="From the head's previous pose to its present one, robot frame."
@@ -109,7 +110,7 @@ def spheres_followed(registrations: Sequence[Following], trajectory: str | None)
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
-    """Measure and have agreed to; None when the head lies where it was localized.
+    """Measure and have agreed to; None if the head is where it was localized.
 
     `places_mm` (n, 3) are the targets that it is for, robot frame, before the move. Raises PRO-022, and
     PRO-001 while the arm is not home; PRO-019 and PRO-020 when cart, tracker or head have moved and nothing

@@ -1,6 +1,6 @@
 """Before every step and motion: CT, plan and proposed place are still those that results were made from.
 
-A file that nobody touched is not read again; one that somebody did is compared by its content.
+A file that nobody touched is not read again; a touched one is compared by its content.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class UnchangedInputs:
         self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
 
     def unmet(self) -> str | None:
-        """Why they cannot be looked at. Raises PRO-021 when one has changed."""
+        """Why they cannot be read. Raises PRO-021 when one has changed."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             try:

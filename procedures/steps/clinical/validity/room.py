@@ -42,7 +42,7 @@ def check_room(context: StepContext, where: str) -> None:
 
 
 def require_head_seen(context: StepContext, where: str) -> None:
-    """Refuse to go to a head that the last reading, from where the arm stands now, did not show; PRO-022."""
+    """Refuse to go to a head that the last reading, from the arm's present pose, did not show; PRO-022."""
     if head_hidden(context):
         raise PatientUnseen(
             f"{where}, the tracker does not see the head",
@@ -51,7 +51,7 @@ def require_head_seen(context: StepContext, where: str) -> None:
 
 
 def head_hidden(context: StepContext) -> bool:
-    """Whether the tracker, when it looked last, saw too little of the head past the arm as it stands now."""
+    """Whether the tracker's last reading saw too little of the head past the arm in its present pose."""
     watch, workcell = context.setting.workspace.find(RoomWatch), context.workcell
     if watch is None or watch.hidden_from is None:
         return False
@@ -60,7 +60,7 @@ def head_hidden(context: StepContext) -> bool:
 
 @dataclass(frozen=True)
 class ExpectedSight:
-    """What the tracker is expected to see past the guide, by the bodies that the arm is told of."""
+    """What the tracker is expected to see past the guide, from the bodies that the arm is given."""
 
     context: StepContext
     sight: TrackerSight
@@ -72,7 +72,7 @@ class ExpectedSight:
         return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
 
     def hidden_now(self) -> bool:
-        """The same where the arm stands."""
+        """The same for the arm's present pose."""
         return self.hidden_at(self.context.workcell.joints_rad())
 
 
