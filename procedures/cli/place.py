@@ -1,4 +1,4 @@
-"""`ronna-plan place`: where the cart may stand."""
+"""`ronna-plan place`: possible positions of the cart."""
 
 from __future__ import annotations
 
@@ -71,14 +71,14 @@ def place(
     ] = None,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Map where the cart may stand, and propose the place that may be missed by most.
+    """Map possible cart positions and propose the one with the largest tolerance.
 
-    Places are those to which the cart is pushed from the assumed one, along x and y of its $ROBROOT, and
-    turned about its z by --turned. Each is judged as the path check judges: every pose of the strategy, joint
-    ranges, clearance, sight of the stereo head and, with --robot-from-tracker, of the tracker. The map is of
-    what the coarse registration will find again: it replaces no path check.
+    Positions are those reached by pushing the cart from the assumed one, along x and y of its $ROBROOT, and
+    turning it about its z by --turned. Each is judged as in the path check: every pose of the strategy, joint
+    ranges, clearance, visibility for the stereo head and, with --robot-from-tracker, for the tracker. The map
+    predicts what the coarse registration will find; it does not replace the path check.
 
-    Exit codes: 0 there is a place, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
+    Exit codes: 0 a position was found, 1 a file is unusable, 2 usage, 3 there is none, 130 interrupted.
     """
     began_s = time.perf_counter()
     if strategy == CHOSEN_BY_PLACE:

@@ -19,7 +19,7 @@ def new(
         "plan.toml"
     ),
 ) -> None:
-    """Begin a plan on a CT: series, patient position and spheres are filled in, the trajectories are yours.
+    """Create a plan for a CT: series, patient position and spheres are filled in; you add the trajectories.
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """

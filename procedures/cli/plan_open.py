@@ -34,9 +34,9 @@ def open_plan(
     home: HomeOption = None,
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port of the page; 0: any free one.")] = 0,
 ) -> None:
-    """Plan in the browser: slices, markers, trajectories, judged while they are drawn. Until Ctrl-C.
+    """Plan in the browser: slices, markers, trajectories, checked while they are drawn. Runs until Ctrl-C.
 
-    The page's address stands on standard error and holds a key.
+    The page's address, which includes a key, is printed on standard error.
     """
     from procedures.cli.console.attaching import check_console
 

@@ -1,4 +1,4 @@
-"""`ronna-ct postoperative`: what was planned against what the CT after the operation shows."""
+"""`ronna-ct postoperative`: the postoperative CT against the plan."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def postoperative(
     ] = None,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Lay both CTs over each other on bone, find what was inserted, and tell its errors against the plan.
+    """Register both CTs on bone, find the inserted instruments and report their errors against the plan.
 
-    Along each trajectory an electrode, a needle or else a drilled hole is searched, within 10 mm of the plan.
-    The errors are in the coordinates of the planned CT; no output names the patient.
-    Exit codes: 0 every trajectory was found, 1 a CT or the plan is unusable, 2 usage, 3 refused: another
-    patient or head, nothing found along a trajectory, 130 interrupted.
+    Along each trajectory an electrode, a needle or otherwise a drilled hole is searched for, within 10 mm of
+    the plan. The errors are in the coordinates of the planning CT; no output names the patient. Exit codes: 0
+    every trajectory was found, 1 a CT or the plan is unusable, 2 usage, 3 refused: another patient or head,
+    nothing found along a trajectory, 130 interrupted.
     """
     import procedures.imaging as imaging
     from procedures.planning.plan.file import read_plan

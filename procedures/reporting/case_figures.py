@@ -114,7 +114,7 @@ def read_case_figures(folder: Path) -> CaseFigures:
 
 
 def _still_true(reading: RunReading, model: type[R]) -> list[R]:
-    """Results that stand, without those of targets that were finished before something moved."""
+    """Valid results, without those of targets that were finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

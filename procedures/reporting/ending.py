@@ -1,4 +1,4 @@
-"""How a run ended, as its journal tells it."""
+"""How a run ended, according to its journal."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Ending:
 
 
 def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """The ending that the journal tells; `error` is what the command line met, where it is known."""
+    """The ending according to the journal; `error` is what the command line met, where it is known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)

@@ -1,4 +1,4 @@
-"""The files beside a report: its pictures, and their data as tables."""
+"""The files that accompany a report: its pictures, and their data as tables."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happened in a run beside the plain course of its steps, and what the operator was asked."""
+"""What happened in a run besides the plain course of its steps, and what the operator was asked."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
 def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
     """Refusals, rests, faults, what was acknowledged, and what was done again or no longer holds.
 
-    What every program that opens a run finds of the one before is told once.
+    What every program that opens a run finds of the previous one is reported once.
     """
     found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
     told: dict[str, Happening] = {}

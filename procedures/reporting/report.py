@@ -168,7 +168,7 @@ def _left_out(reading: RunReading) -> list[str]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """The pictures, each also as a file with its data beside it; empty where there is nothing to draw."""
+    """The pictures, each also as a file with its data next to it; empty where there is nothing to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))

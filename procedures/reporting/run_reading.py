@@ -43,7 +43,7 @@ class RunReading:
         return self.run.path
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """The results of a step that stand and can be read, in order."""
+        """The valid and readable results of a step, in order."""
         return self._readable(model, self.run.what_stands)
 
     @property
@@ -63,7 +63,7 @@ class RunReading:
         return tuple(found)
 
     def find(self, model: type[R]) -> R | None:
-        """The result of a step that is done once, if it stands and can be read."""
+        """The result of a step that is done once, if it is valid and readable."""
         found = self.standing(model)
         return found[-1].result if found else None
 

@@ -1,4 +1,4 @@
-"""Error and prediction at each target beside what others have published, as one picture."""
+"""Error and prediction at each target with published results, as one picture."""
 
 from __future__ import annotations
 

@@ -95,7 +95,7 @@ class BallWatcher:
         return taken
 
     def reaches(self, pose: Transform) -> bool:
-        """Whether the arm reaches a tool pose in the branch it stands in at home."""
+        """Whether the arm reaches a tool pose in its branch at home."""
         try:
             self._joints(pose, self.workcell.home_rad)
         except LimitError:
@@ -149,7 +149,7 @@ class BallWatcher:
 def around_ball(
     cell: CollisionConfig, flange_from_tool: Transform, ball_mm: ArrayLike, neighbours_mm: ArrayLike = ()
 ) -> Surroundings:
-    """What the arm carries and what stands around: the ball on its post, other balls (n, 3) mm, the room."""
+    """What the arm carries and its surroundings: the ball on its post, other balls (n, 3) mm, the room."""
     ball = _three(ball_mm)
     x, y, z = ball
     below = (x, y, z - STAND_BELOW_MM)

@@ -9,7 +9,7 @@ from ronna_hw.clock import Clock
 
 
 class Instrument:
-    """The journal says that it goes in before it does, and that it is out when somebody has confirmed it."""
+    """The journal records an insertion before it begins, and a removal once someone has confirmed it."""
 
     def __init__(self, journal: Journal, clock: Clock) -> None:
         self._journal = journal
@@ -34,7 +34,7 @@ class Instrument:
             self._inside = None
 
     def take_up(self, trajectory: str | None) -> None:
-        """Take for true how a run that is taken up again left it."""
+        """Restore the state in which a resumed run left it."""
         self._inside = trajectory
 
     def require_out(self, what: str) -> None:

@@ -1,4 +1,5 @@
-"""How a run left its arm, as its journal tells it: the way it came, the guide on its axis, the instrument."""
+"""How a run left its arm, according to its journal: the way it came, the guide on its axis, the
+instrument."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ class MotionLog:
         self._count = 0
 
     def count_from(self, count: int) -> None:
-        """Number the motions of a run that is taken up again after those that it made before."""
+        """Number the motions of a resumed run after those that it made before."""
         self._count = count
 
     def record(

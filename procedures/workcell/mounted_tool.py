@@ -1,4 +1,4 @@
-"""What hangs on the arm, as far as the controller's inputs were last read."""
+"""The mounted tool, according to the last reading of the controller's inputs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mo
 
 
 class MountedTool(StrEnum):
-    """What hangs on the arm, as far as it has been checked."""
+    """The mounted tool, as far as it has been checked."""
 
     UNKNOWN = "unchecked tool"
     STEREO_HEAD = "stereo head"

@@ -1,6 +1,6 @@
 """Around every motion: a checkpoint before it, its intent and its result in the journal.
 
-A motion that somebody else stopped is asked about, and planned anew from where the arm stands. The first
+A motion that someone else stopped is asked about, and re-planned from the arm's present position. The first
 motion since the arm was last stopped or its stream ended is confirmed by the operator.
 """
 
@@ -85,7 +85,8 @@ class SupervisedMotion:
         trajectory: str | None = None,
         **more: JournalValue,
     ) -> ArmReading:
-        """Carry out a motion to joints in rad or a position in mm; after a stop anew if the operator says so.
+        """Carry out a motion to joints in rad or a position in mm; re-planned after a stop if the operator
+        says so.
 
         `facts` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
         with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.

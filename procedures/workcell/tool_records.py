@@ -1,4 +1,4 @@
-"""The records of the tools that can hang on the arm, as the theatre file has them, and whether they fit."""
+"""The records of the tools that can be mounted, from the theatre file, and whether they are consistent."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """By name, and the flange on which they have to have been measured.
+    """By name, and the flange on which they must have been measured.
 
     `calibrating`: no patient, and the tip is what is measured; its record may be of a former one.
     """
@@ -42,7 +42,7 @@ class ToolRecords:
 
     @property
     def guide(self) -> GuideRecord:
-        """Raises TOOL-002 when there is none, or one that is no guide's."""
+        """Raises TOOL-002 if there is none, or one that is not that of a guide."""
         found = self.records.get(GUIDE)
         if found is None:
             raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")

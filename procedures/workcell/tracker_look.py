@@ -51,8 +51,8 @@ def fresh_frames(
 ) -> tuple[list[TrackerFrame], int]:
     """So many measurements, each another one, and how many readings were lost on the way.
 
-    A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 when the
-    tracker gives too few in time, and the driver's own error when the line is too bad.
+    A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 if the
+    tracker returns too few in time, and the driver's own error when the line is too bad.
     """
     limit_s = clock.now_s() + READING_LIMIT_S
     frames: list[TrackerFrame] = []

@@ -33,7 +33,7 @@ class WayHome:
         self._trail = deque(trail, maxlen=TRAIL)
 
     def set_home(self) -> JointVector:
-        """Take where the arm stands for home."""
+        """Use the arm's present position as home."""
         self._home_rad = self._joints_rad()
         return self._home_rad
 

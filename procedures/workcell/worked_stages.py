@@ -43,7 +43,7 @@ class WorkedStages:
         self._note(trajectory, task, done=True)
 
     def take_up(self, known: Stages, stops: Stops) -> None:
-        """Take for true what the journal of a run that is taken up again says."""
+        """Restore the state recorded in the journal of a resumed run."""
         self._known = {trajectory: dict(tasks) for trajectory, tasks in known.items()}
         self._stops = dict(stops)
 

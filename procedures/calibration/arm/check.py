@@ -1,4 +1,5 @@
-"""Whether an arm is still the one that was calibrated: a few looks at spheres, wherever they stand now."""
+"""Whether an arm is still the one that was calibrated: a few measurements of spheres, wherever they are
+now."""
 
 from __future__ import annotations
 

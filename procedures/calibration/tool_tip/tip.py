@@ -1,8 +1,8 @@
 """Where the guide's tip is in the tool frame of the stereo head on the same mount.
 
 In one orientation, and within millimetres of one place, an arm errs alike with the head over the ball and
-with the tip in the divot that takes the ball's place. The difference of the two is the tip beside what the
-head sees, and hardly contains the arm:
+with the tip in the divot that takes the ball's place. The difference of the two is the tip relative to the
+head's measurement, and hardly depends on the arm:
 
     tip = T'^-1 (T ball + dials)    T, T': ROBOT <- TOOL over the ball and in the divot
 
@@ -40,8 +40,8 @@ LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; worse w
 class TipFit:
     """`tip_mm` (3,) in the tool frame of the head, with its covariance (3, 3) mm2; `scatter_mm` per axis.
 
-    `gap_mm` (3,) is by how much pivoting puts the divot beside the ball, robot axes, with a standard error of
-    `gap_error_mm` in space.
+    `gap_mm` (3,) is the offset of the divot from the ball according to the pivoting, robot axes, with a
+    standard error of `gap_error_mm` in space.
     """
 
     tip_mm: Array
@@ -124,7 +124,8 @@ def _require_usable(pairs: TipPairs) -> None:
 
 
 def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
-    """The divot beside the ball, its standard error in space, and the scatter of one reading per axis.
+    """Offset of the divot from the ball, its standard error in space, and the scatter of one reading per
+    axis.
 
     Of `reach = R tip - gap`, both unknown.
     """

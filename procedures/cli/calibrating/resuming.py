@@ -1,4 +1,4 @@
-"""A calibration that was killed or interrupted is taken up again, by the rules of a case."""
+"""A calibration that was killed or interrupted is resumed, by the rules of a case."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ NEVER = datetime(9999, 1, 1, tzinfo=UTC)  # when a record that only serves as a 
 def new_folder(out: Path, what: str, request: CalibrationRun | None = None) -> Path:
     """Make `OUT/<what>-<id>`; the id is the moment and four random hex digits.
 
-    With a request it can be taken up again.
+    With a request it can be resumed.
     """
     require_folder(out)
     folder = out / f"{what}-{datetime.now(UTC):%Y%m%dT%H%M%S}-{secrets.token_hex(2)}"
@@ -63,9 +63,9 @@ def run_steps(
 ) -> Engine:
     """Run a calibration's steps to their end, and close everything; the engine holds the results.
 
-    `bar` shows how far they are and rests while somebody is asked. `judge` is called when every step is
-    done; what it raises is how the run has ended. With `resumption` the steps that stand are not repeated,
-    and nothing moves before what was found is accepted.
+    `bar` shows their progress and pauses while a question is asked. `judge` is called when every step is
+    done; what it raises is how the run has ended. With `resumption`, steps with valid results are not
+    repeated, and nothing moves until the findings are accepted.
     """
 
     def advance(events: Sequence[Event]) -> None:

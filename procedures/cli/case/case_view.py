@@ -1,4 +1,4 @@
-"""A case as a person follows it: what came of each step, and below it how things stand now."""
+"""A case as a person follows it: the outcome of each step, and below it the present state."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def in_words(case: CaseState) -> str:
 
 
 class CaseView:
-    """How things stand now: state, step and progress, devices, journal, errors."""
+    """Present state: state, step and progress, devices, journal, errors."""
 
     def __init__(self) -> None:
         self.state = "starting"

@@ -1,4 +1,4 @@
-"""What an operator can tell a case that is run by hand, one command per line."""
+"""The commands of an operator for a case run by hand, one per line."""
 
 from __future__ import annotations
 

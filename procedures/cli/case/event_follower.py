@@ -1,4 +1,4 @@
-"""Hands what happens in a case to whoever shows it, in a thread beside the engine's."""
+"""Hands the events of a case to its display, in a thread alongside the engine's."""
 
 from __future__ import annotations
 

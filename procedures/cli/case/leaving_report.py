@@ -63,7 +63,7 @@ def leave_report(
 def seal_run(folder: Path, *, at_once: bool = False) -> None:
     """Seal what a run left, its report included; what prevents it is said and hides nothing.
 
-    What takes its time is left when the end has to come `at_once`, or somebody interrupts it.
+    Slow work is skipped when the end must come `at_once`, or when it is interrupted.
     """
     if not (folder / JOURNAL_FILE).exists():
         return
@@ -112,7 +112,7 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
 
 
 def _tidy(beside: Path, kept: Path) -> None:
-    """Whoever was stopped between two names has left the former readings beside."""
+    """A process stopped between two renames has left the former readings next to them."""
     with contextlib.suppress(OSError):
         if not kept.exists():
             (beside / FORMER).rename(kept)
@@ -121,7 +121,7 @@ def _tidy(beside: Path, kept: Path) -> None:
 
 
 def tell_way_on(folder: Path, problem: BaseException) -> None:
-    """After an interruption: where the arm is, and which commands go on from there."""
+    """After an interruption: where the arm is, and which commands continue from there."""
     if not isinstance(problem, KeyboardInterrupt) or not (folder / REQUEST_FILE).exists():
         return
     with contextlib.suppress(RonnaError, OSError):

@@ -1,4 +1,4 @@
-"""The live picture of a case on a terminal: what is done scrolls by, how things stand is below."""
+"""The live picture of a case on a terminal: finished steps scroll by, the present state is below."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ class SimulatedRoom:
 class TerminalOperator:
     """A person at the terminal. Without a terminal nobody answers.
 
-    `asking` is held while a question stands, so that nothing else writes over it.
+    `asking` is held while a question is open, so that nothing else overwrites it.
     """
 
     def __init__(self, asking: Asking = undisturbed) -> None:
@@ -129,7 +129,7 @@ class TerminalOperator:
 
 
 class TerminalRoom:
-    """The hands of whoever sits at the terminal."""
+    """The hands of the person at the terminal."""
 
     def __init__(
         self,
@@ -212,7 +212,7 @@ def _say(line: str) -> None:
 
 
 def _emphasized(question: Question) -> str:
-    """The value, on a terminal with what is to be read back from it in bold."""
+    """The value; on a terminal, the part to be read back is in bold."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value

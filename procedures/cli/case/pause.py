@@ -1,7 +1,7 @@
 """Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all.
 
-Safe points are between steps and before each motion. While a question stands the second one ends all.
-Without a terminal nothing is changed: one signal ends the command.
+Safe points are between steps and before each motion. While a question is open, the second one ends
+everything. Without a terminal nothing is changed: one signal ends the command.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class Interrupts:
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[WritePrompt]:
-        """While a question stands nothing moves: Ctrl-C twice ends the command, once shows the prompt again.
+        """While a question is open, nothing moves: Ctrl-C twice ends the command, once shows the prompt
+        again.
 
         A terminal throws away what it has not yet shown when Ctrl-C is typed.
         """

@@ -48,7 +48,7 @@ class Prompt:
         """`words` is shown on a terminal; `after` is called when a command is done.
 
         `meanwhile` returns when something can be read; until then the case may be operated from elsewhere.
-        With `resumes`, `resume` leaves the prompt and the case goes on.
+        With `resumes`, `resume` leaves the prompt and the case continues.
         """
         self._resumes = resumes
         self._words = words
@@ -131,7 +131,7 @@ class Prompt:
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """What holds the case, and how it goes on; of a device in fault as it stands now."""
+        """What holds the case, and how to continue; for a device in fault, its present state."""
         faults = engine.faults.told
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():

@@ -71,7 +71,7 @@ def with_console(
 ) -> Iterator[Watcher]:
     """The watcher of a case that runs to its end, with a console.
 
-    With `waits` nothing is done before somebody has taken the operator's seat.
+    With `waits`, nothing is done until someone has taken the operator's seat.
     """
     pilot = Pilot(Desk(waits=waits), runs=True)
     with attached(pilot, folder, console, watcher.room_open) as link:

@@ -55,7 +55,7 @@ class Wish:
 
 @dataclass
 class _Standing:
-    """The question that stands."""
+    """The open question."""
 
     question: Question
     shown: str
@@ -105,7 +105,7 @@ class Desk:
 
     @property
     def waits(self) -> bool:
-        """Whether nothing is done without somebody who has taken the seat."""
+        """Whether nothing is done until someone has taken the seat."""
         return self._waits
 
     @property
@@ -115,7 +115,8 @@ class Desk:
             return self._gone
 
     def changes_of_seat(self) -> list[tuple[str, str]]:
-        """Session and name of whoever took the seat since this was last asked; no name: it became free."""
+        """Session and name of the person who took the seat since this was last asked; no name: it became
+        free."""
         with self._changed:
             self._notice_lapse()
             changes = list(self._taken)
@@ -280,7 +281,7 @@ class Desk:
         return standing.answer
 
     def await_seat(self) -> None:
-        """Wait, where nothing is done without, until somebody sits in the seat or the console has ended."""
+        """Wait, if required, until someone is in the seat or the console has ended."""
         with self._changed:
             while self._waits and not self._seat.holder and not self._gone:
                 self._changed.wait(LOOK_AGAIN_S)

@@ -1,4 +1,4 @@
-"""The console's process, fed with events and heard for orders; whatever becomes of it, the case goes on."""
+"""The console's process, fed with events and heard for orders; whatever happens to it, the case continues."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class ConsoleLink:
     def await_ready(self) -> None:
         """Wait, as long as it may take at most, until the console serves or is known not to.
 
-        It starts beside the theatre; a case that does not wait may be over before anybody can look at it.
+        It starts alongside the theatre; a case that does not wait may be over before anybody can look at it.
         """
         self._answered.wait(READY_S)
 

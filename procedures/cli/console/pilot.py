@@ -94,15 +94,15 @@ class Pilot:
                 self._engine.seated(session, name)
 
     def await_operator(self) -> None:
-        """Wait until somebody sits in the seat of a case that waits for it, or the console has ended."""
+        """Wait until someone is in the seat of a case that waits for it, or the console has ended."""
         self.desk.await_seat()
         self.note_seat()
 
     def run_to_end(self, engine: Engine) -> None:
         """Run the case as ordered. Raises OperatorAborted, and what a step raises while nobody operates.
 
-        When the console ends a case that does not go on by itself is left; one that waits for the operator
-        rests until it is continued without the console.
+        When the console ends, a case that does not continue by itself is left; one that waits for the
+        operator rests until it is continued without the console.
         """
         while (key := engine.upcoming) is not None:
             self.note_seat()
@@ -170,7 +170,7 @@ class Pilot:
             self._wait(engine)
 
     def _agreed(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
-        """Whether the case goes on by consent; else what has stopped it, or the way on."""
+        """Whether the case continues by consent; else what has stopped it, or the way on."""
         try:
             return error, engine.goes_on(error)
         except OperatorAborted:

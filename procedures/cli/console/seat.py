@@ -25,7 +25,7 @@ class Seat:
 
     @property
     def lapsed(self) -> bool:
-        """Whether somebody was in it and has not renewed."""
+        """Whether someone was in it and has not renewed."""
         return bool(self._name) and not self.holder
 
     def claim(self, session: str, name: str) -> str:

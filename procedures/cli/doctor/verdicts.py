@@ -1,4 +1,4 @@
-"""One word for each device and one for the case: can it begin, and what stands in the way."""
+"""One word for each device and one for the case: can it start, and what prevents it."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""`ronna-procedure calibrate`: what hangs on the mount of the arm, the reference frame and the guide."""
+"""`ronna-procedure calibrate`: the mounted tools: the reference frame and the guide."""

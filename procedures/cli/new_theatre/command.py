@@ -77,11 +77,11 @@ def new_theatre(
     check: Annotated[bool, typer.Option(help="Check the file as ronna-procedure doctor does.")] = True,
     as_json: console.JsonOption = False,
 ) -> None:
-    """Begin the theatre file of your own devices: find them, write down every option, check the file.
+    """Create the theatre file of your own devices: find them, write every option, check the file.
 
-    Only the given lines, addresses and network cards are asked; nothing moves. On a terminal, what is not
-    given is asked for. Exit codes: 0 written, and every device is there and ready; 2 usage; 4 written, and
-    a device was not found or is not ready; 130 interrupted.
+    Only the given lines, addresses and network cards are probed; nothing moves. At a terminal, missing values
+    are asked for. Exit codes: 0 written, and every device is there and ready; 2 usage; 4 written, and a
+    device was not found or is not ready; 130 interrupted.
     """
     if not hardware:
         raise UsageMistake(
@@ -122,7 +122,7 @@ def new_theatre(
 
 
 def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> bool:
-    """What was found, and what the doctor says of it; True when every device is there and ready."""
+    """Report the devices found and the doctor's verdict; True if every device is there and ready."""
     from procedures.cli.doctor.report import examine, show_findings
 
     for one in found:

@@ -102,7 +102,7 @@ def _of_tables(value: object) -> bool:
 
 
 def _missing_records() -> Iterator[str]:
-    """What is to be written by hand before the first calibration, key by key."""
+    """What must be entered by hand before the first calibration, key by key."""
     makers = ", ".join(f"[calibration.{name}] by {command}" for name, command in MADE_BY_COMMAND.items())
     yield from _comment(f"{NO_RECORDS}{makers}.")
     for name, table in Calibrations.model_fields.items():

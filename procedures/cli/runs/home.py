@@ -17,7 +17,7 @@ from ronna_hw.command_line.console import print_json
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
     """An instrument out along its axis, then the arm home, once what was found is accepted.
 
-    Raises as `resume`; the run stays as it was and can be taken up again.
+    Raises as `resume`; the run is unchanged and can be resumed.
     """
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder) as left:

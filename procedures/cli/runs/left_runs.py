@@ -1,4 +1,4 @@
-"""A run that is taken up again: what it was asked for, what it left, and whether it can be written to."""
+"""A resumed run: what it was asked for, what it left, and whether it can be written to."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def opened_left(
 def close_left(
     left: LeftRun, clinical: ClinicalInput | None, outcome: str = "done", **more: JournalValue
 ) -> LeftRun:
-    """Write the end of a run whose every step stands: nothing is moved for it, and no device is asked."""
+    """Write the end of a run whose every step is valid: nothing is moved for it, and no device is asked."""
     moment_s = theatre_time_s(left.run.journal[-1])
     folder = left.run.path
     journal = Journal.taken_up(folder, left.chain)
@@ -82,7 +82,7 @@ def close_left(
 
 
 def make_ready(left: LeftRun) -> None:
-    """Before a program goes on with a run. Raises PRO-003 where the run could not be written."""
+    """Before a program continues a run. Raises PRO-003 where the run could not be written."""
     folder = left.run.path
     _check_writable(folder)
     _remove_half_written(folder)

@@ -1,4 +1,4 @@
-"""`ronna-procedure report RUN`: the report of any run, made anew from its folder."""
+"""`ronna-procedure report RUN`: the report of any run, rebuilt from its folder."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what ca
 
 
 def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:
-    """The report of any run folder, made anew; with `after`, the check after the operation is added to it.
+    """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """

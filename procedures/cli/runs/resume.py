@@ -1,4 +1,4 @@
-"""`ronna-procedure resume RUN`: goes on with a run that was killed, left or interrupted."""
+"""`ronna-procedure resume RUN`: continues a run that was killed, left or interrupted."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def resume(
 ) -> None:
     """Take a run up again and finish it; a finished one is shown.
 
-    With a console nothing is looked at before somebody sits in its seat, unless a script accepts.
+    With a console, nothing is read until someone is in its seat, unless a script accepts.
 
     Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, and what devices and steps raise.
     """

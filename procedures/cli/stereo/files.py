@@ -1,4 +1,4 @@
-"""A calibration of the stereo head: what is observed for it, and what it leaves beside looks and records.
+"""A calibration of the stereo head: what is observed for it, and what it writes besides looks and records.
 
 OUT/<id>/baseline.json       the eight orientations of the self-check, for `ronna-stereo check`
 """

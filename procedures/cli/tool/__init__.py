@@ -1,1 +1,1 @@
-"""`ronna-tool`: records of the tools that can hang on the arm."""
+"""`ronna-tool`: records of the tools that can be mounted on the arm."""

@@ -1,1 +1,1 @@
-"""Where the cart of the arm may stand: places judged as the path check judges them, and the best."""
+"""Possible positions of the arm's cart: places judged as the path check judges them, and the best."""

@@ -32,7 +32,7 @@ HIDDEN = "the arm at home hides {} from the tracker"
 
 @dataclass(frozen=True)
 class CartMove:
-    """How far the cart stands from the assumed place: x and y in the assumed $ROBROOT, then turned there."""
+    """Offset of the cart from the assumed position: x and y in the assumed $ROBROOT, then turned there."""
 
     x_mm: float
     y_mm: float
@@ -72,8 +72,8 @@ class Verdict:
 class CartCase:
     """The arm at its assumed place, with its scene, and what it is to do there.
 
-    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is where the tracker stands, None when it does not
-    matter. What the cell describes in the robot's frame is taken to move with the cart.
+    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter.
+    What the cell describes in the robot's frame is taken to move with the cart.
     """
 
     setting: ArmSetting

@@ -30,7 +30,7 @@ MOST_KNOWN = 3  # ways that served nearby are tried before a place is refused
 class PlaceMap:
     """What was judged, about the assumed place: `verdicts` by node, `allowed` (n, n) by square, x first.
 
-    Everywhere the cart is turned by `turn_rad` against how it was assumed to stand.
+    Everywhere the cart is turned by `turn_rad` from its assumed orientation.
     """
 
     half: int  # finest squares from the middle to the edge

@@ -18,7 +18,7 @@ SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 @dataclass(frozen=True, eq=False)
 class PlaceProposal:
-    """Where the cart should stand against the assumed place, and what it may be missed by.
+    """Proposed offset of the cart from the assumed position, and its tolerance.
 
     `free_mm` in any direction; or half of that and turned further by `turns_deg`, the other way and this.
     """

@@ -1,4 +1,4 @@
-"""The proposed place as a case reads it, and how far beside it the cart stands."""
+"""The proposed position as a case reads it, and how far the cart is from it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ Turn = Annotated[float, Field(ge=0.0, le=180.0)]
 
 @dataclass(frozen=True)
 class BesideProposal:
-    """Where the cart stands against its proposed place: x and y in the assumed $ROBROOT, and turned by.
+    """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and turned by.
 
-    `head_mm` and `head_deg` are what no cart on the floor can do: the head lies higher, or tilted.
+    `head_mm` and `head_deg` are what no cart on the floor can do: the head is higher, or tilted.
     """
 
     x_mm: float
@@ -41,7 +41,7 @@ class BesideProposal:
 
     @property
     def off_mm(self) -> float:
-        """How far beside."""
+        """Distance from it."""
         return math.hypot(self.x_mm, self.y_mm)
 
 
@@ -80,7 +80,7 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, beside: BesideProposal) -> bool:
-        """Whether it stands near enough: turned at most as was tried, with the room that was left then."""
+        """Whether it is near enough: turned at most as was tried, with the room that was left then."""
         less, more = self.turns_deg
         turned = abs(beside.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm

@@ -1,6 +1,6 @@
-"""Where markers go on a head so that the error at the planned targets is least.
+"""Marker positions on a head that minimize the error at the planned targets.
 
-Markers serve a target best when their middle is near it and they stand far from the axes through it: eq. 39.
+Markers serve a target best when their centroid is near it and they are far from the axes through it: eq. 39.
 What a free hand would choose, spread over the same skin, is drawn at random for comparison. The arm's own
 errors are not in it: they depend on how the head will lie.
 """

@@ -1,4 +1,4 @@
-"""Proposes where three or four markers go on a head, so that all their distances differ by a margin.
+"""Proposes positions for three or four markers on a head such that all their distances differ by a margin.
 
 The thesis advises such a template for so few markers. Among the sites that it leaves, those with the least
 expected error in the middle of the head are taken (eq. 39).

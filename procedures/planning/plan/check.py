@@ -198,7 +198,7 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
 def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
     """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart.
 
-    Of the x-shaped frame, it shows the frame, and what else looks like a sphere is told.
+    For the x-shaped frame, it shows the frame; anything else that looks like a sphere is reported.
     """
     if plan.fiducials is FiducialKind.XFRAME:
         return _the_frame(points_mm)

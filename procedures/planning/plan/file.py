@@ -53,7 +53,7 @@ def plan_of(content: bytes, name: str) -> Plan:
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
     """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023 with every mistake in it.
 
-    Without `sealed_only` one that was altered under its seal is read all the same, to be looked at.
+    Without `sealed_only`, one altered under its seal is still read, for viewing.
     """
     found: list[PlanError] = []
     plan: Plan | None = None

@@ -21,7 +21,7 @@ TRAJECTORY = """
 def new_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """The text of a plan on the series `source`; its spheres (n, 3) LPS mm stand in it as a comment."""
+    """The text of a plan on the series `source`; its spheres (n, 3) LPS mm are in it as a comment."""
     return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

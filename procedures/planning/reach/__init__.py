@@ -1,1 +1,1 @@
-"""What the arm has to reach in a procedure, and whether it can: poses, joint angles, motions between them."""
+"""What the arm must reach in a procedure, and whether it can: poses, joint angles, motions between them."""

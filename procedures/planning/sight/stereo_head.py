@@ -1,4 +1,4 @@
-"""Do both cameras of the stereo head see every sphere, or does another sphere stand in the way?
+"""Do both cameras of the stereo head see every sphere, or is another sphere in the way?
 
 Spheres are compared by their outlines on a camera's sky: two of them must not touch, whichever is nearer,
 because a bright neighbour behind the rim spoils it as surely as one in front.
@@ -25,7 +25,7 @@ CLEARANCE_MM = 3.0  # around each sphere, for what the coarse positions do not k
 
 @dataclass(frozen=True)
 class StereoSight:
-    """Where the two cameras stand in the tool frame, mm."""
+    """Positions of the two cameras in the tool frame, mm."""
 
     left_mm: Array
     right_mm: Array
