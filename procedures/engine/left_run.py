@@ -13,7 +13,7 @@ from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
 from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, Problem, inspected
 from ronna_hw.evidence.journal_reading import Chain
 from ronna_hw.records import BadRecord, Record
 
@@ -24,6 +24,7 @@ class LeftRun:
 
     run: RunFolder
     chain: Chain
+    changes: tuple[Problem, ...] = ()  # of its folder, that do not keep an arm from leaving
 
     @property
     def has_journal(self) -> bool:
@@ -96,13 +97,15 @@ class LeftRun:
         return case
 
 
-def read_left_run(folder: Path) -> LeftRun:
+def read_left_run(folder: Path, *, only_leaving: bool = False) -> LeftRun:
     """Read a run that is to be resumed; one without a journal has none of all that.
 
-    Raises PRO-033 for one that was changed.
+    Raises PRO-033 for one that was changed; with `only_leaving` for one whose journal, request or records
+    were.
     """
-    found = inspected(folder).require_unchanged()
-    return LeftRun(run_of(found), found.chain)
+    found = inspected(folder)
+    found = found.require_account() if only_leaving else found.require_unchanged()
+    return LeftRun(run_of(found), found.chain, found.changes)
 
 
 def step_key(line: Line) -> StepKey:

@@ -13,6 +13,8 @@ from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.errors import RonnaError
 
+FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that say where arm and tools are
+
 
 def compare_devices(
     engine: Engine,
@@ -42,6 +44,8 @@ def compare_devices(
             continue
         if (then := recorded.identities.get(role)) == found:
             comparison.same(f"{role} {found.model}")
+        elif role != ARM and only_leaving:
+            comparison.note(f"{role}: not needed on the way home, and another one: {_named(found)}")
         else:
             comparison.differs(role, _named(then) if then else "none", _named(found))
     if not only_leaving:
@@ -63,8 +67,16 @@ def _compare_calibrations(
     now = engine.setting.workcell.calibrations
     then = recorded.calibrations.records
     for name in then.keys() - now.records.keys():
+        if only_leaving and name not in FOR_MOTION:
+            comparison.note(f"calibration {name}: not needed on the way home, and there is none")
+            continue
         comparison.differs(f"calibration {name}", _dated(then[name]), "none")
     for name, record in now.records.items():
+        if record != then.get(name) and only_leaving and name not in FOR_MOTION:
+            comparison.note(
+                f"calibration {name}: not needed on the way home, and another one: {_dated(record)}"
+            )
+            continue
         if record != then.get(name):
             before = _dated(then[name]) if name in then else "none"
             comparison.differs(f"calibration {name}", before, _dated(record))

@@ -89,6 +89,8 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
     comparison = Comparison()
     _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     comparison.note("patient and robot base: not compared, the arm only goes home")
+    for change in left.changes:
+        comparison.warn(f"not as the run left it: {change}")
     if not (first := _first(engine)):
         _conclude(engine, comparison)
         return False

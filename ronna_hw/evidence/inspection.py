@@ -34,12 +34,20 @@ SHOWN = 3  # problems that an error names; verify lists all
 class Problem:
     """One file that is not as the run left it, and how.
 
-    `unfinished` where no more is wrong than that the run did not come to its end.
+    `unfinished` where no more is wrong than that the run did not come to its end, `beside` where nothing that
+    the run has written is concerned: its folder was renamed, or a file was added.
     """
 
     file: str
     what: str
     unfinished: bool = False
+    beside: bool = False
+
+    @property
+    def of_account(self) -> bool:
+        """Whether journal, request or records are not as they were written."""
+        of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
+        return of_it and not self.beside
 
     def __str__(self) -> str:
         return f"{printable(self.file)}: {self.what}"
@@ -75,6 +83,10 @@ class Inspection:
     def require_unchanged(self, action: str | None = None) -> Inspection:
         """This, or PRO-033 where anything was changed; a run that did not come to its end passes."""
         return self._require(self.changes, action)
+
+    def require_account(self) -> Inspection:
+        """This, or PRO-033 where journal, request or records were changed: the way home is read in them."""
+        return self._require(tuple(problem for problem in self.changes if problem.of_account))
 
     def require_whole(self) -> Inspection:
         """This, or PRO-033 unless the folder is as a run left it that was closed and sealed."""
@@ -133,7 +145,8 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
     run, name = chain.lines[0].get("run") if chain.lines else None, folder.resolve().name
     if run not in (None, name):
-        problems.append(Problem(JOURNAL_FILE, f"of run {run}, in a folder named {name}"))
+        what = f"of run {run}, in a folder named {name}"
+        problems.append(Problem(JOURNAL_FILE, what, beside=True))
     return chain
 
 
@@ -244,7 +257,7 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
         if not sealed and name.endswith(PARTIAL):
             yield Problem(name, "incomplete: the program was killed while writing", unfinished=True)
         else:
-            yield Problem(name, "added: not part of the run")
+            yield Problem(name, "added: not part of the run", beside=True)
 
 
 def _why_unread(error: OSError | InputRefused) -> str:

@@ -99,3 +99,19 @@ def test_the_arm_of_a_killed_run_is_brought_home_and_the_run_goes_on_later(
     assert whats[-2:] == ["withdraw", "home"]
     assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == 0
     assert taken_up(commands, killed)["outcome"] == "done"
+
+
+@pytest.mark.hazard(44)
+def test_neither_a_stray_file_nor_an_unreadable_plan_keeps_the_arm_over_the_head(
+    commands: Commands, tmp_path: Path
+) -> None:
+    killed = killed_at(commands, MINI_SEED_3, tmp_path, AT_TARGET)
+    folder = str(killed.folder)
+    acknowledged = commands.run("ronna-procedure", "acknowledge", folder, "--by", "A. Nurse")
+    assert acknowledged.returncode == 0, acknowledged.stderr
+    (killed.folder / "notes.txt").write_text("mine")
+    (killed.folder / "case" / "plan.toml").write_text("no plan at all")
+    done = commands.run("ronna-procedure", "home", folder, "--accept", "--json")
+    assert json.loads(done.stdout) == {"run": killed.folder.name, "home": True, "moved": True}, done.stderr
+    assert "case/plan.toml: changed" in done.stderr
+    assert commands.run("ronna-procedure", "resume", folder, "--accept").returncode != 0

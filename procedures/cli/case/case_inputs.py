@@ -9,8 +9,10 @@ from procedures.cli.case.request import CaseRequest
 
 if TYPE_CHECKING:
     from procedures.engine.context import ClinicalInput
+    from procedures.engine.left_run import LeftRun
     from procedures.engine.order import CaseOrder
     from procedures.planning.plan.lock import HeldPlan
+    from procedures.planning.plan.model import Plan
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:
@@ -35,15 +37,30 @@ def clinical_input(request: CaseRequest, folder: Path, plan: HeldPlan | None = N
 
 def order_of_case(request: CaseRequest, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
     """The steps of a run, by its plan as held and its strategy. Raises what reading the plan raises."""
-    from procedures.engine.order import order_of
     from procedures.planning.plan.file import plan_of, read_plan
+
+    file = case_folder(request, folder) / "plan.toml"
+    return _order(request, read_plan(file) if held is None else plan_of(held.content, file.name))
+
+
+def recorded_order(request: CaseRequest, left: LeftRun) -> CaseOrder:
+    """The steps of a run that was left by the plan that it checked, whatever became of the file since.
+
+    Raises REC-001, REC-003.
+    """
+    from procedures.steps.clinical.plan_check import CheckedPlan
+
+    checked = left.run.made(CheckedPlan)
+    return _order(request, checked[-1].result.plan if checked else None)
+
+
+def _order(request: CaseRequest, plan: Plan | None) -> CaseOrder:
+    from procedures.engine.order import order_of
     from procedures.steps.catalogue import clinical_steps
     from procedures.strategies.catalogue import strategy_named
 
-    file = case_folder(request, folder) / "plan.toml"
-    plan = read_plan(file) if held is None else plan_of(held.content, file.name)
     return order_of(
         clinical_steps(measure_targets=request.measure_targets),
-        [trajectory.id for trajectory in plan.trajectories],
+        [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
         localizes_per_trajectory=strategy_named(request.strategy).localizes_per_trajectory,
     )

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import Asking, undisturbed
-from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case
+from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case, recorded_order
 from procedures.cli.case.operators import (
     AtPause,
     ScriptedOperator,
@@ -72,10 +72,14 @@ class Watcher:
 
 @dataclass(frozen=True)
 class Resumption:
-    """A run that is taken up again; `accepted` where a script accepts what is found."""
+    """A run that is taken up again; `accepted` where a script accepts what is found.
+
+    With `only_leaving` no step is run: the arm goes home, or devices are acknowledged.
+    """
 
     left: LeftRun
     accepted: bool
+    only_leaving: bool = False
 
 
 @dataclass(frozen=True)
@@ -193,6 +197,9 @@ def opened_case(
     held = contextlib.ExitStack()
 
     def procedure(theatre: Theatre) -> Procedure:
+        if resumption is not None and resumption.only_leaving:
+            order = recorded_order(request, resumption.left)
+            return Procedure(order, clinical=clinical_input(request, folder))
         if resumption is None:  # before anybody is asked anything; set_up looks again
             require_valid(theatre.calibrations, this_second(), _theatre_options(request))
         if request.plan is not None and (resumption is None or resumption.left.untouched):
@@ -392,7 +399,8 @@ def _make_engine(
     engine.checkpoint.guards.extend(standing_guards(workcell, folder, theatre.clock, engine.find))
     if wanted.clinical is not None:
         engine.goes_on = MovedCart(engine).agreed_to_go_on
-        engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
+        if resumption is None or not resumption.only_leaving:
+            engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
         void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
         engine.checkpoint.guards.append(sight_guard(engine, void))
         engine.checkpoint.guards.append(GuideStill(workcell, theatre.clock, engine.setting.workspace))

@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 
 def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
-    """Those of a run, and write it into its journal. Raises as `resume`, and as `acknowledge_theatre`."""
+    """Those of a run, and write it into its journal. Raises as `home`, and as `acknowledge_theatre`."""
     request = request_of(folder)
-    with held_left_run(folder) as left:
+    with held_left_run(folder, only_leaving=True) as left:
         by = _person(by)
         if left.finished:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
         make_ready(left)
-        path = left.run.path
-        with leaving_report(path), opened_left(request, path, Watcher(), Resumption(left, False)) as engine:
+        path, resumption = left.run.path, Resumption(left, False, only_leaving=True)
+        with leaving_report(path), opened_left(request, path, Watcher(), resumption) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.faults.acknowledge(by),

@@ -20,7 +20,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
     Raises as `resume`; the run is unchanged and can be resumed.
     """
     request = request_of(folder, accept=accept, answers=answers)
-    with held_left_run(folder) as left:
+    with held_left_run(folder, only_leaving=True) as left:
         if (nothing := _nothing_to_do(left)) is not None:
             _say(left, nothing, moved=False, as_json=as_json)
             return
@@ -28,7 +28,9 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
         with leaving_report(left.run.path), following(quiet=as_json) as watcher:
             from procedures.recovery import bring_home
 
-            with opened_left(request, left.run.path, watcher, Resumption(left, accept)) as engine:
+            with opened_left(
+                request, left.run.path, watcher, Resumption(left, accept, only_leaving=True)
+            ) as engine:
                 moved = bring_home(engine, left)
         _say(left, "the arm is home" if moved else "the arm was already home", moved=moved, as_json=as_json)
 

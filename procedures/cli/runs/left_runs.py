@@ -44,14 +44,18 @@ def request_of(
 
 
 @contextmanager
-def held_left_run(folder: Path) -> Iterator[LeftRun]:
+def held_left_run(folder: Path, *, only_leaving: bool = False) -> Iterator[LeftRun]:
     """What a run left, with its folder held for this program.
 
-    Raises PRO-030 while another program has it open, PRO-033 for one that was changed.
+    With `only_leaving` the arm is to be freed, and a change of what its way home is not computed from is only
+    reported. Raises PRO-030 while another program has it open, PRO-033 for one that was changed.
     """
     folder = folder.resolve()
     with held_run(folder):
-        yield read_left_run(folder)
+        left = read_left_run(folder, only_leaving=only_leaving)
+        for change in left.changes:
+            tell(f"warning: not as the run left it: {change}")
+        yield left
 
 
 @contextmanager

@@ -314,6 +314,38 @@ def test_a_run_under_another_name_is_not_that_run(run: Path) -> None:
         inspected(renamed).require_whole()
 
 
+def renamed(run: Path) -> Path:
+    return run.rename(run.with_name("another"))
+
+
+def with_a_stray_file(run: Path) -> Path:
+    (run / "notes.txt").write_text("mine")
+    return run
+
+
+def with_a_changed_picture(run: Path) -> Path:
+    next((run / "pictures").iterdir()).write_bytes(b"another")
+    return run
+
+
+@pytest.mark.parametrize("spoil", [renamed, with_a_stray_file, with_a_changed_picture])
+def test_what_the_way_home_is_not_read_in_does_not_keep_the_arm_from_leaving(
+    run: Path, spoil: Callable[[Path], Path]
+) -> None:
+    found = inspected(spoil(run))
+    with pytest.raises(RunChanged):
+        found.require_unchanged()
+    assert found.require_account().changes != ()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("name", [JOURNAL_FILE, "records/01-image.json"])
+def test_a_changed_account_keeps_the_arm_where_it_is(run: Path, name: str) -> None:
+    (run / name).write_bytes((run / name).read_bytes().replace(b"image", b"imagf"))
+    with pytest.raises(RunChanged, match=name):
+        inspected(run).require_account()
+
+
 def test_exports_are_made_at_any_time_and_are_no_part_of_the_run(run: Path) -> None:
     (run / "export").mkdir()
     (run / "export" / "spheres.csv").write_text("M1")

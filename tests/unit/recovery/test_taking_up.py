@@ -44,6 +44,7 @@ from ronna_hw.config import Calibrations
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readiness import Fact
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.evidence.inspection import Problem
 
 
 def per_trajectory(result: StepResult) -> StepSpec[StepResult]:
@@ -339,6 +340,36 @@ class TestBringingHome:
         assert "the tracker is silent" in asked.value
         assert "it expired in the night" in asked.value
 
+    def test_a_renewed_record_of_the_tracker_s_frame_does_not_keep_the_arm_over_the_head(
+        self, cell: ClinicalCell
+    ) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        other_frame(again)
+        assert bring_home(engine, left)
+        (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
+        assert "calibration tracker_frame: not needed on the way home" in asked.value
+
+    def test_another_tracker_does_not_keep_the_arm_over_the_head(self, cell: ClinicalCell) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        again.tracker.name = "another tracker"
+        assert bring_home(engine, left)
+
+    def test_what_was_changed_beside_the_way_home_is_read_before_it_is_accepted(
+        self, cell: ClinicalCell
+    ) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        changed = replace(left, changes=(Problem("notes.txt", "added: not part of the run"),))
+        assert bring_home(engine, changed)
+        assert "not as the run left it: notes.txt: added" in again.operator.asked[0].value
+
+    @pytest.mark.hazard(2)
+    def test_another_tip_is_not_led_out_along_the_axis(self, cell: ClinicalCell) -> None:
+        again, engine, left = left_after(cell, f"positioning:{FIRST}")
+        other_calibration(again)
+        with pytest.raises(RecoveryRefused, match="tool_tip"):
+            bring_home(engine, left)
+        assert again.arm.motions == []
+
     @pytest.mark.hazard(2)
     def test_another_arm_is_not_moved(self, cell: ClinicalCell) -> None:
         again, engine, left = left_after(cell, f"positioning:{FIRST}")
@@ -362,12 +393,18 @@ def other_calibration(cell: ClinicalCell) -> None:
     cell.workcell.calibrations = calibrations.model_copy(update={"tool_tip": tip})
 
 
+def other_frame(cell: ClinicalCell) -> None:
+    calibrations: Calibrations = cell.calibrations
+    frame = calibrations.tracker_frame.model_copy(update={"identifier": "renewed"})
+    cell.workcell.calibrations = calibrations.model_copy(update={"tracker_frame": frame})
+
+
 def other_camera(cell: ClinicalCell) -> None:
     cell.stereo.serials = ("0", "0")
 
 
 @pytest.mark.hazard(2)
-@pytest.mark.parametrize("swap", [other_tool, other_arm, other_calibration, other_camera])
+@pytest.mark.parametrize("swap", [other_tool, other_arm, other_calibration, other_frame, other_camera])
 def test_what_was_swapped_meanwhile_is_refused_and_nothing_is_asked(
     cell: ClinicalCell, swap: Callable[[ClinicalCell], None]
 ) -> None:

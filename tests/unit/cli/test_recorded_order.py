@@ -1,0 +1,37 @@
+"""The order of a run whose arm only leaves is that of the plan that was checked, wherever its file is now."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from clinical_case import ClinicalCell, done_later
+from prepared_results import checked_plan
+from run_again import broken_off
+
+from procedures.cli.case.case_inputs import recorded_order
+from procedures.cli.case.request import CaseRequest
+from procedures.engine.left_run import read_left_run
+from procedures.engine.order import order_of
+from procedures.engine.result import StepResult
+from procedures.engine.step import StepKey
+
+
+class Begun(StepResult, kind="begun"):
+    """What was done before there was a plan."""
+
+
+def test_the_order_comes_from_the_record_and_no_plan_file_is_read(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "run")
+    cell.begin(checked_plan()).run_to()
+    broken_off(cell)
+    order = recorded_order(CaseRequest(out=tmp_path, case=tmp_path / "gone"), read_left_run(cell.folder))
+    assert list(order.trajectories) == [trajectory.id for trajectory in checked_plan().plan.trajectories]
+    assert StepKey("retreat", order.trajectories[-1]) in order.sequence
+
+
+def test_before_a_plan_was_checked_there_are_no_steps_at_targets(tmp_path: Path) -> None:
+    cell = ClinicalCell(tmp_path / "run")
+    cell.engine(order_of([done_later(Begun())], ())).run_to()
+    broken_off(cell)
+    order = recorded_order(CaseRequest(out=tmp_path, case=tmp_path / "gone"), read_left_run(cell.folder))
+    assert order.trajectories == ()
