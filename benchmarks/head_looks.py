@@ -12,10 +12,12 @@ from datetime import UTC, datetime
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from procedures.calibration.head_model import cameras_of, intersected
 from procedures.calibration.observations import Observation, ObservationSet, Outline
-from procedures.calibration.pose_set import PlannedLook
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
@@ -147,3 +149,8 @@ def observation_set(head: TrueHead, observations) -> ObservationSet:
         start=head.record,
         observations=tuple(observations),
     )
+
+
+def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
+    """The orientations of the self-check where all of them are reachable."""
+    return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))

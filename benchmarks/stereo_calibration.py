@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.figures import Figure
-from benchmarks.head_looks import TrueHead, observation_set, true_head
+from benchmarks.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.pose_set import calibration_looks, check_looks
+from procedures.calibration.pose_set import calibration_looks
 from ronna_hw.arm.errors import LimitError
 from sim.theatre.rigid import rotation_towards
 

@@ -220,7 +220,7 @@ class StereoCell:
 
         def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
-            point = StereoPoint(seen, np.eye(3), 0.0, (0.0, 0.0), True)
+            point = StereoPoint(seen, np.eye(3), 0.0, (0.0, 0.0))
             return Look(cast(StereoReading, None), None, None, point)
 
         with patch.object(self._workcell, "look", look):

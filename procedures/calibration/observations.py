@@ -72,11 +72,6 @@ class ObservationSet(Strict):
     observations: tuple[Observation, ...] = Field(description="The views.")
 
 
-def read_observations(path: Path) -> ObservationSet:
-    """Read a stored set from its file or folder; raises CAL-005."""
-    return read_strict(ObservationSet, path / OBSERVATIONS_FILE if path.is_dir() else path)
-
-
 def read_strict(kind: type[S], path: Path) -> S:
     """Read one strict record from JSON; raises CAL-005 listing every error in it."""
     try:

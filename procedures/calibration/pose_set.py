@@ -98,11 +98,6 @@ def turned_about(
     )
 
 
-def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
-    """The self-check orientations, ball at the tool centre: tilted to eight sides, alternately rotated."""
-    return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))
-
-
 def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
     """One orientation of the self-check, and alternatives for when it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)

@@ -154,17 +154,6 @@ def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: boo
     return np.asarray(bread @ (transposed @ covariance_mm2 @ jacobian).sum(axis=0) @ bread)
 
 
-def pose_covariance_share(fiducials_mm: Array, covariance_mm2: Array, part_mm2: Array) -> Array:
-    """The part (6, 6) of a weighted fit's pose covariance that comes from `part_mm2` (n, 3, 3).
-
-    That is a part of the pairs' covariances, such as the CT's: the shares of all parts add up to the whole.
-    """
-    jacobian = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0))
-    weighted = np.swapaxes(jacobian, -1, -2) @ np.linalg.inv(covariance_mm2)
-    bread = np.linalg.inv((weighted @ jacobian).sum(axis=0))
-    return np.asarray(bread @ (weighted @ part_mm2 @ np.swapaxes(weighted, -1, -2)).sum(axis=0) @ bread)
-
-
 def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) -> Array:
     """Covariance (m, 3, 3) of mapped targets (m, 3) from the covariance of the pose."""
     jacobian = pose_jacobian(points_mm, fiducials_mm.mean(axis=0))

@@ -19,7 +19,6 @@ from procedures.registration.error_theory import (
     fle_from_fre_mm,
     fre_gate,
     pose_covariance,
-    pose_covariance_share,
     require_size,
     target_covariance_mm2,
     tre_principal_axes_mm,
@@ -156,21 +155,6 @@ class Registration:
             covariance,
             "eq. 39, FLE given" if fle_mm is not None else "eq. 39, FLE from FRE by eq. 36",
         )
-
-    def predict_share_mm(self, points: ArrayLike, part_mm2: ArrayLike) -> Array:
-        """The share (m,) rms mm of the predicted error at image points (m, 3) mm that one part causes.
-
-        `part_mm2` (n, 3, 3) or (3, 3) is that part of the pairs' covariances, such as the CT's; the squares
-        of all shares add up to the square of the whole. Raises REG-001, REG-007 without covariances.
-        """
-        if self.covariance_mm2 is None:
-            raise BadParameter("a shared residual needs covariances", action="Register with covariance_mm2.")
-        targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
-        fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
-        part = np.broadcast_to(np.asarray(part_mm2, dtype=float), self.covariance_mm2.shape)
-        pose = pose_covariance_share(fiducials, self.covariance_mm2, part)
-        covariance = target_covariance_mm2(targets, fiducials, pose)
-        return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
 
 
 def register(

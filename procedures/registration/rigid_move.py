@@ -6,12 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from procedures.registration.error_theory import FreGate
 from procedures.registration.point_registration import Registration, register
-
-Array = NDArray[np.float64]
 
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand moves
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from procedures.relocalization.camera import Camera
 from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
-from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.relocalization.sphere_image import SphereImage
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import beyond
@@ -30,14 +30,13 @@ class StereoPoint:
     """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two checks on itself.
 
     `ray_gap_mm` is the gap between the two lines of sight; `radii_mm` follow from the left and the right
-    outline at that distance. `reliable` is False when either outline was UNRELIABLE.
+    outline at that distance.
     """
 
     position_mm: Array
     covariance_mm2: Array
     ray_gap_mm: float
     radii_mm: tuple[float, float]
-    reliable: bool
 
     @property
     def radius_mm(self) -> float:
@@ -95,8 +94,7 @@ def triangulate(
             limit=f"{LIKENESS_TOLERANCE:.1%}",
             got=f"{radii[0]:.2f} and {radii[1]:.2f} mm",
         )
-    reliable = all(outline.status is SphereStatus.OK for outline in outlines)
-    return StereoPoint(position, covariance, gap, (radii[0], radii[1]), reliable)
+    return StereoPoint(position, covariance, gap, (radii[0], radii[1]))
 
 
 def check_serial(calibration: CameraCalibration, serial: str) -> None:

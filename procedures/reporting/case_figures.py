@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.engine.events import Evidence
 from procedures.engine.result import StepResult
@@ -28,7 +27,6 @@ from ronna_hw.evidence.inspection import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
 PLAN_PICTURE = "plan-"  # how the names of the pictures begin that the check of the plan keeps
-Array = NDArray[np.float64]
 Point = tuple[float, float, float]
 R = TypeVar("R", bound=StepResult)
 

@@ -101,15 +101,6 @@ class TrackerFrame:
         raise UnknownTool(f"the tracker has no tool {name}", expected=known or "none")
 
 
-class OperationMode(StrEnum):
-    """Operating mode of the robot controller."""
-
-    T1 = "T1"
-    T2 = "T2"
-    AUT = "AUT"
-    EXT = "EXT"
-
-
 @dataclass(frozen=True)
 class ArmReading:
     """State of the arm: measured axes as the controller reports them, and commanded axes."""

@@ -7,15 +7,12 @@ ball's centre, along the stand's own axes.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.errors import StandNotReady
 from sim.theatre.noise import noise
 from sim.theatre.on_stand import OnStand
 from sim.theatre.rigid import matrix_of, rotation_from_vector
 from sim.theatre.world import World
-
-Vector = NDArray[np.float64]
 
 
 def read_dials(world: World) -> tuple[float, float, float]:

@@ -73,7 +73,7 @@ class SeeingWorkcell(Workcell):
         nearest = seen_mm[np.linalg.norm(seen_mm, axis=1).argmin()]
         if np.linalg.norm(nearest) > IN_VIEW_MM:
             return Look(NO_PICTURES, None, None, None, NoSphere("no sphere in view"))
-        point = StereoPoint(nearest, np.eye(3) * SIGMA_MM**2, 0.001, self.radii_mm, reliable=True)
+        point = StereoPoint(nearest, np.eye(3) * SIGMA_MM**2, 0.001, self.radii_mm)
         return Look(NO_PICTURES, OUTLINE, OUTLINE, point)
 
 

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 from turned_camera import with_turned_camera, write_scene
 from user_commands import Commands, one_error
 
-from benchmarks.head_looks import ENDPOINTS, TrueHead, observation_set, true_head
+from benchmarks.head_looks import ENDPOINTS, TrueHead, check_looks, observation_set, true_head
 from benchmarks.stereo_cell import with_ideal_arm
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
-from procedures.calibration.pose_set import PlannedLook, calibration_looks, check_looks
+from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.cli.stereo.command import app
 from procedures.reporting.report import REPORT_FILE
 from ronna_hw.calibration import StereoHeadCalibration

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 import tomli_w
+from guide_frames import with_guide_frame
 from user_commands import Commands
 
 from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.scene.guide_frame import with_guide_frame
 from sim.theatre.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -16,7 +16,6 @@ from scipy import ndimage
 
 from procedures.planning.cart.place import CartMove, Found, Verdict
 
-Array = NDArray[np.float64]
 Node = tuple[int, int]
 Judge = Callable[[Sequence[tuple[CartMove, tuple[Found, ...], bool]]], Sequence[Verdict]]
 

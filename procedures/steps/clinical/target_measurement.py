@@ -8,7 +8,6 @@ as the thesis measured it. It needs no truth from outside, so it is the only way
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
@@ -29,8 +28,6 @@ from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.stereo_picture import pair_picture
 from ronna_hw.calibration import Numbers3
-
-Array = NDArray[np.float64]
 
 
 class MeasuredTarget(StepResult, kind="target_measurement"):

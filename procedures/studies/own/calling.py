@@ -10,11 +10,8 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from procedures.studies.errors import MethodFailed
-
-Array = NDArray[np.float64]
 
 GLOBAL_SEED = 0
 

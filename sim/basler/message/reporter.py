@@ -10,7 +10,6 @@ from sim.basler.camera.timing import Ticks
 from sim.basler.message.channel import MessageChannel
 from sim.basler.message.events import FRAME_NUMBER, Event, EventKind
 
-Report = Callable[[EventKind, int, int], None]
 """What happened, block id (0 without a frame), theatre time in ns."""
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode
 from sim.kuka.arm.orientation import pose_of_frame
 from sim.kuka.controller.controller import FULL_OVERRIDE, Controller
@@ -16,7 +13,6 @@ from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.attributes import axes, frame, number, share, whole
 from sim.kuka.eki.motion import EkiMotion, line, point_to_point
 
-Matrix = NDArray[np.float64]
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
 T1_MARGIN = 0.95  # of the tool speed that T1 allows: the way is looked at in steps

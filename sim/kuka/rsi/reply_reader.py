@@ -16,7 +16,6 @@ from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, ReceiveElement
 from sim.kuka.controller_parameters import ControllerParameters
 
 LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels stays far below
-KEYWORD_PREFIX = "DEF_"
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
 _PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")

@@ -13,7 +13,6 @@ from sim.polaris.unit.refusal import ErrorCode, Refusal
 from sim.polaris.unit.unit import Unit
 
 FIRING_DIGITS = 8
-OPTION_DIGITS = 4
 EVERYTHING_SEEN = "5"  # the only form of 3D whose reply is public
 POSITION_SCALE = 10_000  # 3D: four implied decimals
 SEPARATION_SCALE = 100  # two implied decimals

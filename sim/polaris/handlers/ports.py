@@ -20,7 +20,6 @@ from sim.polaris.unit.refusal import ErrorCode, Refusal, WarningCode
 from sim.polaris.unit.unit import Unit
 from sim.polaris.unit.user_parameter_table import RETURN_WARNING
 
-OPTION_DIGITS = 4
 DEFAULT_INFORMATION = "0001"
 PRIORITIES = (TrackingPriority.STATIC, TrackingPriority.DYNAMIC, TrackingPriority.BUTTON_BOX)
 # Hardware device, system type (Polaris), tool type, port, and what to load: nothing or a dummy.

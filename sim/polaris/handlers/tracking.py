@@ -14,7 +14,6 @@ from sim.polaris.unit.alerts import HARDWARE
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 from sim.polaris.unit.unit import Unit
 
-OPTION_DIGITS = 4
 RESTART_COUNTER = int(wire.TSTART_RESET_FRAME_COUNTER, 16)
 START_OPTIONS = RESTART_COUNTER | int(wire.TSTART_FASTER, 16)
 OPTIONS = int(sum(ReplyOption))

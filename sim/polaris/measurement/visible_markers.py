@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sim.polaris.optics.marker_noise import Optics, Sight, eyes_mm, in_field
 from sim.polaris.optics.measuring_volume import Volume
@@ -16,8 +15,6 @@ from sim.polaris.scene.line_of_sight import Flags, visible
 from sim.polaris.scene.true_scene import TrueScene, TrueTool
 from sim.polaris.tools.ports import Port
 from sim.theatre.world import ArmState
-
-Vectors = NDArray[np.float64]
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
 

@@ -13,8 +13,9 @@ from benchmarks.head_looks import TrueHead, observation_set, true_head
 from procedures.calibration import Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
-from procedures.calibration.observations import OBSERVATIONS_FILE, read_observations
+from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from procedures.cli.stereo.files import KIND
 from ronna_hw.arm.errors import LimitError
 from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED
@@ -179,8 +180,8 @@ def test_a_ball_that_moves_is_no_calibration(head: TrueHead) -> None:
 def test_observations_survive_their_file(head: TrueHead, tmp_path) -> None:
     observed = observation_set(head, looks_at(head, count=3))
     (tmp_path / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
-    assert read_observations(tmp_path) == observed
-    assert read_observations(tmp_path / OBSERVATIONS_FILE) == observed
+    assert KIND.read_looks(tmp_path) == observed
+    assert KIND.read_looks(tmp_path / OBSERVATIONS_FILE) == observed
 
 
 @pytest.mark.parametrize("content", [None, "no json", '{"schema": 1}', '{"observations": [{}]}'])
@@ -188,4 +189,4 @@ def test_a_file_that_is_no_observations_is_refused(tmp_path, content: str | None
     if content is not None:
         (tmp_path / OBSERVATIONS_FILE).write_text(content)
     with pytest.raises(BadObservations, match="CAL-005"):
-        read_observations(tmp_path)
+        KIND.read_looks(tmp_path)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.head_looks import TrueHead, observation_set, true_head
+from benchmarks.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, CheckResult, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
-from procedures.calibration.pose_set import calibration_looks, check_looks
+from procedures.calibration.pose_set import calibration_looks
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.errors import EXIT_REFUSED
 

@@ -56,7 +56,7 @@ def test_everything_on_the_pages_about_python_has_its_words(page: Any) -> None:
 def test_fields_have_their_types_enumerations_their_members_and_contracts_their_call() -> None:
     devices, numerics = api_pages.devices(), api_pages.numerics()
     assert "- `position_mm`: `Vector3 | None`\n- `fit_error_mm`: `float | None`; rms of the fit" in devices
-    assert "Members: `T1`, `T2`, `AUT`, `EXT`." in devices
+    assert "Members: `OK`, `PARTIAL`, `MISSING`, " in devices
     assert "### `open_theatre(path, timeout_s=10.0)`" in devices
     assert "- **`Pairing(image_mm, physical_mm, *, sigma_image_mm, sigma_physical_mm)`**: Indices" in numerics
 

@@ -9,6 +9,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGES = sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")])
+DECISIONS = ROOT / "docs/explanation/decisions"
 LINK = re.compile(r"\]\((?!https?:)([^)#\s]+)")
 
 
@@ -23,6 +24,17 @@ def test_no_link_leads_nowhere(page: Path) -> None:
 
 def test_the_index_names_every_page() -> None:
     index = ROOT / "docs" / "README.md"
-    decisions = set(ROOT.glob("docs/explanation/decisions/*.md"))  # named as a folder
+    decisions = set(DECISIONS.glob("0*.md"))  # in an index of their own
     pages = {page.resolve() for page in ROOT.glob("docs/**/*.md")} - decisions - {index}
     assert pages - links_of(index) == set()
+
+
+def test_every_decision_has_a_number_of_its_own_and_is_in_their_index() -> None:
+    entry = re.compile(r"^(\d+)\. \[.+\]\((\d{4})-[\w-]+\.md\)", re.MULTILINE)
+    listed = [
+        (int(one), int(file)) for one, file in entry.findall((DECISIONS / "README.md").read_text("utf-8"))
+    ]
+    pages = sorted(DECISIONS.glob("0*.md"))
+    titled = [int(page.read_text("utf-8").removeprefix("# ").partition(".")[0]) for page in pages]
+    assert listed == [(number, number) for number in range(1, len(pages) + 1)]
+    assert titled == [number for number, _ in listed]

@@ -175,12 +175,6 @@ def test_outlines_whose_sizes_do_not_agree_are_not_one_sphere(head):
         triangulate(left, larger, head.calibration)
 
 
-def test_an_unreliable_outline_makes_an_unreliable_point(head):
-    left, right = exact_pair(head, np.zeros(3))
-    point = triangulate(left, replace(right, status=SphereStatus.UNRELIABLE), head.calibration)
-    assert not point.reliable
-
-
 @pytest.mark.parametrize("centre", [(np.nan, 0.0), (np.inf, 3.0)])
 def test_numbers_that_are_none_are_refused(head, centre):
     left, right = exact_pair(head, np.zeros(3))

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from guide_frames import with_guide_frame
 
 from sim.kuka.arm.joint_chain import JointChain
 from sim.kuka.arm.robot_description import description
@@ -17,7 +18,6 @@ from sim.theatre.rigid import (
     matrix_of,
     quaternion_from_rotation,
 )
-from sim.theatre.scene.guide_frame import with_guide_frame
 from sim.theatre.scene.model import Scene, TrackerTool
 from sim.theatre.scene.named_scenes import frame_on_head, named_scene, robot_frame
 from sim.theatre.true_guide import TrueGuide

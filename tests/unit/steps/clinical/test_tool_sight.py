@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from clinical_case import ClinicalCell, SeeingTracker, shifted
+from guide_frames import with_guide_frame
 from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 
 from procedures.steps.clinical.tool_check import STEP, CheckedTool
@@ -16,7 +17,7 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame
 from ronna_hw.tool_record import ToolFrame
-from sim.theatre.scene.guide_frame import MARKERS_MM, NAME, with_guide_frame
+from sim.theatre.scene.guide_frame import MARKERS_MM, NAME
 from sim.theatre.scene.named_scenes import named_scene
 
 ON_TIP = with_guide_frame(named_scene("mini", seed=3)).mount.guide.tip_from_frame
