@@ -266,8 +266,8 @@ def _workcell_of(
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
     agree = ScriptedOperator().ask
     resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)
-    workcell.ask_before_motion(resting, agree)
-    workcell.confirm_motion(Topic.FIRST_MOTION, "every motion of a benchmark", ())
+    workcell.supervised.ask_before(resting, agree)
+    workcell.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     return workcell
 

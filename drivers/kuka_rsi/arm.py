@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Self
 
@@ -25,9 +24,6 @@ from drivers.kuka_rsi.realtime.histogram import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
-from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.line_target import LineTarget
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
@@ -35,6 +31,7 @@ from ronna_hw.devices.activation import activated
 from ronna_hw.devices.byte_sink import ByteSink
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import READABLE, Identity, Lifecycle, LifecycleGuard, require_person
+from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.readiness import Fact
 from ronna_hw.devices.readings import (
     ArmReading,
@@ -304,10 +301,7 @@ class KukaRsiArm:
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
     ) -> ArmReading:
-        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_joint_move(self._kinematics, start_rad, target_rad, limits)
-
-        return self._move("move_joints", plan, speed_fraction, timeout_s)
+        return self._move("move_joints", JointMove(target_rad, speed_fraction), timeout_s)
 
     def move_linear(
         self,
@@ -317,25 +311,13 @@ class KukaRsiArm:
         speed_fraction: float = 1.0,
         timeout_s: float = 60.0,
     ) -> ArmReading:
-        line = LineTarget.of(target, flange_from_tool)
+        return self._move("move_linear", LineMove(target, flange_from_tool, speed_fraction), timeout_s)
 
-        def plan(start_rad: JointVector, limits: MotionLimits) -> MotionPlan:
-            return plan_line(self._kinematics, start_rad, line.flange, limits, line.point_in_flange_mm)
-
-        return self._move("move_linear", plan, speed_fraction, timeout_s)
-
-    def preview(
-        self,
-        target: JointVector | Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-    ) -> PathPreview:
-        to = LineTarget.of(target, flange_from_tool) if isinstance(target, Transform) else target
-        limits = self._planner.limits(self._watch.mode, speed_fraction)
-        here = self.read_state()
-        start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
-        return self._planner.preview(start_rad, to, limits)
+    def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
+        if start_rad is None:
+            here = self.read_state()
+            start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
+        return self._planner.preview(motion, start_rad, self._watch.mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
         """Bring the arm to rest; `timeout_s` is host time. All kinds but HOLD are latched as a fault."""
@@ -364,18 +346,12 @@ class KukaRsiArm:
     def surround(self, surroundings: Surroundings) -> None:
         self._planner.surroundings = surroundings
 
-    def _move(
-        self,
-        call: str,
-        plan: Callable[[JointVector, MotionLimits], MotionPlan],
-        speed_fraction: float,
-        timeout_s: float,
-    ) -> ArmReading:
+    def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
         self._watch.raise_new()
         self._guard.require(call, (Lifecycle.ACTIVE,))
         link, mode = self._connections.link, self._watch.mode
         stops = link.stop_number
-        planned = plan(link.state.commanded_rad, self._planner.limits(mode, speed_fraction))
+        planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         clear = self._planner.clear(planned, link, mode)
         return self._readings.of_stream(self._follower.follow(clear, stops, timeout_s))
 

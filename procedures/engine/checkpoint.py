@@ -1,7 +1,8 @@
 """Where a case may rest: between steps and before each motion, and wherever a motion was stopped.
 
-Whoever wants the case to rest says so from any thread: an operator by `pause` or `abort`, a watch by
-`end_step`. The engine's own thread meets the wish at the next checkpoint; `now` also stops the arm.
+An operator who wants the case to rest says so from any thread, by `pause` or `abort`; the engine's own thread
+meets the wish at the next checkpoint, and `now` also stops the arm. A watch stops the arm by itself, and what
+it saw is raised when the motion that `watching` holds has ended.
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from typing import Protocol, runtime_checkable
 from procedures.engine.errors import GuardUnmet, OperatorAborted
 from procedures.engine.operator import Question, Topic
 from ronna_hw.clock import Clock
-from ronna_hw.errors import RonnaError
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
@@ -84,7 +84,6 @@ class Checkpoint:
         self._wishes = threading.RLock()  # a signal handler may wish while its thread meets a wish
         self._pause: str | None = None
         self._abort = False
-        self._seen: RonnaError | None = None  # by a watch
 
     def pause(self, reason: str = "the operator asked for a pause") -> None:
         """Rest at the next checkpoint."""
@@ -96,22 +95,17 @@ class Checkpoint:
         with self._wishes:
             self._abort = True
 
-    def end_step(self, error: RonnaError) -> None:
-        """A watch of another thread has seen what ends the running step; it stops the arm as well."""
-        with self._wishes:
-            self._seen = self._seen or error
-
     @property
     def wanted(self) -> bool:
         """Whether the case is to rest at the next checkpoint."""
         with self._wishes:
-            return self._abort or self._pause is not None or self._seen is not None
+            return self._abort or self._pause is not None
 
     def here(self, where: str) -> None:
         """Rest here if somebody wants it or a guard is unmet.
 
-        Raises PRO-004 when the case is to end, what a watch has seen, and PRO-017 when what a guard watches
-        is not restored and the operator leaves the step.
+        Raises PRO-004 when the case is to end, and PRO-017 when what a guard watches is not restored and the
+        operator leaves the step.
         """
         self._meet_wishes(where)
         with self.beside():
@@ -131,11 +125,8 @@ class Checkpoint:
         with self._wishes:
             abort, self._abort = self._abort, False  # met once: the way home is still to come
             reason, self._pause = self._pause, None
-            seen, self._seen = self._seen, None
         if abort:
             raise OperatorAborted("the operator ended the procedure")
-        if seen is not None:
-            raise seen
         if reason is None:
             return
         with self._rest(PAUSED, reason):

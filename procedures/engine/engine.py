@@ -78,7 +78,7 @@ class Engine:
         self._before_result = before_result
         self._recorders = recorders
         self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
-        setting.workcell.ask_before_motion(self.checkpoint, self.ask)
+        setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
 
     @property
     def upcoming(self) -> StepKey | None:

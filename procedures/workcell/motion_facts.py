@@ -3,48 +3,52 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from procedures.engine.operator import ReadBack
-from procedures.workcell.carried_tool import CarriedTool
-from ronna_hw.arm.calibrated import CalibratedArm
+from procedures.workcell.cell_motion import CellMotion
 from ronna_hw.arm.clearance.swept_path import Closest
+from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.preview import PathPreview
-from ronna_hw.devices import RobotArm
+from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.frames import Transform
 
 
 @dataclass(frozen=True)
 class MotionFacts:
-    """One motion before it is driven."""
+    """One motion before it is driven, in the previews of all that the arm does for it."""
 
     what: str  # that moves, such as `the guide`
-    travel_mm: float  # straight distance of the tip on a line, of the flange in a joint move
-    largest_turn_rad: float  # of any joint
-    preview: PathPreview
+    travel_mm: float  # straight distances of what keeps to a line, of the flange in a joint move
+    previews: tuple[PathPreview, ...]
+    detour: str = ""  # such as `by way of home`
 
     def __str__(self) -> str:
         """One line for a person."""
-        closest = self.preview.refused or self.preview.closest
+        turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
+        duration_s = sum(one.duration_s for one in self.previews)
+        fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
+        nearest = [one.refused or one.closest for one in self.previews]
+        closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         near = (
             f"{closest.first} passes {closest.second} at {closest.distance_mm:.0f} mm"
             if closest
             else "nothing near"
         )
+        by = self.detour and f" {self.detour}"
         return (
-            f"{self.what} moves {self.travel_mm:.0f} mm, joints turn up to "
-            f"{math.degrees(self.largest_turn_rad):.0f} deg, in {self.preview.duration_s:.1f} s "
-            f"at up to {self.preview.largest_speed_mm_s:.0f} mm/s; {near}{self._from_head(closest)}"
+            f"{self.what} moves {self.travel_mm:.0f} mm{by}, joints turn up to "
+            f"{math.degrees(max(turns_rad)):.0f} deg, in {duration_s:.1f} s "
+            f"at up to {fastest_mm_s:.0f} mm/s; {near}{self._from_head(closest)}"
         )
 
     def _from_head(self, closest: Closest | None) -> str:
         """How near the head it comes: bodies of the arm are nearly always nearest to each other."""
-        nearest_mm = self.preview.nearest_to_head_mm
-        if nearest_mm is None or (closest and nearest_mm <= closest.distance_mm):  # it is said already
+        to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
+        if not to_head_mm or (closest and min(to_head_mm) <= closest.distance_mm):  # it is said already
             return ""
-        return f"; {nearest_mm:.0f} mm from the head at the least"
+        return f"; {min(to_head_mm):.0f} mm from the head at the least"
 
     @property
     def read_back(self) -> ReadBack:
@@ -59,28 +63,37 @@ class MotionFacts:
         )
 
 
-def motion_facts(
-    arm: RobotArm,
-    here_rad: JointVector,
-    goal: JointVector | Transform,
-    calibrated: CalibratedArm,
-    carried: Callable[[], CarriedTool],
-    what: str,
-) -> MotionFacts:
-    """What a joint move, or a line of the carried tool to a pose ROBOT <- TOOL, would do from here."""
-    if isinstance(goal, Transform):
-        tool = carried()
-        preview = arm.preview(tool.told(goal, lambda: here_rad), flange_from_tool=tool.flange_from_tool)
-        travel_mm = math.dist(goal.translation_mm, tool.pose(here_rad).translation_mm)
-        turns_rad = [high - low for low, high in preview.joint_ranges_rad]
+def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
+    """What driving these motions one after the other would do. Raises what `RobotArm.preview` raises."""
+    facts: list[MotionFacts] = []
+    at_rad = arm.read_state().joints_rad
+    for motion in motions:
+        told, end_rad = _facts(arm, motion, motion.legs, at_rad)
+        if motion.otherwise and not told.previews[0].clear:
+            told, end_rad = _facts(arm, motion, motion.otherwise, at_rad, motion.detour)
+        facts.append(told)
+        at_rad = end_rad
+    return facts
+
+
+def _facts(
+    arm: RobotArm, motion: CellMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
+) -> tuple[MotionFacts, JointVector]:
+    """With the joints after the last joint move."""
+    travel_mm, previews = 0.0, []
+    for leg in legs:
+        previews.append(arm.preview(leg, start_rad=at_rad))
+        travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
+        if isinstance(leg, JointMove):
+            at_rad = leg.target_rad
+    return MotionFacts(motion.moves, travel_mm, tuple(previews), detour), at_rad
+
+
+def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -> float:
+    here = kinematics.flange_pose(start_rad)
+    if isinstance(motion, JointMove):
+        there = kinematics.flange_pose(motion.target_rad)
     else:
-        preview = arm.preview(goal)
-        there, here = calibrated.flange_pose(goal), calibrated.flange_pose(here_rad)
-        travel_mm = math.dist(there.translation_mm, here.translation_mm)
-        turns_rad = [abs(to - now) for to, now in zip(goal, here_rad, strict=True)]
-    return MotionFacts(what, travel_mm, max(turns_rad), preview)
-
-
-def in_sequence(motions: Sequence[MotionFacts]) -> str:
-    """Several motions in their order, as one question shows them."""
-    return "; then ".join(map(str, motions))
+        there = motion.target
+        here = here if motion.flange_from_tool is None else here @ motion.flange_from_tool
+    return math.dist(there.translation_mm, here.translation_mm)

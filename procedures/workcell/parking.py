@@ -11,13 +11,13 @@ from ronna_hw.devices.readings import ArmReading
 def withdraw(workcell: Workcell, on: Insertion, trajectory: str) -> None:
     """Back along the axis on which the guide is. Raises PRO-002, and what `Workcell.withdraw` raises."""
     workcell.start()
-    way_out = [workcell.facts(on.standoff)]
-    workcell.confirm_motion(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
+    way_out = [workcell.withdrawing(on)]
+    workcell.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
     workcell.withdraw(trajectory)
 
 
 def park(workcell: Workcell, subject: str = "park the arm") -> ArmReading:
     """Home, or back there along the way the arm came. Raises PRO-002, and what a motion raises."""
     workcell.start()
-    workcell.confirm_motion(Topic.PARK, subject, [workcell.facts(workcell.home_rad)])
+    workcell.supervised.confirm(Topic.PARK, subject, [workcell.returning_home()])
     return workcell.return_home()

@@ -1,7 +1,8 @@
 """Around every motion: a checkpoint before it, its intent and its result in the journal.
 
-A motion that someone else stopped is asked about, and re-planned from the arm's present position. The first
-motion since the arm was last stopped or its stream ended is confirmed by the operator.
+The intent is on disk before the motion begins, the result follows when the arm rests. A motion that someone
+else stopped is asked about, and re-planned from the arm's present position. The first motion since the arm
+was last stopped or its stream ended is confirmed by the operator.
 """
 
 from __future__ import annotations
@@ -10,12 +11,15 @@ from collections.abc import Callable, Sequence
 
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import NotConfirmed
-from procedures.engine.journal import JournalValue
+from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.operator import YES, Question, Topic
-from procedures.workcell.motion_facts import MotionFacts, in_sequence
-from procedures.workcell.motion_log import MotionLog
+from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.motion_facts import motion_facts
+from ronna_hw.clock import Clock
+from ronna_hw.devices import Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.readings import ArmReading
+from ronna_hw.errors import RonnaError
 
 IN_WORDS = {
     "go": "to the next pose, via home if necessary",
@@ -30,17 +34,20 @@ IN_WORDS = {
 
 
 class SupervisedMotion:
-    """Carries motions out one after the other."""
+    """Carries motions of one arm out one after the other, numbered as they are in the journal."""
 
-    def __init__(self, log: MotionLog) -> None:
-        self._log = log
+    def __init__(self, journal: Journal, clock: Clock, arm: Callable[[], RobotArm]) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._arm = arm
+        self._count = 0
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
 
     def count_from(self, count: int) -> None:
-        """As `MotionLog.count_from`."""
-        self._log.count_from(count)
+        """Number the motions of a run that is resumed after those that it made before."""
+        self._count = count
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
         """From now on every motion meets that checkpoint, and the first one is asked about."""
@@ -51,11 +58,14 @@ class SupervisedMotion:
         self._confirmed = False
 
     def confirm(
-        self, topic: Topic, subject: str, motions: Sequence[MotionFacts], trajectory: str | None = None
+        self, topic: Topic, subject: str, motions: Sequence[CellMotion], trajectory: str | None = None
     ) -> None:
         """Have motions confirmed, in two steps where a person answers; raises PRO-002 unless it is a yes."""
-        read_back = motions[0].read_back if motions else None
-        question = Question(topic, subject, in_sequence(motions), trajectory=trajectory, read_back=read_back)
+        facts = motion_facts(self._arm(), motions) if motions else []
+        read_back = facts[0].read_back if facts else None
+        question = Question(
+            topic, subject, "; then ".join(map(str, facts)), trajectory=trajectory, read_back=read_back
+        )
         self._confirmed = self._require_yes(question) or self._confirmed
 
     def confirm_start(self, words: str) -> bool:
@@ -74,45 +84,53 @@ class SupervisedMotion:
             raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
         return True
 
-    def carry_out(
-        self,
-        what: str,
-        to: list[float],
-        move: Callable[[], ArmReading],
-        *,
-        facts: Callable[[], MotionFacts],
-        resume: Callable[[], None],
-        trajectory: str | None = None,
-        **more: JournalValue,
-    ) -> ArmReading:
-        """Carry out a motion to joints in rad or a position in mm; re-planned after a stop if the operator
-        says so.
+    def carry_out(self, motion: CellMotion, require: Callable[[], None] = lambda: None) -> ArmReading:
+        """Carry out a motion; re-planned after a stop if the operator says so.
 
-        `facts` says what it will do, for the question; `resume` takes the arm out of HOLD; `more` is written
-        with its intent. Raises PRO-002, PRO-004, what a guard or a watch found, and what the motion raises.
+        `require` raises what forbids it, each time right before it is driven. Raises PRO-002, PRO-003,
+        PRO-004, what a guard or a watch found, and what `require` and the motion raise.
         """
-
         checkpoint = self._checkpoint
         if checkpoint is None:
-            raise NotConfirmed(f"nobody can confirm the motion {what!r}", expected="a case that is open")
+            raise NotConfirmed(f"nobody can confirm the motion {motion.what!r}", expected="a case that is open")
+        named = f"the motion {motion.what!r} ({IN_WORDS[motion.what]})"
 
-        named = f"the motion {what!r}" + (f" ({IN_WORDS[what]})" if what in IN_WORDS else "")
-
-        def watched() -> ArmReading:
+        def drive() -> ArmReading:
             with checkpoint.watching(named, True):
-                return move()
+                require()
+                return motion.drive(self._arm())
 
         while True:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
-                self.confirm(Topic.FIRST_MOTION, f"first motion: {what}", [facts()], trajectory)
-            if not checkpoint.wanted:
-                resume()
+                self.confirm(Topic.FIRST_MOTION, f"first motion: {motion.what}", [motion], motion.trajectory)
+            if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
+                self._arm().resume()  # moves nothing
             if checkpoint.wanted:  # since the checkpoint, such as a stop while the question stood
                 self._confirmed = False
                 continue
             try:
-                return self._log.record(what, to, watched, trajectory, **more)
+                return self._recorded(motion, drive)
             except MotionInterrupted:
                 self._confirmed = False
                 checkpoint.stopped(named, "re-plans it from the arm's present position")
+
+    def _recorded(self, motion: CellMotion, drive: Callable[[], ArmReading]) -> ArmReading:
+        """The last reading of a motion that is written down before and after."""
+        self._count += 1
+        number = self._count
+        intent: dict[str, JournalValue] = {"number": number, "what": motion.what, "to": list(motion.to)}
+        intent["trajectory"] = motion.trajectory
+        if motion.axis is not None:
+            intent["axis"] = motion.axis.as_plain()
+        self._journal.write(Entry.MOTION, self._clock.now_s(), **intent)
+        try:
+            reached = drive()
+        except BaseException as error:  # also an interruption: every intent has its result
+            code = error.code if isinstance(error, RonnaError) else type(error).__name__
+            self._journal.note(Entry.MOVED, self._clock.now_s(), number=number, error=code)
+            raise
+        self._journal.note(
+            Entry.MOVED, self._clock.now_s(), number=number, joints_rad=list(reached.joints_rad)
+        )
+        return reached

@@ -44,9 +44,15 @@ class WayHome:
             raise StepRefused("the arm has no home position yet", action="Run set_up first.")
         return self._home_rad
 
-    def home_or(self, other_rad: JointVector) -> JointVector:
-        """Where home is, or `other_rad` before there is one."""
-        return self._home_rad or other_rad
+    @property
+    def known_rad(self) -> JointVector | None:
+        """Where home is, if there is one."""
+        return self._home_rad
+
+    @property
+    def back_rad(self) -> tuple[JointVector, ...]:
+        """Where the arm was since it left home, the last place first."""
+        return tuple(reversed(self._trail))
 
     @property
     def at_home(self) -> bool:
@@ -73,6 +79,6 @@ class WayHome:
         try:
             return self.go()
         except NotClear:  # raised before anything moved
-            for joints_rad in reversed(tuple(self._trail)):
+            for joints_rad in self.back_rad:
                 self._move("back", joints_rad)
             return self.go()

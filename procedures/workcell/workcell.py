@@ -8,21 +8,19 @@ is in it, nothing moves at all.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
-from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import Journal
-from procedures.engine.operator import Question, Topic
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
+from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.instrument import Instrument
 from procedures.workcell.left_arm import LeftArm
-from procedures.workcell.motion_facts import MotionFacts, motion_facts
-from procedures.workcell.motion_log import MotionLog
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.sensors import Sensors
 from procedures.workcell.starting import start
@@ -31,9 +29,8 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tool_records import ToolRecords
 from procedures.workcell.way_home import WayHome
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.errors import NotClear
 from ronna_hw.config import MASTER, Calibrations
-from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
+from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
 from ronna_hw.frames import Transform
@@ -69,8 +66,10 @@ class Workcell:
         self.calibrations = theatre.calibrations if calibrations is None else calibrations
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
-        self._motion = SupervisedMotion(MotionLog(journal, theatre.clock))
-        self._way_home = WayHome(self.joints_rad, self._move_joints)
+        self.supervised = SupervisedMotion(journal, theatre.clock, lambda: self._arm)
+        self._way_home = WayHome(
+            self.joints_rad, lambda what, to_rad: self._move(self._joint_motion(what, JointMove(to_rad)))
+        )
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(journal, theatre.clock)
@@ -188,7 +187,7 @@ class Workcell:
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from
         self.instrument.take_up(left.instrument_in)
         self.instrument.stages.take_up(left.stages, left.stops)
-        self._motion.count_from(left.motions)
+        self.supervised.count_from(left.motions)
 
     # Moving
 
@@ -209,32 +208,54 @@ class Workcell:
 
     def surround(self, surroundings: Surroundings) -> None:
         """Say what the arm carries and what stands around it: every motion is checked against it."""
-        near_rad = self._way_home.home_or(self.arm.kinematics.home_rad)
+        near_rad = self._way_home.known_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
         """Start the correction stream, and the cameras, where they are not running. Raises PRO-002."""
-        start((self._arm, self.stereo) if cameras else (self._arm,), self._motion)
+        start((self._arm, self.stereo) if cameras else (self._arm,), self.supervised)
 
-    def ask_before_motion(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
-        """Have every motion meet that checkpoint, and the first one confirmed."""
-        self._motion.ask_before(checkpoint, ask)
+    def going(self, joints_rad: JointVector) -> CellMotion:
+        """The motion that `go` makes."""
+        return self._joint_motion("go", JointMove(joints_rad), by_home=True)
 
-    def confirm_motion(
-        self, topic: Topic, subject: str, motions: Sequence[MotionFacts], trajectory: str | None = None
-    ) -> None:
-        """Have the operator confirm motions that follow; raises PRO-002 unless the answer is yes."""
-        self._motion.confirm(topic, subject, motions, trajectory)
+    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> CellMotion:
+        """The motion that `settle` makes."""
+        onto = JointMove(joints_rad)
+        if arriving is None:
+            return self._joint_motion("step", onto)
+        A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
+        back = JointMove((A[0], A[1], A[2], A[3], A[4], A[5]))
+        return self._joint_motion("settle", back, onto, by_home=from_afar)
 
-    def facts(self, goal: JointVector | Transform) -> MotionFacts:
-        """What a joint move to joints, or a line of the mounted tool to a pose, would do from here."""
-        what, here_rad = f"the {self.tool}", self.joints_rad()
-        return motion_facts(self._arm, here_rad, goal, self._calibrated, lambda: self._carried, what)
+    def returning_home(self) -> CellMotion:
+        """All that `return_home` does."""
+        home = self._joint_motion("home", JointMove(self.home_rad))
+        back = tuple(JointMove(joints_rad) for joints_rad in self._way_home.back_rad)
+        return replace(home, otherwise=back and (*back, *home.legs), detour="back the way the arm came")
+
+    def straight(
+        self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
+    ) -> CellMotion:
+        """The motion that `line_to` makes, in the branch of `near_rad` or else of where the arm is."""
+        told = self._told(pose, arriving, near_rad)
+        return self._line_motion("line", pose, LineMove(told @ self.flange_from_tool.inverse()))
+
+    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
+        """The motion that `insert` makes; `near_rad` as for `straight`."""
+        told = self._told(insertion.held, insertion.arriving, near_rad)
+        line = LineMove(told, self.flange_from_tool, AXIAL_SPEED_FRACTION)
+        return self._line_motion("insert", insertion.held, line, insertion)
+
+    def withdrawing(self, insertion: Insertion) -> CellMotion:
+        """The motion that `withdraw` makes."""
+        line = LineMove(self._told(insertion.standoff, insertion.arriving), self.flange_from_tool)
+        return self._line_motion("withdraw", insertion.standoff, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        return self._move("go", joints_rad, lambda: self._go(joints_rad))
+        return self._move(self.going(joints_rad))
 
     def go_home(self) -> ArmReading:
         """A joint move to where the case began."""
@@ -249,21 +270,11 @@ class Workcell:
 
         With None straight from where it stands. From afar by way of home where the direct way is not clear.
         """
-        if arriving is None:
-            return self._move_joints("step", joints_rad)
-        A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
-        back: JointVector = (A[0], A[1], A[2], A[3], A[4], A[5])
-
-        def move() -> ArmReading:
-            (self._go if from_afar else self._arm.move_joints)(back)
-            return self._arm.move_joints(joints_rad)
-
-        return self._move("settle", joints_rad, move)
+        return self._move(self.settling(joints_rad, arriving, from_afar=from_afar))
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
         """A straight line of the flange that brings the mounted tool to a pose."""
-        told = self._carried.told(pose, self.joints_rad, arriving)
-        return self._move("line", pose, lambda: self._arm.move_linear(told @ self.flange_from_tool.inverse()))
+        return self._move(self.straight(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """From where the approach of a trajectory begins along its axis to where the guide is held.
@@ -274,7 +285,7 @@ class Workcell:
         self.check_mounted(MountedTool.GUIDE)
         insertion.check_on_axis(self.tool_pose())
         self._insertion, self._withdrawn_from = insertion, None
-        return self._along_axis("insert", insertion.held, insertion, AXIAL_SPEED_FRACTION)
+        return self._keep_to(insertion, self.inserting(insertion))
 
     def hold(self) -> None:
         """Stand still, with the standstill watched by the link: out of it leads only the next motion."""
@@ -292,7 +303,7 @@ class Workcell:
             on = "no trajectory" if insertion is None else insertion.trajectory
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
         insertion.check_on_axis(self.tool_pose())
-        reached = self._along_axis("withdraw", insertion.standoff, insertion, 1.0)
+        reached = self._keep_to(insertion, self.withdrawing(insertion))
         self._insertion, self._withdrawn_from = None, trajectory
         return reached
 
@@ -301,7 +312,7 @@ class Workcell:
         device = self.devices[role]
         device.recover(by)
         if device is self._arm:
-            self._motion.begin_anew()
+            self.supervised.begin_anew()
             if self._insertion is None:  # what is on an axis is the guide
                 self._mount.tool = MountedTool.UNKNOWN
 
@@ -320,61 +331,40 @@ class Workcell:
         for device in (self._arm, self.stereo):
             if device.state in (Lifecycle.ACTIVE, Lifecycle.HOLD):
                 device.deactivate()
-        self._motion.begin_anew()
+        self.supervised.begin_anew()
 
     def stop(self) -> None:
         """Bring the arm to rest as well as the link still allows; never raises."""
         self._theatre.stop()
-        self._motion.begin_anew()
+        self.supervised.begin_anew()
 
     def close(self) -> None:
         """End all sessions, the arm's first; never raises."""
         self._theatre.close()
 
-    def _go(self, joints_rad: JointVector) -> ArmReading:
-        try:
-            return self._arm.move_joints(joints_rad)
-        except NotClear:  # raised before anything moved
-            self._arm.move_joints(self.home_rad)
-            return self._arm.move_joints(joints_rad)
-
-    def _along_axis(
-        self, what: str, pose: Transform, insertion: Insertion, speed_fraction: float
-    ) -> ArmReading:
-        self.instrument.require_out(what)
-
-        def move() -> ArmReading:
-            insertion.check_on_axis(self.tool_pose())
-            return self._arm.move_linear(
-                self._carried.told(pose, self.joints_rad, insertion.arriving),
-                flange_from_tool=self.flange_from_tool,
-                speed_fraction=speed_fraction,
-            )
-
-        return self._motion.carry_out(
-            what,
-            pose.translation_mm.tolist(),
-            move,
-            facts=lambda: self.facts(pose),
-            resume=self._resume,
-            trajectory=insertion.trajectory,
-            axis=insertion.as_plain(),
-        )
-
-    def _move(self, what: str, goal: JointVector | Transform, move: Callable[[], ArmReading]) -> ArmReading:
-        self._require_outside(what)
-        to = goal.translation_mm.tolist() if isinstance(goal, Transform) else list(goal)
-        reached = self._motion.carry_out(what, to, move, facts=lambda: self.facts(goal), resume=self._resume)
+    def _move(self, motion: CellMotion) -> ArmReading:
+        self._require_outside(motion.what)
+        reached = self.supervised.carry_out(motion)
         self._way_home.came_by(reached.joints_rad)
         return reached
 
-    def _move_joints(self, what: str, joints_rad: JointVector) -> ArmReading:
-        return self._move(what, joints_rad, lambda: self._arm.move_joints(joints_rad))
+    def _keep_to(self, insertion: Insertion, motion: CellMotion) -> ArmReading:
+        """Along the axis while the guide is on it; after a stop someone may have pushed it aside."""
+        self.instrument.require_out(motion.what)
+        return self.supervised.carry_out(motion, lambda: insertion.check_on_axis(self.tool_pose()))
 
-    def _resume(self) -> None:
-        """Out of HOLD; moves nothing."""
-        if self._arm.state is Lifecycle.HOLD:
-            self._arm.resume()
+    def _joint_motion(self, what: str, *legs: JointMove, by_home: bool = False) -> CellMotion:
+        home_rad = self._way_home.known_rad if by_home else None
+        otherwise = () if home_rad is None else (JointMove(home_rad), *legs)
+        return CellMotion(what, f"the {self.tool}", legs[-1].target_rad, legs, otherwise)
+
+    def _line_motion(
+        self, what: str, pose: Transform, line: LineMove, axis: Insertion | None = None
+    ) -> CellMotion:
+        return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
+
+    def _told(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
+        return self._carried.told(pose, lambda: near_rad or self.joints_rad(), arriving)
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)

@@ -29,6 +29,7 @@ from ronna_hw.conformance.case import MOTION, Suite, check, refused
 from ronna_hw.conformance.device_cases import DeviceCases, Interruption, observe
 from ronna_hw.conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.motion import LineMove
 from ronna_hw.devices.readings import ArmReading, JointVector, Validity
 from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
@@ -300,9 +301,10 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
         (here, tool),
         (here @ tool, tool.inverse()),
     ):
-        for call in (arm.move_linear, arm.preview):
+        line = LineMove(target, flange_from_tool)
+        for call in (line.drive, lambda arm, line=line: arm.preview(line)):
             refused(
-                lambda call=call, to=target, by=flange_from_tool: call(to, flange_from_tool=by),  # type: ignore[misc]
+                lambda call=call: call(arm),  # type: ignore[misc]
                 FrameMismatch,
                 f"a line to {target.target} <- {target.source}",
             )

@@ -2,6 +2,7 @@
 
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard
+from ronna_hw.devices.motion import JointMove, LineMove, Motion
 from ronna_hw.devices.new_frames import new_frames
 from ronna_hw.devices.robot import ConfirmedStart, RobotArm, StopKind
 from ronna_hw.devices.stereo import StereoPair
@@ -11,9 +12,12 @@ __all__ = [
     "ConfirmedStart",
     "Device",
     "Identity",
+    "JointMove",
     "LastKnown",
     "Lifecycle",
     "LifecycleGuard",
+    "LineMove",
+    "Motion",
     "OpticalTracker",
     "RobotArm",
     "StereoPair",

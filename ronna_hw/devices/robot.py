@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device
+from ronna_hw.devices.motion import Motion
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
 
 if TYPE_CHECKING:
@@ -93,16 +94,11 @@ class RobotArm(Device, Protocol):
         """
         ...
 
-    def preview(
-        self,
-        target: JointVector | Transform,
-        *,
-        flange_from_tool: Transform | None = None,
-        speed_fraction: float = 1.0,
-    ) -> PathPreview:
-        """What `move_joints` to joints, or `move_linear` to a pose, would do from here; nothing moves.
+    def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
+        """What a motion would do when it is driven from `start_rad`, by default from here; nothing moves.
 
-        Raises as these where there is no such path; one that is not clear is reported in `refused`.
+        Raises as `move_joints` and `move_linear` if there is no such path; one that is not clear is reported
+        in `refused`.
         """
         ...
 

@@ -10,18 +10,13 @@ import contextlib
 import random
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any, cast
 
 import numpy as np
 import pytest
 from clinical_case import SPHERES_MM, ClinicalCell
+from planned_arm import PlannedArm
 from prepared_results import up_to_correspondence
-from recording_cell import RecordingArm
 
-from drivers.kuka_rsi.link_client import LinkClient
-from drivers.kuka_rsi.motion_planning import MotionPlanner
-from drivers.kuka_rsi.options import KukaOptions
 from procedures.engine.engine import Engine
 from procedures.engine.errors import StepRefused
 from procedures.engine.machine import FINISHED
@@ -37,18 +32,15 @@ from procedures.steps.clinical import (
 )
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies
-from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.errors import NotClear
-from ronna_hw.arm.motion.line_target import LineTarget
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.collision_config import BodyFrame, RoomBody
+from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.frames import Transform
-from ronna_hw.wire.kuka_eki import OperationMode
 
 STOPS = 200
 STOPPED_SHARE = 0.5  # of the motions, until there were enough stops
@@ -66,7 +58,7 @@ STEPS = (
 
 
 @dataclass
-class PlanningArm(RecordingArm):
+class PlanningArm(PlannedArm):
     """Plans and checks every motion as the driver does, and is stopped at random places on the way."""
 
     chosen: random.Random = field(default_factory=lambda: random.Random(5))
@@ -74,36 +66,14 @@ class PlanningArm(RecordingArm):
     least_mm: float = np.inf  # from any surface to any other, where nothing may be nearer than the margin
     refused: int = 0
 
-    def __post_init__(self) -> None:
-        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions())
-        self.link = cast("LinkClient", SimpleNamespace(surroundings=None))  # reads no more than these
-        self.limits = self.planner.limits(OperationMode.EXT)
-
-    @property
-    def surroundings(self) -> Surroundings:
-        return self.planner.surroundings
-
-    def surround(self, surroundings: object) -> None:
-        assert isinstance(surroundings, Surroundings)
-        self.planner.surroundings = surroundings
-
-    def move_joints(self, target_rad: JointVector, **_more: Any) -> ArmReading:
-        return self._drive(plan_joint_move(self.kinematics, self.joints_rad, target_rad, self.limits))
-
-    def move_linear(
-        self, target: Transform, *, flange_from_tool: Transform | None = None, **_more: Any
-    ) -> ArmReading:
-        line = LineTarget.of(target, flange_from_tool)
-        start_rad, limits = self.joints_rad, self.limits
-        way = plan_line(self.kinematics, start_rad, line.flange, limits, line.point_in_flange_mm)
-        return self._drive(way)
-
-    def _drive(self, plan: MotionPlan) -> ArmReading:
+    def _drive(self, motion: Motion) -> ArmReading:
         try:
-            self.planner.clear(plan, self.link, OperationMode.EXT)
+            return super()._drive(motion)
         except NotClear:
             self.refused += 1
             raise
+
+    def _follow(self, plan: MotionPlan) -> ArmReading:
         stops = len(self.stopped_at) < STOPS and self.chosen.random() < STOPPED_SHARE
         until = self.chosen.random() if stops else 1.0
         path = plan.path(self.kinematics)

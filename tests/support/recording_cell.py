@@ -25,6 +25,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
+from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -175,7 +176,7 @@ class RecordingArm(RecordingDevice):
         self.calls.append(f"recovered by {acknowledged_by}")
         self.state, self.failing = Lifecycle.CONFIGURED, None
 
-    def preview(self, target: JointVector | Transform, **_more: Any) -> PathPreview:
+    def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         return PathPreview(
             duration_s=1.0,
             joint_ranges_rad=tuple((joint, joint) for joint in self.joints_rad),
@@ -288,8 +289,8 @@ class RecordingCell:
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
         agree = RecordingOperator().ask
-        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
-        self.workcell.ask_before_motion(resting, agree)  # until an engine asks
+        self.resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
+        self.workcell.supervised.ask_before(self.resting, agree)  # until an engine asks
 
     @property
     def calibrations(self) -> Calibrations:

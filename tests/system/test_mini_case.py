@@ -116,7 +116,9 @@ def test_every_motion_that_is_asked_about_is_told_with_how_far_how_fast_and_how_
     lines = [line for line in read_journal(finished.folder / JOURNAL_FILE) if line["entry"] == "confirmation"]
     asked = {line["topic"]: str(line["value"]) for line in lines}
     for topic in ("first_motion", "approach:T1", "retreat:T1", "park"):
-        assert FACTS.fullmatch(asked[topic]), (topic, asked[topic])
+        for motion in asked[topic].split("; then "):
+            assert FACTS.fullmatch(motion), (topic, motion)
+    assert asked["approach:T1"].count("; then ") == 1  # over the entry, and along the axis
     topics = [*asked]
     assert topics.index("approach:T1") < topics.index("at_target:T1") < topics.index("retreat:T1")
 

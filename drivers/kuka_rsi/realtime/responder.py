@@ -180,7 +180,7 @@ class Responder:
             self._speed = DEGRADED_SPEED if self._losses.degraded else 1.0
             points.limit_speed(self._speed)
         points.prepare()
-        self._prepare_heads(points)
+        self._replies.prepare(points, ending=self.phase is Phase.ENDING)
         self._make_ready(points)
 
     def expects(self, telegram: Telegram) -> bool:
@@ -223,7 +223,7 @@ class Responder:
             self._points.abandon()
             self._follow_motion(self._points)
             self._points.prepare()
-            self._prepare_heads(self._points)
+            self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
             if self.phase is Phase.RUNNING:
                 # A controller that starts its program again sends from another port.
                 self._latch(Fault.RESTARTED if self.strangers.sent_last else Fault.SILENCE)
@@ -296,7 +296,7 @@ class Responder:
         self.choice = Choice.GO
         if self.phase is Phase.ARMED:
             self.phase = Phase.RUNNING if self.fault is Fault.NONE else Phase.FAULT
-        self._prepare_heads(self._points)
+        self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
         return self._replies.heads[Choice.GO]
 
     def _start(self, plan: MotionPlan, command: Command) -> Result:
@@ -371,9 +371,6 @@ class Responder:
         if self.phase in (Phase.ARMED, Phase.RUNNING):
             self.phase = Phase.FAULT
         self._stopping = self.moving
-
-    def _prepare_heads(self, points: SetPoints) -> None:
-        self._replies.prepare(points, ending=self.phase is Phase.ENDING)
 
     def _make_ready(self, points: SetPoints) -> None:
         """Prepare the complete next reply, when only new information could change it."""

@@ -64,14 +64,19 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
         standoff_rad = workcell.joints_at(insertion.standoff, planned.standoff_rad, insertion.arriving)
     hidden = expected.hidden_at(standoff_rad) or expected.hidden_at(planned.joints_rad)
     by_home = head_hidden(context)
-    workcell.confirm_motion(
-        Topic.APPROACH,
-        f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
-        f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the "
-        f"entry{UNWATCHED if hidden else ''}",
-        [workcell.facts(workcell.home_rad if by_home else standoff_rad)],
-        trajectory,
-    )
+    with refused_by_name(trajectory):
+        workcell.supervised.confirm(
+            Topic.APPROACH,
+            f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
+            f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the entry"
+            f"{UNWATCHED if hidden else ''}",
+            [
+                *([workcell.returning_home()] if by_home else []),
+                workcell.going(standoff_rad),
+                workcell.inserting(insertion, standoff_rad),
+            ],
+            trajectory,
+        )
     workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
     check_room(context, f"before {trajectory}")
     workcell.start()

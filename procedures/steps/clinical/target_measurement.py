@@ -57,13 +57,15 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     surround_stereo_head(context, planned)
     with refused_by_name(name):
         standoff_rad = workcell.joints_at(standoff, paths.targets[name].standoff_rad)
-    workcell.confirm_motion(
-        Topic.APPROACH,
-        f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
-        "along the axis until the ball is at its centre",
-        [workcell.facts(standoff_rad)],
-        name,
-    )
+        over = workcell.going(standoff_rad)
+        onto = workcell.straight(target, paths.targets[name].approach_signs, standoff_rad)
+        workcell.supervised.confirm(
+            Topic.APPROACH,
+            f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
+            "along the axis until the ball is at its centre",
+            [over, onto],
+            name,
+        )
     check_room(context, f"before the ball at {name} is measured")
     workcell.start(cameras=True)
     context.progress(0.0, f"moving over {name}")

@@ -75,8 +75,8 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
     workcell.start()
     gauge_rad = radians6(*guide.gauge.joints_deg)
-    there = [workcell.facts(gauge_rad)]
-    workcell.confirm_motion(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
+    there = [workcell.settling(gauge_rad, ARRIVING, from_afar=True)]
+    workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)
     task = Task(
         GAUGE,

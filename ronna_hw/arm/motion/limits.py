@@ -34,7 +34,7 @@ class MotionLimits:
     rotation_rad_s: float = WORKING_ROTATION_RAD_S
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
-    body_speed_mm_s: float = math.inf  # of any body that moves
+    body_speed_mm_s: float = math.inf  # of any body that moves: the operating mode's, at every fraction
     range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis's range
 
     def ranges(self, arm: JointRanges, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
@@ -52,7 +52,7 @@ class MotionLimits:
         return lower, upper
 
     def slowed(self, fraction: float) -> MotionLimits:
-        """The same with all speeds times `fraction` (0 < fraction <= 1); raises ARM-006 outside that."""
+        """The same with the planned speeds times `fraction` (0 < fraction <= 1); raises ARM-006 otherwise."""
         if not 0.0 < fraction <= 1.0:
             raise MotionInvalid("a speed fraction must be above 0 and at most 1", got=repr(fraction))
         return replace(
@@ -60,7 +60,6 @@ class MotionLimits:
             speed_rad_s=_times(self.speed_rad_s, fraction),
             line_speed_mm_s=self.line_speed_mm_s * fraction,
             rotation_rad_s=self.rotation_rad_s * fraction,
-            body_speed_mm_s=self.body_speed_mm_s * fraction,
         )
 
     def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:

@@ -29,7 +29,9 @@ def test_modules_hold_one_idea() -> None:
 
 
 # Calls on a device; the workcell's own methods have other names, but for `surround`.
-MOVES_OR_LOOKS = re.compile(r"\.(move_joints|move_linear|grab_pair|set_areas)\(|(?<!workcell)\.surround\(")
+MOVES_OR_LOOKS = re.compile(
+    r"\.(move_joints|move_linear|drive|grab_pair|set_areas)\(|(?<!workcell)\.surround\("
+)
 
 
 def test_procedures_move_and_look_by_the_workcell_only() -> None:

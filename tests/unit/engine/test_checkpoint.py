@@ -6,7 +6,6 @@ import pytest
 from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import GuardUnmet, OperatorAborted
 from procedures.engine.operator import Question, Topic
-from ronna_hw.errors import LinkTimeout
 
 
 class Disk:
@@ -79,14 +78,6 @@ def test_who_aborts_is_not_asked() -> None:
     with pytest.raises(OperatorAborted):
         rig.checkpoint.here("between steps")
     assert rig.asked == []
-
-
-def test_what_a_watch_has_seen_ends_the_step() -> None:
-    rig = Rig()
-    rig.checkpoint.end_step(LinkTimeout("the head has moved"))
-    with pytest.raises(LinkTimeout, match="the head has moved"):
-        rig.checkpoint.here("before a motion")
-    rig.checkpoint.here("before a motion")
 
 
 def test_a_guard_suspends_until_it_is_met() -> None:

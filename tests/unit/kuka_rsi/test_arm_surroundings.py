@@ -23,7 +23,7 @@ from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
-from ronna_hw.devices import Lifecycle
+from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
 
 MODEL = kr6_r900("kr6_r900_sixx")
@@ -55,24 +55,24 @@ def test_a_goal_with_something_in_the_way_is_refused_before_motion(controller: A
 def test_a_motion_is_previewed_before_it_is_run_and_nothing_moves(controller: Any, active_arm: Any) -> None:
     sent = controller.replies[-1][1]
     active_arm.surround(_post_beside(15.0))
-    seen = active_arm.preview(ASIDE)
+    seen = active_arm.preview(JointMove(ASIDE))
     assert not seen.clear
     assert (seen.refused.first, seen.refused.second) == ("hand", "drip stand")
     active_arm.surround(Surroundings())
-    seen = active_arm.preview(ASIDE)
+    seen = active_arm.preview(JointMove(ASIDE))
     assert seen.clear
     assert seen.duration_s > 0.3
     assert seen.joint_ranges_rad[0] == pytest.approx((0.0, radians(20.0)), abs=1e-3)
     assert 0.0 < seen.singularity.least <= 1.0
     with pytest.raises(Singular, match="ARM-002"):
-        active_arm.preview(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0)))
+        active_arm.preview(LineMove(MODEL.flange_pose(radians6(0.0, -90.0, 90.0, 0.0, 0.0, 0.0))))
     assert controller.replies[-1][1] == sent
 
 
 def test_a_preview_needs_no_stream(make_arm: Any) -> None:
     arm = make_arm()
     arm.connect()
-    assert arm.preview(ASIDE).clear
+    assert arm.preview(JointMove(ASIDE)).clear
 
 
 @pytest.mark.hazard(22)

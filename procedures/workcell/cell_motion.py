@@ -1,0 +1,43 @@
+"""A motion of the workcell as a value: what the operator confirms is what the arm then drives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from procedures.workcell.insertion import Insertion
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices import Motion, RobotArm
+from ronna_hw.devices.readings import ArmReading
+
+
+@dataclass(frozen=True)
+class CellMotion:
+    """What the arm drives in turn, from wherever it is; all but the last are joint moves.
+
+    If the first is not clear, `otherwise` is driven in place of all, if there is any.
+    """
+
+    what: str  # as the journal calls it
+    moves: str  # such as `the guide`
+    to: tuple[float, ...]  # joints in rad, or the tool's position in mm
+    legs: tuple[Motion, ...]
+    otherwise: tuple[Motion, ...] = ()
+    detour: str = "by way of home"  # what `otherwise` is
+    axis: Insertion | None = None  # along which it goes
+
+    @property
+    def trajectory(self) -> str | None:
+        """The trajectory along whose axis it goes."""
+        return None if self.axis is None else self.axis.trajectory
+
+    def drive(self, arm: RobotArm) -> ArmReading:
+        """Carry it out; the last reading. Raises what the motions of the arm raise."""
+        first, *others = self.legs
+        readings = []
+        try:
+            readings.append(first.drive(arm))
+        except NotClear:  # raised before anything moved
+            if not self.otherwise:
+                raise
+            others = [*self.otherwise]
+        return [*readings, *(leg.drive(arm) for leg in others)][-1]

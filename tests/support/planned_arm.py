@@ -1,0 +1,69 @@
+"""An arm in process that previews, plans and checks every motion by the driver's own planner."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from types import SimpleNamespace
+from typing import Any, cast
+
+from recording_cell import RecordingArm
+
+from drivers.kuka_rsi.link_client import LinkClient
+from drivers.kuka_rsi.motion_planning import MotionPlanner
+from drivers.kuka_rsi.options import KukaOptions
+from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.preview import PathPreview
+from ronna_hw.devices import JointMove, LineMove, Motion
+from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.frames import Transform
+from ronna_hw.wire.kuka_eki import OperationMode
+
+MODE = OperationMode.EXT
+
+
+@dataclass
+class PlannedArm(RecordingArm):
+    """Arrives at once; `plans` are what it drove."""
+
+    plans: list[MotionPlan] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.planner = MotionPlanner(self.name, self.kinematics, KukaOptions())
+        self.link = cast("LinkClient", SimpleNamespace(surroundings=None))  # reads no more than these
+
+    @property
+    def surroundings(self) -> Surroundings:
+        return self.planner.surroundings
+
+    def surround(self, surroundings: object) -> None:
+        assert isinstance(surroundings, Surroundings)
+        self.planner.surroundings = surroundings
+
+    def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
+        return self.planner.preview(motion, start_rad or self.joints_rad, MODE)
+
+    def move_joints(
+        self, target_rad: JointVector, *, speed_fraction: float = 1.0, **_more: Any
+    ) -> ArmReading:
+        return self._drive(JointMove(target_rad, speed_fraction))
+
+    def move_linear(
+        self,
+        target: Transform,
+        *,
+        flange_from_tool: Transform | None = None,
+        speed_fraction: float = 1.0,
+        **_more: Any,
+    ) -> ArmReading:
+        return self._drive(LineMove(target, flange_from_tool, speed_fraction))
+
+    def _drive(self, motion: Motion) -> ArmReading:
+        plan = self.planner.plan(motion, self.joints_rad, MODE)
+        return self._follow(self.planner.clear(plan, self.link, MODE))
+
+    def _follow(self, plan: MotionPlan) -> ArmReading:
+        self._be_stopped(plan.target_rad)
+        self.plans.append(plan)
+        self.joints_rad = plan.target_rad
+        return self.read_state()

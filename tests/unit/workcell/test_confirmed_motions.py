@@ -1,0 +1,137 @@
+"""What a question says of a motion is what the arm then drives, for every kind of motion."""
+
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from planned_arm import PlannedArm
+from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
+
+from procedures.engine.operator import Topic
+from procedures.workcell import Insertion, MountedTool
+from ronna_hw.arm.clearance.bodies import Bodies
+from ronna_hw.arm.clearance.capsule import Capsule
+from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
+from ronna_hw.arm.clearance.sweep import sweep
+from ronna_hw.arm.motion.limits import WORKING_LINE_SPEED_MM_S
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.set_points import PathMotion
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
+
+pytestmark = pytest.mark.hazard(36)
+
+CYCLE_S = 0.004
+WAY_MM = 50.0
+TOLD = re.compile(r"moves (\d+) mm( by way of home)?, .* in (\d+\.\d) s at up to (\d+) mm/s")
+START: JointVector = (HOME[0] - 0.4, *HOME[1:])
+ACROSS: JointVector = (HOME[0] + 0.4, *HOME[1:])
+LIFTED: JointVector = (HOME[0], HOME[1] - 0.4, *HOME[2:])
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    """With the guide mounted, home over the middle, and the arm beside it."""
+    cell = RecordingCell(tmp_path, operator=RecordingOperator())
+    cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
+    cell.opened._devices["robot.master"] = cell.arm
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.set_home()
+    cell.arm.joints_rad = START
+    cell.workcell.supervised.ask_before(cell.resting, cell.operator.ask)
+    return cell
+
+
+def arm_of(cell: RecordingCell) -> PlannedArm:
+    assert isinstance(cell.arm, PlannedArm)
+    return cell.arm
+
+
+def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Transform:
+    """A pose of the tool that far along its own axis, and turned about it."""
+    here = tool_pose(cell.arm.joints_rad, cell)
+    half = turned_rad / 2.0
+    way = Transform.of(
+        here.source,
+        here.source,
+        translation_mm=(0.0, 0.0, ahead_mm),
+        quaternion_wxyz=(math.cos(half), 0.0, math.sin(half), 0.0),
+    )
+    return here @ way
+
+
+def withdraw(cell: RecordingCell) -> None:
+    """The guide is on its axis already, as in a run that is resumed."""
+    on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
+    cell.workcell._insertion = on
+    cell.workcell.withdraw("T1")
+
+
+def go_past_a_post(cell: RecordingCell) -> None:
+    x, y, z = arm_of(cell).kinematics.flange_pose(HOME).translation_mm.tolist()
+    post = Obstacle("post", Capsule((x, y, z - 100.0), (x, y, z), 5.0))
+    arm_of(cell).surround(Surroundings(obstacles=(post,)))
+    cell.workcell.go(ACROSS)
+
+
+KINDS: dict[str, Callable[[RecordingCell], object]] = {
+    "go": lambda cell: cell.workcell.go(ACROSS),
+    "go past a post": go_past_a_post,
+    "home": lambda cell: cell.workcell.go_home(),
+    "step": lambda cell: cell.workcell.settle(ACROSS, None),
+    "settle": lambda cell: cell.workcell.settle(ACROSS, (1, -1, 1, -1, 1, -1)),
+    "line": lambda cell: cell.workcell.line_to(tool_at(cell, 40.0, 0.2)),
+    "insert": lambda cell: cell.workcell.insert(Insertion("T1", tool_at(cell, WAY_MM), WAY_MM)),
+    "withdraw": withdraw,
+}
+
+
+def points(cell: RecordingCell, plan: MotionPlan) -> list[JointVector]:
+    """The set-points of a plan, one per cycle, as the real-time process generates them."""
+    path = plan.path(cell.arm.kinematics)
+    motion = PathMotion(path, plan.start_rad, plan.limits, CYCLE_S, plan.speed_steps)
+    found = [plan.start_rad]
+    while not motion.finished:
+        go_rad, _ = motion.prepare()
+        motion.take_go()
+        found.append(go_rad)
+    return found
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_duration_and_speed_of_a_question_are_those_that_are_driven(cell: RecordingCell, kind: str) -> None:
+    KINDS[kind](cell)
+    (asked,) = cell.operator.asked
+    told = TOLD.search(asked.value)
+    assert told is not None
+    assert (told[2] is not None) is (kind == "go past a post")
+    ways = [points(cell, plan) for plan in arm_of(cell).plans]
+    bodies = Bodies(cell.arm.kinematics, arm_of(cell).surroundings)
+    steps_mm = [np.diff(sweep(bodies, way).ends_mm, axis=0) for way in ways]
+    fastest_mm_s = max(np.linalg.norm(step, axis=-1).max() for step in steps_mm) / CYCLE_S
+    assert float(told[3]) == pytest.approx(sum(len(way) - 1 for way in ways) * CYCLE_S, abs=0.07)
+    assert float(told[4]) == pytest.approx(fastest_mm_s, rel=0.1)  # a path may end before it is at full speed
+
+
+def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:
+    KINDS["insert"](cell)
+    cell.workcell.withdraw("T1")
+    speeds_mm_s = []
+    for plan in arm_of(cell).plans:
+        tips = np.array([tool_pose(joints, cell).translation_mm for joints in points(cell, plan)])
+        speeds_mm_s.append(np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / CYCLE_S)
+    full_mm_s = WORKING_LINE_SPEED_MM_S
+    assert speeds_mm_s == pytest.approx([full_mm_s / 2.0, full_mm_s], rel=0.02)
+
+
+@pytest.mark.parametrize("kind", ["insert", "withdraw"])
+def test_what_is_asked_again_after_a_stop_is_what_is_left(cell: RecordingCell, kind: str) -> None:
+    cell.arm.interruptions = 1
+    KINDS[kind](cell)
+    whole, pause, rest = cell.operator.asked
+    assert pause.topic is Topic.PAUSE
+    assert [int(TOLD.search(one.value)[1]) for one in (whole, rest)] == [50, 25]  # type: ignore[index]
