@@ -22,7 +22,7 @@ class CellMotion:
     to: tuple[float, ...]  # joints in rad, or the tool's position in mm
     legs: tuple[Motion, ...]
     otherwise: tuple[Motion, ...] = ()
-    detour: str = "by way of home"  # what `otherwise` is
+    detour: str = "via home"  # what `otherwise` is
     axis: Insertion | None = None  # along which it goes
 
     @property

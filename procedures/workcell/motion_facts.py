@@ -22,7 +22,7 @@ class MotionFacts:
     what: str  # that moves, such as `the guide`
     travel_mm: float  # straight distances of what keeps to a line, of the flange in a joint move
     previews: tuple[PathPreview, ...]
-    detour: str = ""  # such as `by way of home`
+    detour: str = ""  # such as `via home`
 
     def __str__(self) -> str:
         """One line for a person."""

@@ -92,7 +92,9 @@ class SupervisedMotion:
         """
         checkpoint = self._checkpoint
         if checkpoint is None:
-            raise NotConfirmed(f"nobody can confirm the motion {motion.what!r}", expected="a case that is open")
+            raise NotConfirmed(
+                f"nobody can confirm the motion {motion.what!r}", expected="a case that is open"
+            )
         named = f"the motion {motion.what!r} ({IN_WORDS[motion.what]})"
 
         def drive() -> ArmReading:

@@ -15,6 +15,8 @@ from ronna_hw.arm.clearance.surroundings import Surroundings
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, LineMove, Motion
+from ronna_hw.devices.errors import MotionInterrupted
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector
 from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import OperationMode
@@ -63,7 +65,11 @@ class PlannedArm(RecordingArm):
         return self._follow(self.planner.clear(plan, self.link, MODE))
 
     def _follow(self, plan: MotionPlan) -> ArmReading:
-        self._be_stopped(plan.target_rad)
+        if self.interruptions:
+            self.interruptions -= 1
+            self.state = Lifecycle.HOLD
+            self.joints_rad = plan.path(self.kinematics).joints(0.5, plan.start_rad)
+            raise MotionInterrupted("stopped half way")
         self.plans.append(plan)
         self.joints_rad = plan.target_rad
         return self.read_state()

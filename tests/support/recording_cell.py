@@ -289,8 +289,8 @@ class RecordingCell:
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
         agree = RecordingOperator().ask
-        self.resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
-        self.workcell.supervised.ask_before(self.resting, agree)  # until an engine asks
+        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
+        self.workcell.supervised.ask_before(resting, agree)  # until an engine asks
 
     @property
     def calibrations(self) -> Calibrations:

@@ -21,7 +21,7 @@ from procedures.exchange import raw_readings
 from procedures.strategies import strategy, trajectory
 from procedures.studies.own import contracts
 from ronna_hw import frames, simulation, theatre
-from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, readings
+from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair, lifecycle, motion, readings
 from ronna_hw.devices.byte_sink import RecordsBytes
 
 if TYPE_CHECKING:
@@ -63,7 +63,10 @@ def numerics() -> str:
 
 def devices() -> str:
     """The theatre that opens them, the interfaces of devices, their readings, and the drivers."""
-    interfaces = Part("ronna_hw.devices", [lifecycle.Device, OpticalTracker, RobotArm, StereoPair])
+    interfaces = Part(
+        "ronna_hw.devices",
+        [lifecycle.Device, OpticalTracker, RobotArm, motion.JointMove, motion.LineMove, StereoPair],
+    )
     own = [
         one for one in vars(readings).values() if inspect.isclass(one) and one.__module__ == readings.__name__
     ]

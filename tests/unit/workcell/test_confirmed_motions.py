@@ -3,6 +3,7 @@
 import math
 import re
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,10 @@ import pytest
 from planned_arm import PlannedArm
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
-from procedures.engine.operator import Topic
+from procedures.engine.checkpoint import Checkpoint
+from procedures.engine.operator import Question, Topic
 from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.errors import TipOffAxis
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle, Surroundings
@@ -27,7 +30,7 @@ pytestmark = pytest.mark.hazard(36)
 
 CYCLE_S = 0.004
 WAY_MM = 50.0
-TOLD = re.compile(r"moves (\d+) mm( by way of home)?, .* in (\d+\.\d) s at up to (\d+) mm/s")
+TOLD = re.compile(r"moves (\d+) mm( via home)?, .* in (\d+\.\d) s at up to (\d+) mm/s")
 START: JointVector = (HOME[0] - 0.4, *HOME[1:])
 ACROSS: JointVector = (HOME[0] + 0.4, *HOME[1:])
 LIFTED: JointVector = (HOME[0], HOME[1] - 0.4, *HOME[2:])
@@ -42,8 +45,13 @@ def cell(tmp_path: Path) -> RecordingCell:
     cell.workcell.check_mounted(MountedTool.GUIDE)
     cell.workcell.set_home()
     cell.arm.joints_rad = START
-    cell.workcell.supervised.ask_before(cell.resting, cell.operator.ask)
+    have_asked(cell, cell.operator.ask)
     return cell
+
+
+def have_asked(cell: RecordingCell, ask: Callable[[Question], str]) -> None:
+    resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), cell.clock)
+    cell.workcell.supervised.ask_before(resting, ask)
 
 
 def arm_of(cell: RecordingCell) -> PlannedArm:
@@ -135,3 +143,23 @@ def test_what_is_asked_again_after_a_stop_is_what_is_left(cell: RecordingCell, k
     whole, pause, rest = cell.operator.asked
     assert pause.topic is Topic.PAUSE
     assert [int(TOLD.search(one.value)[1]) for one in (whole, rest)] == [50, 25]  # type: ignore[index]
+
+
+@pytest.mark.hazard(24)
+@pytest.mark.parametrize("kind", ["insert", "withdraw"])
+def test_a_guide_that_is_pushed_aside_while_it_is_stopped_goes_no_further(
+    cell: RecordingCell, kind: str
+) -> None:
+    cell.arm.interruptions = 1
+    answer = cell.operator.ask
+
+    def push(question: Question) -> str:
+        if question.topic is Topic.PAUSE:
+            A1, *others = cell.arm.joints_rad
+            cell.arm.joints_rad = (A1 + 0.002, *others)  # by about a millimetre
+        return answer(question)
+
+    have_asked(cell, push)
+    with pytest.raises(TipOffAxis, match="PRO-015"):
+        KINDS[kind](cell)
+    assert arm_of(cell).plans == []

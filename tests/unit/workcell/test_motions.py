@@ -3,15 +3,12 @@
 import math
 import os
 from collections.abc import Callable
-from contextlib import nullcontext
 
 import pytest
 from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
-from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Question, Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
 from procedures.workcell.workcell import APPROACH_RAD
@@ -189,31 +186,6 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
         cell.workcell.withdraw("T1")
     assert len(cell.arm.motions) == moved
     assert cell.workcell.insertion is not None
-
-
-@pytest.mark.hazard(24)
-@pytest.mark.parametrize("what", ["insert", "withdraw"])
-def test_a_guide_that_is_pushed_aside_while_it_is_stopped_goes_no_further(
-    cell: RecordingCell, what: str
-) -> None:
-    with_guide(cell)
-    made = insertion(cell)
-    if what == "withdraw":
-        cell.workcell.insert(made)
-    moved = len(cell.arm.motions)
-    cell.arm.interruptions = 1
-
-    def push(question: Question) -> str:
-        if question.topic is Topic.PAUSE:
-            A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
-            cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # by about a millimetre
-        return question.answers[0]
-
-    resting = Checkpoint(push, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, push)
-    with pytest.raises(TipOffAxis, match="PRO-015"):
-        cell.workcell.insert(made) if what == "insert" else cell.workcell.withdraw("T1")
-    assert len(cell.arm.motions) == moved
 
 
 @pytest.mark.hazard(24)
