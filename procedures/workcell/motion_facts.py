@@ -66,7 +66,8 @@ class MotionFacts:
 def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
     """What driving these motions one after the other would do. Raises what `RobotArm.preview` raises."""
     facts: list[MotionFacts] = []
-    at_rad = arm.read_state().joints_rad
+    here = arm.read_state()
+    at_rad = here.commanded_rad or here.joints_rad  # as `RobotArm.preview` begins by itself
     for motion in motions:
         told, end_rad = _facts(arm, motion, motion.legs, at_rad)
         if motion.otherwise and not told.previews[0].clear:

@@ -6,7 +6,7 @@ from pathlib import Path
 import procedures
 from procedures.engine.operator import DELIBERATE, Topic
 
-CONFIRMED_MOTION = re.compile(r"\.confirm\(\s*Topic\.(\w+)")
+CONFIRMED_MOTION = re.compile(r"(?:supervised|self)\.confirm\(\s*Topic\.(\w+)")
 
 
 def test_what_confirms_a_motion_or_lets_the_arm_go_on_is_deliberate() -> None:

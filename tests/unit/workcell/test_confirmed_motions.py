@@ -122,7 +122,8 @@ def test_duration_and_speed_of_a_question_are_those_that_are_driven(cell: Record
     steps_mm = [np.diff(sweep(bodies, way).ends_mm, axis=0) for way in ways]
     fastest_mm_s = max(np.linalg.norm(step, axis=-1).max() for step in steps_mm) / CYCLE_S
     assert float(told[3]) == pytest.approx(sum(len(way) - 1 for way in ways) * CYCLE_S, abs=0.07)
-    assert float(told[4]) == pytest.approx(fastest_mm_s, rel=0.1)  # a path may end before it is at full speed
+    # It is the most that the limits allow, which a short path does not quite reach.
+    assert fastest_mm_s <= float(told[4]) + 1.0 <= 1.2 * fastest_mm_s
 
 
 def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:
