@@ -67,6 +67,7 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     workspace: Workspace = field(default_factory=Workspace)
+    left_away: str | None = None  # what an earlier run says of where the arm is
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
 

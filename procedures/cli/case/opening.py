@@ -301,6 +301,7 @@ def _make_engine(
     stack: contextlib.ExitStack,
     resumption: Resumption | None,
 ) -> Engine:
+    from procedures.cli.case.left_away import left_away
     from procedures.engine.case import Case
     from procedures.engine.context import CaseSetting, this_second
     from procedures.engine.engine import Engine
@@ -385,6 +386,9 @@ def _make_engine(
             settings=theatre.file.procedure,
             surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
+            left_away=left_away(request, folder)
+            if isinstance(request, CaseRequest) and left is None
+            else None,
             began=began,
         ),
         journal,

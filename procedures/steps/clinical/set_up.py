@@ -6,6 +6,7 @@ from pydantic import Field
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
+from procedures.engine.operator import Topic
 from procedures.engine.result import Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.relocalization.triangulation import check_serial
@@ -52,7 +53,8 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
     Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, STE-010
-    for another camera, PRO-009 for another tool.
+    for another camera, PRO-009 for another tool, PRO-002 unless a position that an earlier run left
+    the arm in is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today())
@@ -68,6 +70,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
     workcell.check_mounted(MountedTool.STEREO_HEAD)
+    if context.setting.left_away is not None:
+        subject = "take the arm's present position as its home, where tools are exchanged and the case parks"
+        context.confirm(Topic.RESUME, subject, context.setting.left_away)
     return Outcome(
         CheckedSetUp(
             identities=identities,
