@@ -7,7 +7,6 @@ import importlib
 import shlex
 import shutil
 import signal
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -18,17 +17,13 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case, recorded_order
 from procedures.cli.case.operators import (
-    AtPause,
-    ScriptedOperator,
     SimulatedRoom,
-    TerminalOperator,
     TerminalRoom,
 )
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
-from procedures.engine.operator import Topic
-from ronna_hw.command_line.console import on_terminal
+from procedures.cli.case.who_answers import operator_of
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.interruption import interruption_deferred
@@ -50,10 +45,6 @@ if TYPE_CHECKING:
     from ronna_hw.devices.lifecycle import Device
     from ronna_hw.theatre import Theatre
 
-NOBODY_ANSWERS = (
-    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
-    "with --console, or with --answers FILE"
-)
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
 
@@ -234,46 +225,6 @@ def _theatre_options(request: TheatreRequest) -> str:
         file = shlex.quote(str(request.config))
         return f"--config {file} --write {file}"
     return f"--sim --scene {shlex.quote(request.choice.scene)} --seed {request.choice.seed}"
-
-
-def operator_of(
-    request: TheatreRequest,
-    watcher: Watcher,
-    answers: Answers | None,
-    resumption: Resumption | None = None,
-) -> Operator:
-    """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
-
-    On real devices the person reads back what is to be read back, whatever the file says.
-
-    The script takes no run up again unless it was told to accept what is found.
-    """
-    person: Operator = TerminalOperator(watcher.asking)
-    at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
-    if (
-        request.config is not None
-        and answers is None
-        and not at_terminal
-        and watcher.pilot is None
-        and watcher.at_pause is None
-    ):
-        tell(NOBODY_ANSWERS)
-    persons: dict[Topic, Operator] = {Topic.PAUSE: person, Topic.REPEAT: person} if at_terminal else {}
-    if watcher.at_pause is not None:
-        persons[Topic.PAUSE] = watcher.at_pause
-    if resumption is not None and not resumption.accepted:
-        persons[Topic.RESUME] = person
-    operator: Operator = ScriptedOperator(persons)
-    if request.config is not None:
-        operator = person if watcher.at_pause is None else AtPause(watcher.at_pause, person)
-    if answers is None:
-        return operator
-    from procedures.cli.case.answers import AnsweringOperator
-    from ronna_hw.config import read_theatre_file
-    from ronna_hw.theatre_kind import is_simulated
-
-    rehearsed = request.config is None or is_simulated(read_theatre_file(request.config))
-    return AnsweringOperator(answers, operator, reads_back=None if rehearsed else person)
 
 
 def request_hash(folder: Path) -> dict[str, str]:

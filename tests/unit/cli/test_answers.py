@@ -8,8 +8,9 @@ import tomli_w
 from recording_cell import ENDPOINTS
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
-from procedures.cli.case.opening import Watcher, operator_of
+from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CaseRequest
+from procedures.cli.case.who_answers import operator_of
 from procedures.engine.errors import AnswersUnfit
 from procedures.engine.operator import Question, ReadBack, Topic
 from procedures.steps.answer_words import ANSWER_WORDS
@@ -93,7 +94,7 @@ def test_a_step_is_repeated_without_being_asked_about_only_where_nobody_sits(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
-    monkeypatch.setattr("procedures.cli.case.opening.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: at_terminal)
     operator = operator_of(CaseRequest(out=tmp_path), Watcher(), None)
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
 
@@ -106,7 +107,7 @@ def test_that_nobody_can_answer_on_a_theatre_of_ones_own_is_told_before_anything
     at_terminal: bool,
     told: str,
 ) -> None:
-    monkeypatch.setattr("procedures.cli.case.opening.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: at_terminal)
     operator_of(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path), Watcher(), None)
     error = capsys.readouterr().err
     assert told in error if told else error == ""
