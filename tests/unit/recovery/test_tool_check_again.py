@@ -33,6 +33,7 @@ from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.steps.errors import ToolBesideGauge
 from procedures.workcell import MountedTool
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.wire.room_tasks import GAUGE
 
 pytestmark = pytest.mark.hazard(47)
@@ -168,8 +169,9 @@ def test_after_a_fault_of_the_arm_the_guide_is_checked_again(cell: ClinicalCell)
     engine.run_to(engine.order.find("tool_check"))
     fault(cell, engine)
     assert str(engine.upcoming) == "tool_check"
-    ((_, step),) = cell.entries("voided")
-    assert step == "tool_check"
+    (voided,) = (line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.VOIDED)
+    assert voided["step"] == "tool_check"
+    assert voided["code"] == "PRO-027"
 
 
 @pytest.mark.hazard(12)
