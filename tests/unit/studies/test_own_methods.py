@@ -183,7 +183,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         (
             STRATEGY,
             "mine:Shorter",
-            r"not a strategy; expected turns_rad\(along, fiducials_mm, robot_from_ct",
+            r"make a strategy; expected turns_rad\(along, fiducials_mm, robot_from_ct",
         ),
     ],
 )
