@@ -177,7 +177,7 @@ def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[.
 def test_the_unconfirmed_behaviours_can_be_listed() -> None:
     done = in_this_process(app, "polaris", "--list-parameters")
     assert done.returncode == 0
-    assert "watch_dog=stop  What the watchdog does" in done.stdout
+    assert "watch_dog=stop  Effect of the watchdog" in done.stdout
     assert done.stderr == ""
 
 

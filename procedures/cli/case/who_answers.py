@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.operators import AtPause, ScriptedOperator, TerminalOperator
-from procedures.cli.case.request import TheatreRequest
+from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.engine.operator import Topic
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
@@ -37,7 +37,8 @@ def operator_of(
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
     if (
-        request.config is not None
+        isinstance(request, CaseRequest)  # a measurement may ask nothing
+        and request.config is not None
         and answers is None
         and not at_terminal
         and watcher.pilot is None

@@ -78,7 +78,7 @@ def test_picks_in_metres_are_refused_with_that_hint(volume: Volume) -> None:
 
 def test_what_is_no_volume_is_refused_with_what_makes_one() -> None:
     with pytest.raises(
-        errors.LocalizationMisused, match=r"CT-017: .* millimetres: ndarray\. Read one with .*read_series"
+        errors.LocalizationMisused, match=r"CT-017: .* in mm: ndarray\. Read one with .*read_series"
     ):
         localize(np.zeros((4, 4, 4), dtype=np.int16))  # type: ignore[arg-type]
 

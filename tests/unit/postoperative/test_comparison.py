@@ -94,7 +94,7 @@ def test_a_trajectory_without_anything_is_named_and_so_is_what_was_found(
     scene: Scene, planned: Volume
 ) -> None:
     post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
-    with pytest.raises(InstrumentMissing, match=r"lies along T2; .*found along T1"):
+    with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
         proof_by(truth, plan_of(scene), planned, post)
     assert [
         one.identifier for one in proof_by(truth, plan_of(scene), planned, post, ["T1"]).trajectories

@@ -191,7 +191,7 @@ def test_a_link_that_the_run_does_not_have_is_refused_with_those_it_has(run: Pat
 def test_a_window_without_bytes_says_what_there_is_and_one_that_ends_first_is_refused(run: Path) -> None:
     empty = in_this_process(ronna_procedure, "bytes", run, "--link", "tracker", "--from", "7")
     assert (empty.returncode, empty.stdout) == (0, "")
-    assert "of tracker there is 1.0 to 3.0 s" in empty.stderr
+    assert "tracker recorded 1.0 to 3.0 s" in empty.stderr
     reversed_ = in_this_process(ronna_procedure, "bytes", run, "--from", "3", "--to", "2")
     assert reversed_.returncode == 2
     assert "--from 3 --to 2" in reversed_.stderr

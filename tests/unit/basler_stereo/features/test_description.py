@@ -80,5 +80,5 @@ def test_a_packed_description_that_would_grow_too_large_is_refused():
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", bytes(9 * 1024 * 1024))
-    with pytest.raises(BadDescription, match="too large"):
+    with pytest.raises(BadDescription, match="expands beyond the limit"):
         unpacked(file.getvalue())
