@@ -138,7 +138,12 @@ def _refusal(file: Path, folder: Path) -> RonnaError | None:
     theatre = Theatre.from_file(file)
     try:
         workcell = Workcell(theatre, journal)
-        setting = SimpleNamespace(today=lambda: datetime.now(UTC))
+        setting = SimpleNamespace(
+            today=lambda: datetime.now(UTC),
+            left_away=None,
+            settings=theatre.file.procedure,
+            surroundings=theatre.file.cell_with_tools,
+        )
         context = SimpleNamespace(workcell=workcell, setting=setting, progress=lambda *_: None)
         set_up.run(cast("Any", context))
     except RonnaError as error:

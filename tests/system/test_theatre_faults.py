@@ -46,7 +46,7 @@ FAULTS = {
     "a depth stop set wrong": Promise("depth stop off by 2 mm", "at_target", "TOOL-004"),
     "a cart move": Promise("shift cart 0 2 0 mm", "positioning", "PRO-019", goes_on=True),
     "a loosened screw": Promise(
-        "loosen marker 2 1.2 -0.9 0 mm", "relocalization", "PRO-022", options=("--markers", "5")
+        "loosen marker 2 1.2 -0.9 0 mm", "relocalization", "PRO-020", options=("--markers", "5")
     ),
 }
 BEFORE = {
