@@ -41,7 +41,7 @@ class Comparison:
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
-        """The same, or which of its fields differ."""
+        """Note it as unchanged, or as different with the fields that differ."""
         if recorded == found:
             self.same(what)
         elif recorded is None or found is None:
@@ -61,7 +61,7 @@ class Comparison:
 
 
 def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
-    """Dotted names of the fields that differ, with both values; of a sequence how many it has."""
+    """Dotted names of the fields that differ, with both values; of a sequence the number of entries."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:

@@ -44,5 +44,6 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
             given[name] = record(**{field.name: given.pop(field.name) for field in fields(record)})
         return command(**given)
 
+    # What `inspect.signature`, and so typer, reads first; the type of a function does not declare it.
     called.__signature__ = inspect.Signature(list(expanded()))  # type: ignore[attr-defined]
     return called

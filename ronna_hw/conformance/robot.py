@@ -302,12 +302,8 @@ def frames_of_a_line_are_checked(dut: DeviceUnderTest) -> None:
         (here @ tool, tool.inverse()),
     ):
         line = LineMove(target, flange_from_tool)
-        for call in (line.drive, lambda arm, line=line: arm.preview(line)):
-            refused(
-                lambda call=call: call(arm),  # type: ignore[misc]
-                FrameMismatch,
-                f"a line to {target.target} <- {target.source}",
-            )
+        for call in (partial(line.drive, arm), partial(arm.preview, line)):
+            refused(call, FrameMismatch, f"a line to {target.target} <- {target.source}")
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     stands_at(arm, before)
 

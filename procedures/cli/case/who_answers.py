@@ -30,9 +30,8 @@ def operator_of(
 ) -> Operator:
     """Who answers: the file of answers, then the script of a simulated case or the person at the terminal.
 
-    On real devices the person reads back what is to be read back, whatever the file says.
-
-    The script takes no run up again unless it was told to accept what is found.
+    On real devices the person reads values back, whatever the file says. The script resumes a run only if
+    it was told to accept the findings.
     """
     person: Operator = TerminalOperator(watcher.asking)
     at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
