@@ -1,13 +1,22 @@
-"""DICOM volumes and the localization of spheres in them. Pure numerics: no engine, no devices."""
+"""DICOM volumes and the localization of spheres in them. Pure numerics: no engine, no devices.
 
-from procedures.imaging.dicom.patient_identity import PatientIdentity, read_identity
-from procedures.imaging.localization import localize
-from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
-from procedures.imaging.pick_files import read_picks
-from procedures.imaging.picks import localize_picks
-from procedures.imaging.series import read_series
-from procedures.imaging.thesis.localization import ThesisFit, localize_as_thesis
-from procedures.imaging.volume import Volume, VoxelGeometry
+The names load on first use: the process that decodes a compressed slice needs none of the numerics.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from procedures.imaging.dicom.patient_identity import PatientIdentity, read_identity
+    from procedures.imaging.localization import localize
+    from procedures.imaging.markers import Candidate, Localization, Marker, likeliest_first
+    from procedures.imaging.pick_files import read_picks
+    from procedures.imaging.picks import localize_picks
+    from procedures.imaging.series import read_series
+    from procedures.imaging.thesis.localization import ThesisFit, localize_as_thesis
+    from procedures.imaging.volume import Volume, VoxelGeometry
 
 __all__ = [
     "Candidate",
@@ -25,3 +34,23 @@ __all__ = [
     "read_picks",
     "read_series",
 ]
+
+_MODULES = (
+    "markers",
+    "volume",
+    "dicom.patient_identity",
+    "series",
+    "pick_files",
+    "picks",
+    "localization",
+    "thesis.localization",
+)
+
+
+def __getattr__(name: str) -> Any:
+    for module in _MODULES if name in __all__ else ():
+        home = import_module(f"{__name__}.{module}")
+        if hasattr(home, name):
+            globals()[name] = getattr(home, name)
+            return globals()[name]
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

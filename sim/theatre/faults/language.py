@@ -247,7 +247,7 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
         said = meant(
             typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
         )
-    nearest = nearest_kind(typed, FAULT_KINDS)
+    nearest = None if said else nearest_kind(typed, FAULT_KINDS)
     return Mistake(what, nearest.example if nearest else EXAMPLE, said)
 
 
