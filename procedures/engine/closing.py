@@ -8,6 +8,9 @@ from typing import Protocol
 from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import JournalNotWritable
 from procedures.engine.journal import Entry, Journal, JournalValue
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import held_to, not_vouched_for
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
 from ronna_hw.evidence.seal import hashes_at_closing, hashes_outside
 from ronna_hw.logs import logger
 
@@ -44,10 +47,11 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
-        found: dict[str, JournalValue] = {"files": hashes_at_closing(folder)}
-        if outside := hashes_outside(folder, inputs):
-            found["inputs"] = outside
-    except OSError as error:  # closing must go on; verify says that the files are not named
-        _log.error("files not hashed", error=error.strerror)
+        expected = not_vouched_for(read_chain(folder / JOURNAL_FILE).lines)
+        hashes = held_to(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
+    except (OSError, RonnaError) as error:  # closing must go on; verify says that the files are not named
+        _log.error("files not hashed", error=str(error))
         return {}
-    return found
+    inputs_there = {name: sha256 for name, sha256 in hashes.items() if Path(name).is_absolute()}
+    found: dict[str, JournalValue] = {"files": {name: hashes[name] for name in hashes.keys() - inputs_there}}
+    return found | ({"inputs": inputs_there} if inputs_there else {})

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from procedures.engine.case import Case, Stored
@@ -13,7 +13,7 @@ from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
 from ronna_hw.evidence.errors import JournalCorrupt
-from ronna_hw.evidence.inspection import RECORDS_FOLDER, Problem, inspected
+from ronna_hw.evidence.inspection import NOT_AS_LEFT, RECORDS_FOLDER, Problem, inspected
 from ronna_hw.evidence.journal_reading import Chain
 from ronna_hw.records import BadRecord, Record
 
@@ -25,6 +25,7 @@ class LeftRun:
     run: RunFolder
     chain: Chain
     changes: tuple[Problem, ...] = ()  # of its folder, that do not keep an arm from leaving
+    not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # those files, with their hashes
 
     @property
     def has_journal(self) -> bool:
@@ -33,11 +34,12 @@ class LeftRun:
 
     def as_plain(self) -> dict[str, JournalValue]:
         """For the journal that goes on: what was left unfinished."""
-        return {
+        plain: dict[str, JournalValue] = {
             "begun": None if self.begun is None else str(self.begun),
             "torn_bytes": len(self.chain.torn),
             "orphans": list(self.orphans),
         }
+        return plain | ({NOT_AS_LEFT: dict(self.not_as_left)} if self.not_as_left else {})
 
     @property
     def finished(self) -> bool:
@@ -105,7 +107,7 @@ def read_left_run(folder: Path, *, only_leaving: bool = False) -> LeftRun:
     """
     found = inspected(folder)
     found = found.require_account() if only_leaving else found.require_unchanged()
-    return LeftRun(run_of(found), found.chain, found.changes)
+    return LeftRun(run_of(found), found.chain, found.changes, found.not_as_left)
 
 
 def step_key(line: Line) -> StepKey:

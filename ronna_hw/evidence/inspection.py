@@ -27,6 +27,7 @@ RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
 LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # what a run that goes on does not change any more
 FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN completes it."
+NOT_AS_LEFT = "not_as_left"  # of a `restarted` line: files that the end of the run does not vouch for
 SHOWN = 3  # problems that an error names; verify lists all
 
 
@@ -80,6 +81,21 @@ class Inspection:
         """What is wrong beyond a run that did not come to its end."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
+    @property
+    def not_as_left(self) -> dict[str, str | None]:
+        """Changed, missing and added files, with their hash when the run last ended; None without one.
+
+        Files that every session continues, as the log, are not among them unless added; neither is a renamed
+        folder, which is found whenever it is read.
+        """
+        end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
+        known = hashes_in(end, "files") | hashes_in(end, "inputs")
+        return {
+            one.file: known.get(one.file)
+            for one in self.changes
+            if one.file not in (JOURNAL_FILE, SEAL_FILE) and (one.beside or not is_later(one.file))
+        }
+
     def require_unchanged(self, action: str | None = None) -> Inspection:
         """This, or PRO-033 where anything was changed; a run that did not come to its end passes."""
         return self._require(self.changes, action)
@@ -118,6 +134,21 @@ def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
     """Files and hashes of the journal's last `closed` line."""
     closed = next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
     return hashes_in(closed, "files")
+
+
+def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
+    """Files that were not as left when the run was last taken up, as `Inspection.not_as_left` says them."""
+    restarted = next((line for line in reversed(lines) if line["entry"] == Entry.RESTARTED), {})
+    return cast("dict[str, str | None]", hashes_in(restarted, NOT_AS_LEFT))
+
+
+def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
+    """The hashes for the end of a run, in which files that were not as left keep their earlier ones.
+
+    A file that never had one is left out: it stays an added file until it is removed.
+    """
+    held = {name: sha256 for name, sha256 in hashes.items() if name not in expected}
+    return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
 
 
 def is_closed(lines: tuple[Line, ...]) -> bool:

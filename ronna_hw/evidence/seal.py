@@ -8,7 +8,7 @@ whole with it, so that a removed last line shows.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -94,9 +94,14 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     return hashes
 
 
-def seal(folder: Path, closed: Mapping[str, str]) -> None:
-    """Write the seal over what the last line of the journal (`closed`) does not name. Raises OSError."""
-    later = {name: sha256_of(path) for name, path in files_of(folder) if name not in closed}
+def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
+    """Write the seal over the files that neither the journal's last line (`closed`) nor `apart` names.
+
+    Raises OSError.
+    """
+    later = {
+        name: sha256_of(path) for name, path in files_of(folder) if name not in closed and name not in apart
+    }
     journal = folder / JOURNAL_FILE
     made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).signed()
     write_whole(folder / SEAL_FILE, _as_written(made))

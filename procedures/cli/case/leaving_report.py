@@ -17,7 +17,7 @@ from procedures.engine.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed
+from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed, not_vouched_for
 from ronna_hw.evidence.journal_reading import Entry, read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, seal
 from ronna_hw.host.interruption import interruptible
@@ -72,7 +72,7 @@ def seal_run(folder: Path, *, at_once: bool = False) -> None:
     try:
         chain = read_chain(folder / JOURNAL_FILE)
         if is_closed(chain.lines):
-            seal(folder, closed_files(chain.lines))
+            seal(folder, closed_files(chain.lines), not_vouched_for(chain.lines))
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 

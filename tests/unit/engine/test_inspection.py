@@ -15,12 +15,15 @@ from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 from spoilt_runs import files_in, with_another_byte
 
+from procedures.cli.case.leaving_report import seal_run
+from procedures.engine.closing import close_run
 from procedures.engine.context import StepContext
 from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.engine.left_run import read_left_run
 from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
 from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.inspection import closed_files, inspected
+from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import SEAL_FILE, is_sealed, seal
 from ronna_hw.evidence.truth_so_far import truth_so_far
@@ -336,6 +339,35 @@ def test_what_the_way_home_is_not_read_in_does_not_keep_the_arm_from_leaving(
     with pytest.raises(RunChanged):
         found.require_unchanged()
     assert found.require_account().changes != ()
+
+
+def gone_home(run: Path) -> None:
+    """What `home` leaves: the run taken up in spite of the changes, closed and sealed."""
+    left = read_left_run(run, only_leaving=True)
+    journal = Journal.taken_up(run, left.chain)
+    journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
+    close_run(run, journal, 0.0, "left", None)
+    seal_run(run)
+
+
+def test_going_home_does_not_make_an_added_file_part_of_the_run(run: Path) -> None:
+    stray = with_a_stray_file(run) / "notes.txt"
+    for _ in range(2):
+        gone_home(run)
+        assert [problem.file for problem in inspected(run).problems] == ["notes.txt"]
+    stray.unlink()
+    assert inspected(run).problems == ()
+
+
+def test_going_home_does_not_vouch_for_a_changed_file(run: Path) -> None:
+    plan = run / "case" / "plan.toml"
+    as_it_was = plan.read_bytes()
+    plan.write_bytes(b"schema = 2\n")
+    for _ in range(2):
+        gone_home(run)
+        assert inspected(run).problems == (Problem("case/plan.toml", "changed"),)
+    plan.write_bytes(as_it_was)
+    assert inspected(run).problems == ()
 
 
 @pytest.mark.hazard(39)
