@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
-from procedures.registration.shift import NEAR_MM, PointShift, shift_of, shift_of_few
+from procedures.registration.shift import NEAR_MM, PointShift, moved_alone_mm, shift_of, shift_of_few
 from ronna_hw.frames import Transform
 from ronna_hw.text.beyond import beyond
 from ronna_hw.text.counting import counted
@@ -144,6 +144,9 @@ class RoomWatch:
         if head is not None and head_mm is not None and head.rms_mm >= PATIENT_LIMIT_MM:
             if base_mm is None or not same or float(np.linalg.norm(head_mm - base_mm)) >= PATIENT_LIMIT_MM:
                 apart = base_mm is not None and (same or float(np.linalg.norm(head_mm)) >= limit_mm)
+                alone_mm = moved_alone_mm(self.spheres_mm, reading.spheres_mm, PATIENT_LIMIT_MM)
+                if alone_mm is not None:
+                    raise _screw_moved(head, alone_mm)
                 raise _patient_moved(head, head_mm, PATIENT_LIMIT_MM, told_apart=apart)
             findings.append(f"the tracker was moved by {_in_words(base_mm)}; arm and head agree")
         if reading.frame_mm is not None:
@@ -223,6 +226,15 @@ def _patient_moved(head: PointShift, head_mm: Array, limit_mm: float, *, told_ap
         f"{head.points} spheres",
         head.rms_mm,
         limit_mm,
+    )
+
+
+def _screw_moved(head: PointShift, alone_mm: float) -> PatientMoved:
+    return PatientMoved.by(
+        f"one sphere has moved by {alone_mm:.1f} mm since it was localized and the other {head.points - 1} "
+        "have not: its screw may be loose",
+        head.rms_mm,
+        PATIENT_LIMIT_MM,
     )
 
 

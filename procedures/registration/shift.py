@@ -57,6 +57,19 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))
 
 
+def moved_alone_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
+    """How far one point has moved while the others, three or more, stayed within the limit; None otherwise.
+
+    Shapes as in `shift_of`.
+    """
+    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
+    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    ways = [np.linalg.norm(seen[column] - recorded[row]) for row, column in same_points(recorded, seen) or ()]
+    *others, farthest = sorted(map(float, ways)) or [0.0]
+    alone = len(others) >= LEAST_POINTS and others[-1] < limit_mm <= farthest
+    return farthest if alone else None
+
+
 def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
     """Rows of points (n, 3) and of the same points seen again (m, 3), in any order among others.
 

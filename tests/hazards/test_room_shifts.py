@@ -109,6 +109,16 @@ def test_what_the_tracker_does_not_see_is_said() -> None:
 
 
 @pytest.mark.hazard(12)
+def test_one_sphere_that_moved_alone_is_not_said_to_be_the_head() -> None:
+    case = TrackedCase(3)
+    watch = case.begin()
+    reading = case.reading(watch, case.home_rad)
+    reading.spheres_mm[1] += (1.2, -0.9, 0.0)
+    with pytest.raises(PatientMoved, match=r"one sphere has moved by 1\.[45] mm.*the other 4 have not"):
+        watch.check(reading)
+
+
+@pytest.mark.hazard(12)
 def test_two_spheres_that_are_not_in_their_places_are_enough() -> None:
     case = TrackedCase(3)
     watch = case.begin()
