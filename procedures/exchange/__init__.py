@@ -1,1 +1,1 @@
-"""Results in the forms that other programs read: DICOM registration and fiducials, Slicer markups, CSV."""
+"""Exports results in formats of other programs: DICOM registration and fiducials, Slicer markups, CSV."""

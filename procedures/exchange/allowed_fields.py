@@ -1,7 +1,7 @@
-"""What may leave a run folder by `export`, field by field; what is not listed here is not written.
+"""Allow-list of the fields that `export` may take out of a run folder; anything else is not written.
 
 No field holds a person's name, number, date of birth, place or device. The series and its frame of reference
-are named by their DICOM UIDs: without them no other program could lay the result over the CT.
+are named by their DICOM UIDs: without them no other program could overlay the result on the CT.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from pydicom.dataset import Dataset
 
 from procedures.exchange.errors import FieldNotAllowed
 
-# Names of trajectories are free text of the plan, and may be a patient's: only those that are plain labels,
-# such as T1 or L12, leave; another trajectory goes by its number.
+# Trajectory names are free text in the plan and may contain a patient's name: only plain labels such as T1 or
+# L12 are exported; any other trajectory is identified by its number.
 PLAIN_LABEL = re.compile(r"[A-Za-z]{1,3}\d{1,3}")
 
 SPHERE_FIELDS = {
@@ -45,7 +45,7 @@ DOCUMENT_FIELDS = {
     "registrations": "one entry for each target",
     "name": "of a sphere: M1, M2, ...",
 }
-# Of the DICOM objects, by the standard's keywords; those that must be there and stay empty come first.
+# DICOM attributes, by the standard's keywords; those that must be present but empty come first.
 EMPTY_ATTRIBUTES = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),
     *("AccessionNumber", "ReferringPhysicianName", "StudyID", "Laterality", "ContentCreatorName"),
@@ -66,7 +66,7 @@ FILLED_ATTRIBUTES = (
 
 
 def picked(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
-    """The fields of that list, in its order; whatever else is there stays behind."""
+    """The listed fields, in the order of the list; all others are dropped."""
     return {name: content[name] for name in allowed if name in content}
 
 
@@ -76,7 +76,7 @@ def label_of(trajectory: str, number: int) -> str:
 
 
 def only_allowed(made: Dataset) -> Dataset:
-    """The same object; raises EXC-004 for an attribute that is not listed, or must be empty and is not."""
+    """Return the object; raises EXC-004 for an attribute that is not listed, or must be empty and is not."""
     for element in made.iterall():
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue

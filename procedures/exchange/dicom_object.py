@@ -1,9 +1,9 @@
-"""What a registration and a set of fiducials share as DICOM objects.
+"""What a registration and a set of fiducials have in common as DICOM objects.
 
-No patient's identity is in them, unless somebody asks for it with `name_patient`.
+They carry no patient identity unless `name_patient` adds it.
 
-Attributes that DICOM demands but allows to be empty stay empty: a clinical archive fills them in when it
-takes the object over. Identifiers are derived from the content, so the same result gives the same object.
+Attributes that DICOM requires but allows to be empty stay empty: a clinical archive fills them in on import.
+Identifiers are derived from the content, so the same result always yields the same object.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ NOT_CLINICAL = "research software, not a medical device"
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a result comes from: the CT series, its frame of reference, when it was made, and a key.
+    """Origin of a result: the CT series, its frame of reference, when it was made, and a key.
 
-    `key` makes the identifiers of this result differ from those of any other, such as a record's hash.
+    `key`, for example a record's hash, makes the identifiers unique to this result.
     """
 
     series_instance_uid: str
@@ -37,7 +37,7 @@ class Origin:
 
 
 def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
-    """An object with everything but its content."""
+    """An object complete except for its content."""
     instance = instance_uid(origin, modality)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class
@@ -70,18 +70,18 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
 
 
 def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
-    """Say whose object it is, in the words of the series (birth date YYYYMMDD)."""
+    """Set the patient identity, in the series' own notation (birth date YYYYMMDD)."""
     made.PatientName, made.PatientID = name, identifier
     made.PatientBirthDate, made.PatientSex = birth_date, sex
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:
-    """The identifier of the object of one kind that a result gives."""
+    """The SOP instance UID of the object of this modality for a result."""
     return uid(origin, modality, "instance")
 
 
 def uid(origin: Origin, *what: str) -> UID:
-    """An identifier that follows from the origin and what it is for."""
+    """A UID derived from the origin and its purpose."""
     return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
 
 
@@ -95,7 +95,7 @@ def code(value: str, scheme: str, meaning: str) -> Dataset:
 
 
 def decimals(values: Sequence[float]) -> list[str]:
-    """Numbers as decimal strings of at most 16 characters, with all the digits that fit."""
+    """Numbers as decimal strings of at most 16 characters, with as many digits as fit."""
     return [_decimal(float(value)) for value in values]
 
 

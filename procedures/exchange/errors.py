@@ -1,4 +1,4 @@
-"""Errors of the exchange of results."""
+"""Errors of exporting results."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class NothingToExport(DataError):
 
 
 class FieldNotAllowed(DataError):
-    """An object for the export has an attribute that is not on the list of permitted ones."""
+    """An object to be exported has an attribute that is not on the allow-list."""
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."

@@ -49,7 +49,7 @@ def table(fiducials: Sequence[Fiducial]) -> str:
 
 
 def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
-    """JSON of the spheres as the localizer found them, M1 first, LPS in mm, and the series they lie in."""
+    """JSON of the spheres as localized, M1 first, LPS in mm, with their series."""
     content = {
         "series_instance_uid": origin.series_instance_uid,
         "frame_of_reference_uid": origin.frame_of_reference_uid,
@@ -61,7 +61,7 @@ def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
 
 
 def registration_table(registrations: Iterable[RegisteredRobot]) -> str:
-    """CSV, a row per target, also where one registration is for several: matrix row by row, error."""
+    """CSV with one row per target, even if several share a registration: the matrix row by row, the error."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     elements = [f"m{row}{column}" for row in range(1, 4) for column in range(1, 5)]

@@ -1,4 +1,4 @@
-"""The check after the operation as DICOM objects: how both CTs lie, and the points of every trajectory."""
+"""The postoperative check as DICOM objects: registration of the two CTs, points of every trajectory."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ POINTS_FILE = "postoperative-points.dcm"
 
 
 def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write both objects; `frames` are the frames of reference of the planned CT and of the later one.
+    """Write both objects; `frames` are the frames of reference of the planned CT and the later one.
 
-    Without a registration when both CTs claim one frame of reference. Raises EXC-002, EXC-004.
+    The registration is left out when both CTs claim the same frame of reference. Raises EXC-002, EXC-004.
     """
     key = hashlib.sha256(canonical_json(check.model_dump(mode="json"))).hexdigest()
     origin = Origin(check.pre_series_instance_uid, frames[0], datetime.now(UTC), key)

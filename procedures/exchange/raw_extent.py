@@ -1,4 +1,4 @@
-"""How far the raw readings in a folder go: a later session of the run may have left without its own."""
+"""How far the raw readings in a folder reach: a later session of the run may not have written its own."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ class RawExtent(BaseModel):
 
 
 def write_extent(folder: Path, extent: RawExtent) -> None:
-    """Into a folder of raw readings. Raises OSError."""
+    """Write it into a folder of raw readings. Raises OSError."""
     (folder / EXTENT_FILE).write_text(f"{extent.model_dump_json(by_alias=True)}\n", encoding="utf-8")
 
 
 def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
-    """What the run's own folder of raw readings lacks, in words; `lines` are its journal's.
+    """Describe what is missing from the run's own folder of raw readings; `lines` are those of its journal.
 
-    None where nothing is missing, and where there is no such folder.
+    None if nothing is missing, or if there is no such folder.
     """
     folder = run / RAW_FOLDER
     if not folder.is_dir():

@@ -1,6 +1,6 @@
-"""Raw readings of a run for other programs: pictures, frames of the tracker, states of the arm.
+"""Raw readings of a run for other programs: images, tracker frames, arm states.
 
-They are what a run's tape has kept for a replay: every answer that a result stands on, without loss.
+They are what the run's tape keeps for replay: every device answer that a result is based on, lossless.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ronna_hw.evidence.journal_reading import chain_until_broken
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
 from ronna_hw.records import PARTIAL
 
-MOST_RAW_BYTES = 2_000_000_000  # of one run, as on its tape
+MOST_RAW_BYTES = 2_000_000_000  # per run, as on its tape
 PICTURES_FOLDER = "pictures"
 TABLES = {
     "pictures.csv": (
@@ -47,7 +47,7 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class RawReading:
-    """What a device answered in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+    """What a device returned in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
 
     step: str
     device: str
@@ -57,7 +57,7 @@ class RawReading:
 
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
-    """The readings in a run's folder, in their order; one that was damaged ends them. Raises PRO-024."""
+    """The readings in a run's folder, in order; a damaged one ends the iteration. Raises PRO-024."""
     run = Path(run)
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(
@@ -75,10 +75,10 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
-    """Write them as PNG and CSV, and how far they go, into the folder `out`, which must not be there yet.
+    """Write them as PNG and CSV, with their extent, into the folder `out`, which must not exist yet.
 
-    Returns it, and whether all is in it: no more than about `most_bytes` are written. Raises EXC-002,
-    EXC-003, PRO-024, and leaves nothing then.
+    Returns the folder and whether it is complete: about `most_bytes` are written at most. Raises EXC-002,
+    EXC-003, PRO-024, and then leaves nothing behind.
     """
     if out.exists():
         raise NotWritable(f"{out} already exists", action="Give a new folder.")
@@ -98,7 +98,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
 
 
 def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
-    """Whether everything found place."""
+    """Whether everything fitted."""
     files: dict[str, TextIO] = {}
     pictures, frames, size, readings = 0, 0, 0, 0
     try:
@@ -135,7 +135,7 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
 
 
 def _write_picture(path: Path, image: CameraImage) -> int:
-    """Bytes that it took: the pixels as they came, 8 or 16 bits."""
+    """Write the pixels as received, 8 or 16 bits; returns the bytes written."""
     _, content = cv2.imencode(".png", image.pixels)
     path.write_bytes(content.tobytes())
     return len(content)
@@ -156,7 +156,7 @@ def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> S
 
 
 def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequence[Value]]:
-    """Of every tool and every marker that belongs to none; of a frame that saw nothing one row."""
+    """One row per tool and per stray marker; one row for a frame that saw nothing."""
     head = (number, of.step, of.theatre_time_s, frame.stamp.device_clock)
     nothing = (None,) * 3
     rows: list[Sequence[Value]] = [

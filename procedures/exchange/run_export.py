@@ -1,4 +1,4 @@
-"""Export a finished run: spheres, one registration per trajectory, in the forms that other programs read."""
+"""Exports a finished run: spheres and one registration per trajectory, in formats of other programs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.records import Record
 
 R = TypeVar("R", bound=StepResult)
-ALL = "all"  # name of a registration that is for every trajectory
+ALL = "all"  # name of a registration that serves every trajectory
 
 
 class Located(Protocol):
@@ -56,7 +56,7 @@ class Located(Protocol):
 
 
 def export_run(run: Path, out: Path) -> list[Path]:
-    """Write what a run found, as far as it may leave the folder, into `out`; returns the files.
+    """Write the exportable results of a run into `out`; returns the files.
 
     Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written.
     """
@@ -102,7 +102,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
 
 
 def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
-    """Spheres of a localization, named M1, M2, ... in its order."""
+    """Spheres of a localization, named M1, M2, ... in their order."""
     made = []
     for number, marker in enumerate(markers, 1):
         x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
@@ -112,7 +112,7 @@ def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
 
 
 def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
-    """The registrations by the label under which they leave, and so are the targets in them."""
+    """The registrations by the label under which they are exported; their targets are relabelled too."""
     names = dict.fromkeys(name for one in used for name in one.targets)
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
     alone = [one.stored.record.trajectory for one in used].count(None) == 1
@@ -129,7 +129,7 @@ def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRo
 
 
 def _placing(registration: Record, folder: RunFolder) -> str:
-    """By the hash of its record how the cart stood: it names the run too; empty where none was locked."""
+    """The cart's position, as the hash of its record, which also names the run; empty if none was locked."""
     by_name = {record.identifier: record for record in folder.records}
     locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
     return "" if locked is None else locked.sha256

@@ -1,4 +1,4 @@
-"""Points of a CT as a DICOM Spatial Fiducials object: centres of spheres, LPS in mm, and others."""
+"""Points of a CT as a DICOM Spatial Fiducials object: sphere centres and others, LPS in mm."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from procedures.exchange.dicom_object import Origin, decimals, new_object, uid
 
 @dataclass(frozen=True)
 class Fiducial:
-    """A point: its name, its place (LPS, mm), the radius of its uncertainty (3-D rms, mm), what it is.
+    """A point: name, position (LPS, mm), radius of its uncertainty (3-D rms, mm), and kind.
 
-    An uncertainty of 0 is one that nobody states.
+    An uncertainty of 0 means not stated.
     """
 
     name: str
@@ -25,7 +25,7 @@ class Fiducial:
 
 
 def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
-    """The identifier under which a sphere is found in the object, and by a registration that used it."""
+    """The UID of a sphere, both in the fiducials object and in a registration that used it."""
     return str(uid(origin, "fiducial", fiducial.name))
 
 

@@ -1,4 +1,4 @@
-"""A rigid registration as a DICOM Spatial Registration object: from CT to robot, from one CT to another."""
+"""A rigid registration as a DICOM Spatial Registration object: CT to robot, or CT to CT."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def spatial_registration(
 ) -> Dataset:
     """The object for a pose robot <- CT.
 
-    Its own frame of reference is the robot's; the CT's maps into it by the pose. `fiducial_uids` name the
-    spheres that the fit used, in the fiducials object of the origin `spheres` (by default the same). The
-    robot's frame is that of all registrations made from the same spheres and at the same `placing` of the
-    cart, whatever names it: after a move of the cart it is another one.
+    Its own frame of reference is the robot's; the pose maps the CT's into it. `fiducial_uids` name the
+    spheres used by the fit, in the fiducials object of the origin `spheres` (by default the same). All
+    registrations made from the same spheres with the cart at the same `placing` share one robot frame; once
+    the cart has moved, it is a different one.
     """
     spheres = spheres or origin
     made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)

@@ -1,4 +1,4 @@
-"""The spheres of one localization as files, in the form that each file's name asks for."""
+"""Writes the spheres of one localization to files, each in the format given by its extension."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
 
 
 def check_names(paths: Sequence[Path]) -> None:
-    """Raise EXC-001 for a name whose ending is no known form; cheap, for before the work."""
+    """Raise EXC-001 for a file name with an unknown extension; cheap, so callers check before the work."""
     for path in paths:
         if not path.name.endswith((MARKUPS, JSON, CSV, DICOM)):
             raise UnknownForm(f"cannot tell the format of {path.name}")
 
 
 def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None) -> None:
-    """Write the spheres into each of the files; a `patient` is named in DICOM files alone.
+    """Write the spheres to each of the files; only DICOM files name the `patient`.
 
     Raises EXC-001, EXC-002.
     """

@@ -1,1 +1,1 @@
-"""The check after the operation: both CTs laid over each other on bone, what was inserted, its errors."""
+"""The postoperative check: registers both CTs on bone, finds what was inserted, measures its errors."""

@@ -1,4 +1,4 @@
-"""Which of the instruments and holes that were found belongs to which trajectory: each to one at most."""
+"""Assigns the instruments and holes that were found to trajectories, at most one each."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from procedures.postoperative.way import SEARCH_MM, Way
 
 Array = NDArray[np.float64]
 
-ONE_INSTRUMENT_MM = 1.5  # axes nearer than this are one; electrodes are wider
-INSTEAD_MM = 10.0 * SEARCH_MM  # a hole counts only where no instrument is left, a failed fit after both
-NOTHING_MM = 1e6  # and nothing only where nothing is left
+ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
+INSTEAD_MM = 10.0 * SEARCH_MM  # a hole counts only if no instrument is left, a failed fit only after both
+NOTHING_MM = 1e6  # and none only if nothing is left
 
 
 class FoundKind(StrEnum):
@@ -28,9 +28,9 @@ class FoundKind(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A rod or a hole in coordinates of the planned CT: its tip, or a point in the bone, (3,) mm, its axis.
+    """A rod or hole in coordinates of the planned CT: its tip, or a point in the bone, (3,) mm, and its axis.
 
-    `failures` says why it cannot be relied on at all, `doubts` why it may be wrong.
+    `failures` says why it cannot be used at all, `doubts` why it may be wrong.
     """
 
     kind: FoundKind
@@ -44,10 +44,10 @@ class Candidate:
         return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
 
     def is_also(self, other: Candidate) -> bool:
-        """Whether both are one instrument, one hole, or an instrument in its hole."""
+        """Whether both are the same instrument, the same hole, or an instrument in its hole."""
         if self.kind is other.kind is FoundKind.DRILL_HOLE:
             return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
-        near = (  # of a hole the direction is too vague to be followed down to a tip
+        near = (  # a hole's direction is too uncertain to extrapolate to a tip
             one.passes_mm(another.point_mm) < ONE_INSTRUMENT_MM
             for one, another in ((self, other), (other, self))
             if one.kind is FoundKind.INSTRUMENT
@@ -58,13 +58,13 @@ class Candidate:
 def assigned(
     ways: Mapping[str, Way], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """The candidate of each trajectory, nearest in sum, and who has what the others could have had.
+    """The candidate of each trajectory, by least total distance, and who took what others might have had.
 
-    `ways` are the planned ones, `candidates` what lies along each; both by name.
+    `ways` are the planned ones, `candidates` what was found along each; both by name.
     """
     names = list(ways)
     things: list[Candidate] = []
-    nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and thing
+    nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and candidate
     for row, name in enumerate(names):
         for one in candidates[name]:
             number = next((k for k, thing in enumerate(things) if thing.is_also(one)), len(things))
@@ -84,7 +84,7 @@ def assigned(
 
 
 def _beside_mm(way: Way, one: Candidate) -> float:
-    """How far a candidate's axis passes entry and target, in the mean."""
+    """Mean distance by which a candidate's axis misses entry and target."""
     beside_mm = 0.5 * (one.passes_mm(way.entry_mm) + one.passes_mm(way.target_mm))
     last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return beside_mm + last_of_all * INSTEAD_MM

@@ -1,7 +1,7 @@
-"""Two CTs of one head laid over each other on bone: Gauss-Newton on intensities, from coarse to fine.
+"""Registers two CTs of one head on bone: Gauss-Newton on intensities, coarse to fine.
 
-Bone is compared, and nothing else: HU are cut at soft tissue and at compact bone, so that skin that swells,
-air that came in and metal weigh little; what still differs is weighted down (Cauchy).
+Only bone is compared: HU are clipped at soft tissue and at compact bone, so that swollen skin, air and metal
+have little weight; remaining outliers are down-weighted (Cauchy).
 """
 
 from __future__ import annotations
@@ -20,25 +20,26 @@ from procedures.postoperative.errors import HeadsDiffer, NoBone
 
 Array = NDArray[np.float64]
 
-SOFT_HU, COMPACT_HU = 0.0, 1500.0  # below is soft tissue or air, above compact bone or metal
+SOFT_HU, COMPACT_HU = 0.0, 1500.0  # below: soft tissue or air; above: compact bone or metal
 BONE_HU = 400.0
-SPLINE_REACH = 8  # voxels, beyond which a spline hardly feels a value
-LEVELS_MM = (4.0, 2.0, 1.0)  # distance of the points, and twice the blur's deviation
+SPLINE_REACH = 8  # voxels; beyond it a spline barely depends on a value
+LEVELS_MM = (4.0, 2.0, 1.0)  # point spacing, twice the standard deviation of the blur
 MOST_POINTS = 40_000
 MOST_STEPS = 30
-STILL_MM, STILL_RAD = 1e-3, 1e-5  # a smaller step changes nothing that can be measured
+STILL_MM, STILL_RAD = 1e-3, 1e-5  # a smaller step changes nothing measurable
 START_TURNS_RAD = (0.0, *(np.radians(turn) for turn in (-25.0, 25.0)))  # tried about each axis
-LEAST_POINTS = 1_000  # of bone at the coarsest level: a skull has ten times as many
-LEAST_AGREEMENT = 0.9  # correlation of two scans of one skull
-LEAST_OVERLAP = 0.6  # of the bone, that both scans show
+LEAST_POINTS = 1_000  # of bone at the coarsest level; a skull has ten times as many
+LEAST_AGREEMENT = 0.9  # correlation of two scans of the same skull
+LEAST_OVERLAP = 0.6  # share of the bone that both scans show
 
 
 @dataclass(frozen=True, eq=False)
 class BoneRegistration:
     """The pose post <- pre of the head, patient coordinates in mm.
 
-    `agreement` is the correlation of the intensities at bone, 1 for equal skulls; `overlap` the share of the
-    first scan's bone that the second shows; `residual_hu` what is left between both, a robust deviation.
+    `agreement` is the correlation of bone intensities, 1 for identical skulls; `overlap` is the share of
+    the first scan's bone that the second shows; `residual_hu` is the robust standard deviation of the
+    remaining difference.
     """
 
     post_from_pre: RigidTransform
@@ -49,13 +50,13 @@ class BoneRegistration:
 
 @dataclass(frozen=True, eq=False)
 class _Level:
-    """One scan, blurred and thinned; values are cut to bone."""
+    """One scan, blurred and subsampled; values are clipped to bone."""
 
     values: NDArray[np.float32]  # (slices, rows, columns)
     geometry: VoxelGeometry
 
     def at(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Values at patient positions (n, 3), by cubic splines, and which lie inside."""
+        """Values at patient positions (n, 3), by cubic splines, and which of them are inside the scan."""
         indices = self.geometry.to_index(points_mm).T
         last = np.array(self.geometry.shape)[:, None] - 1.0
         inside = np.all((indices >= 0.0) & (indices <= last), axis=0)
@@ -63,7 +64,7 @@ class _Level:
 
 
 def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
-    """Where the head of one scan lies in the other. Raises POST-001 (no bone), POST-002 (another head)."""
+    """The pose of one scan's head in the other. Raises POST-001 (no bone), POST-002 (a different head)."""
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
@@ -86,7 +87,7 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
 
 
 def _require_one_skull(agreement: float, overlap: float) -> None:
-    """Raises POST-002."""
+    """Raise POST-002 unless both scans show the same skull."""
     if overlap < LEAST_OVERLAP or agreement < LEAST_AGREEMENT:
         raise HeadsDiffer(
             "the skulls of the two CTs do not match",
@@ -97,14 +98,14 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
 
 
 def bone_at(volume: Volume, places_mm: Array) -> Array:
-    """HU of a scan at places (..., 3), cut to bone; soft tissue outside the scan."""
+    """HU of a scan at positions (..., 3), clipped to bone; soft tissue outside the scan."""
     index = np.moveaxis(volume.geometry.to_index(places_mm), -1, 0)
     values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=SOFT_HU)
     return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU), dtype=float)
 
 
 def finely_at(volume: Volume, places_mm: Array) -> Array:
-    """The same by cubic splines, for few places (n, 3) near each other, within the scan."""
+    """The same by cubic splines, for a few positions (n, 3) close together, within the scan."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)
     high = np.ceil(index.max(axis=0)).astype(int) + SPLINE_REACH + 1
@@ -114,12 +115,12 @@ def finely_at(volume: Volume, places_mm: Array) -> Array:
 
 
 def _level(volume: Volume, spacing_mm: float) -> _Level:
-    """Cut to bone, blurred by half the spacing, and thinned to about that spacing."""
+    """Clipped to bone, blurred by half the spacing, and subsampled to about that spacing."""
     geometry = volume.geometry
     strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
     values = np.clip(volume.voxels, SOFT_HU, COMPACT_HU).astype(np.float32)
     for axis, (stride, voxel_mm) in enumerate(zip(strides, geometry.spacing_mm, strict=True)):
-        if stride > 1:  # one axis after the other, thinned at once: less to blur
+        if stride > 1:  # one axis at a time, subsampled at once: less to blur
             values = ndimage.gaussian_filter1d(values, 0.5 * spacing_mm / voxel_mm, axis=axis)
             values = values[
                 tuple(slice(None, None, int(stride)) if k == axis else slice(None) for k in range(3))
@@ -149,7 +150,7 @@ def _starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
 
 
 def _descended(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
-    """Gauss-Newton over six parameters: turn about the points' middle, and shift."""
+    """Gauss-Newton over six parameters: rotation about the points' centroid, and translation."""
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
     arms = points - middle
@@ -172,7 +173,7 @@ def _descended(points: Array, values: Array, target: _Level, start: RigidTransfo
 
 
 def _sampled(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Gradient (n, 3) in HU per mm, values (n,), and which are inside."""
+    """Gradient (n, 3) in HU per mm, values (n,), and which positions are inside."""
     there, inside = target.at(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
     gradient = np.column_stack(

@@ -1,4 +1,4 @@
-"""What was planned against what the CT after the operation shows, trajectory by trajectory."""
+"""Compares the plan with what the postoperative CT shows, trajectory by trajectory."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class ProvenTrajectory:
-    """One trajectory as it was done; points in the planned CT's LPS, mm.
+    """One trajectory as carried out; points in the planned CT's LPS, mm.
 
-    `entry_error_mm`: how far the axis passes the planned entry, in the plane across the planned way.
-    `axis_at_target_mm`: the tip, or where the axis of a hole passes the depth of the target.
-    `target_error_mm`: from the planned target to the tip; `lateral_mm` its part across the planned way and
-    `depth_error_mm` along it, positive when too deep. A hole has no tip: these are None, but for
-    `lateral_mm`, which is then that of its axis. `angle_deg` is between both axes. `doubts` says what of
-    the fit is not as it should be.
+    `entry_error_mm`: distance between the axis and the planned entry, in the plane perpendicular to the
+    planned trajectory. `axis_at_target_mm`: the tip, or the point of a hole's axis at the depth of the
+    target. `target_error_mm`: from the planned target to the tip; `lateral_mm` is its part across the planned
+    trajectory and `depth_error_mm` along it, positive when too deep. A hole has no tip, so these are None,
+    except `lateral_mm`, which is then that of its axis. `angle_deg` is between the two axes. `doubts` lists
+    what is wrong with the fit.
     """
 
     identifier: str
@@ -56,14 +56,14 @@ class ProvenTrajectory:
 
 @dataclass(frozen=True, eq=False)
 class Proof:
-    """The registration of both scans and every trajectory that was asked for."""
+    """The registration of both scans and every requested trajectory."""
 
     registration: BoneRegistration
     trajectories: tuple[ProvenTrajectory, ...]
 
 
 def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
-    """Find the object along the trajectories of a plan; `only` names those that were done, all by default.
+    """Find the object along each trajectory of a plan; `only` names those carried out, by default all.
 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
     """
@@ -74,7 +74,7 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
 def proof_by(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> Proof:
-    """The same by a registration that is known. Raises POST-006, POST-007, POST-009."""
+    """The same with a known registration. Raises POST-006, POST-007, POST-009."""
     asked = [one for one in plan.trajectories if not only or one.id in only]
     ways = {one.id: Way(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
     candidates = {name: _candidates(way, pre, post, registration) for name, way in ways.items()}
@@ -98,7 +98,7 @@ def proof_by(
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
-    """The plan is of the first series, and the second is another one. Raises PLAN-003, POST-003, POST-004."""
+    """Require the plan's series first and a different one second. Raises PLAN-003, POST-003, POST-004."""
     if pre.series_instance_uid == post.series_instance_uid:
         raise OneSeriesTwice("both CTs are the same series", got=pre.series_instance_uid)
     if plan.series_instance_uid == pre.series_instance_uid:
@@ -113,7 +113,7 @@ def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
 
 
 def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistration) -> tuple[Candidate, ...]:
-    """Rods and holes near a planned way, in the coordinates of the plan."""
+    """Rods and holes near a planned trajectory, in coordinates of the planned CT."""
     pose = registration.post_from_pre
     back = pose.inv()
 
@@ -136,7 +136,7 @@ def _candidates(way: Way, pre: Volume, post: Volume, registration: BoneRegistrat
 
 
 def proven(identifier: str, way: Way, found: Candidate) -> ProvenTrajectory:
-    """The errors of an instrument or a hole against a planned way."""
+    """The errors of an instrument or a hole against its planned trajectory."""
     along, point_mm, inwards = way.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((way.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm

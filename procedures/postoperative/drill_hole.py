@@ -1,6 +1,6 @@
-"""Finds a drilled hole near a planned way: bone that the first scan shows and the second does not.
+"""Finds a drilled hole near a planned trajectory: bone that the first scan shows and the second does not.
 
-A blurred cylinder is fitted to what became of the bone. A hole has an entry and a direction, but no tip.
+A blurred cylinder is fitted where bone was lost. A hole has an entry and a direction, but no tip.
 """
 
 from __future__ import annotations
@@ -27,26 +27,26 @@ from procedures.postoperative.way import STEP_MM, Way, look_along, voxels_around
 
 Array = NDArray[np.float64]
 
-LOST_HU = 300.0  # by which bone is darker than before
-MOST_PIECES = 3  # of lost bone near one way are looked at
-LEAST_VOLUME_MM3 = 8.0  # in one piece: a drill of 1.5 mm through 5 mm of bone
+LOST_HU = 300.0  # by which it is darker than the bone before
+MOST_PIECES = 3  # of lost bone examined per trajectory
+LEAST_VOLUME_MM3 = 8.0  # in one piece: a 1.5 mm drill through 5 mm of bone
 AROUND_MM = 6.0
-BEFORE_MM, BEHIND_MM = 10.0, 25.0  # of the entry: a skull, cut at a slant
+BEFORE_MM, BEHIND_MM = 10.0, 25.0  # of the entry: a skull cut at a slant
 FIRST_RADIUS_MM, FIRST_SPREAD_MM = 1.5, 0.6
-NOISE_HU = 60.0  # of both scans and of what the registration leaves
+NOISE_HU = 60.0  # of both scans, and of the remaining registration error
 
 
-# u and v in the middle, their slopes, radius, what fills the hole, spread of its edge
-PLACED = 5  # so many of them say where it is; what fills it may well be darker than soft tissue
+# u and v at the middle, their slopes, radius, HU of the filling, edge blur
+PLACED = 5  # number of parameters that give the position; the filling may be darker than soft tissue
 LOW = np.array([-3.0, -3.0, -0.5, -0.5, 0.4, SOFT_HU - 1.0, 0.2])
 HIGH = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
-# noise of both scans, and edges of bone that the registration leaves; from the thinnest to the thickest drill
+# noise of both scans and bone edges left by the registration; from the thinnest to the thickest drill
 USUAL_HOLE = Usual(residual_hu=150.0, radius_mm=(0.5, 4.0))
 
 
 @dataclass(frozen=True, eq=False)
 class FoundHole:
-    """A point (3,) on the axis of a hole where it is in the bone, unit vector outwards; patient mm."""
+    """A point (3,) on the axis of a hole within the bone, and the outward unit vector; patient mm."""
 
     middle_mm: Array
     outwards: Array
@@ -54,7 +54,7 @@ class FoundHole:
 
 
 def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundHole, ...]:
-    """Holes near a planned way of the first scan, in the second scan's coordinates; the largest first."""
+    """Holes near a planned trajectory of the first scan, in the second scan's coordinates; largest first."""
     back = post_from_pre.inv()
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -BEFORE_MM, BEHIND_MM)
@@ -69,7 +69,7 @@ def find_holes(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransfor
 
 
 def _fitted(pre: Volume, post: Volume, there: Way, back: RigidTransform, middle: Array) -> FoundHole:
-    """A blurred cylinder through the middle of what is lost, fitted to the second scan's voxels."""
+    """A blurred cylinder through the middle of the lost bone, fitted to the second scan's voxels."""
     coarse = Way(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
     before = finely_at(pre, back.apply(coarse.to_patient_mm(local)))

@@ -1,4 +1,4 @@
-"""Errors of the check after the operation, POST-001 to POST-009."""
+"""Errors of the postoperative check, POST-001 to POST-009."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import EXIT_REFUSED, DataError
 
 
 class NoBone(DataError):
-    """A CT shows no skull to register the other one to."""
+    """A CT shows no skull to register on."""
 
     code = "POST-001"
     action = "Give CTs of the whole head, in Hounsfield units."
@@ -43,7 +43,7 @@ class OtherPatient(DataError):
 
 
 class InstrumentMissing(DataError):
-    """Along a trajectory the CT shows neither an instrument nor a drilled hole."""
+    """The CT shows neither an instrument nor a drilled hole along a trajectory."""
 
     code = "POST-006"
     action = "Check the CT; name the trajectories that were carried out with --only."
@@ -59,15 +59,14 @@ class InstrumentAmbiguous(DataError):
 
 
 class RunOfAnotherCt(DataError):
-    """The run for whose report the result is meant followed a plan on another CT."""
+    """The run whose report should show the result followed a plan on another CT."""
 
     code = "POST-008"
     action = "Give the run of this operation, or omit --run."
 
 
 class FitFailed(DataError):
-    """The object found along a trajectory is neither a straight rod nor a round hole, so its axis is
-    unknown."""
+    """The object found along a trajectory is neither a straight rod nor a round hole: its axis is unknown."""
 
     code = "POST-009"
     action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."

@@ -1,4 +1,4 @@
-"""How a fitted rod or hole is judged: what its fit says of itself, and whether that can be relied on."""
+"""Judges a fitted rod or hole: whether the fit can be relied on."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-AT_BOUND = 1e-3  # of the range between both bounds
+AT_BOUND = 1e-3  # of the range between the two bounds
 
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Whether the fit ended, inside the limits of what says where it is; what is left, HU; the radius, mm."""
+    """Whether the fit converged with its position parameters within bounds; residual, HU; radius, mm."""
 
     ended: bool
     inside: bool
@@ -24,13 +24,13 @@ class FitQuality:
 
 @dataclass(frozen=True)
 class Usual:
-    """What fits of real ones leave: the largest residual in HU, and radii in mm between which they lie."""
+    """What fits of real objects leave: the largest residual in HU, and the range of radii in mm."""
 
     residual_hu: float
     radius_mm: tuple[float, float]
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """Why place and direction are not known at all."""
+        """Why position and direction are unknown."""
         why = []
         if not quality.ended:
             why.append("the fit did not converge")
@@ -53,7 +53,7 @@ class Usual:
 
 
 def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
-    """Which parameters (n,) ended at one of their bounds."""
+    """Which parameters (n,) ended at a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))
 

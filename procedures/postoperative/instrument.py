@@ -1,7 +1,7 @@
-"""Finds the metal rod of an electrode or a needle near a planned way: its axis and its tip.
+"""Finds the metal rod of an electrode or a needle near a planned trajectory: its axis and its tip.
 
-A first look takes the longest bright piece along the way; then a blurred rod is fitted to the voxels around
-it. What a scanner stores ends at some value, so that the rod's own intensity is fitted, and cut as there.
+A coarse pass takes the longest bright piece along the trajectory; then a blurred rod is fitted to the voxels
+around it. Scanners clip stored values, so the rod's own intensity is fitted and clipped the same way.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from procedures.postoperative.way import SLAB_MM, Way, look_along, voxels_around
 
 Array = NDArray[np.float64]
 
-METAL_HU = 1000.0  # by which metal is brighter than what was there before, compact bone included
-OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: where it is searched
-LEAST_LENGTH_MM = 15.0  # in one piece along the way: shorter is no instrument
-AROUND_MM = 3.5  # voxels within that of the axis are fitted
-RING_MM = (2.6, 3.5)  # what lies around it there, slab by slab
+METAL_HU = 1000.0  # by which metal is brighter than the tissue before, compact bone included
+OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: the search range
+LEAST_LENGTH_MM = 15.0  # in one piece along the trajectory; anything shorter is no instrument
+AROUND_MM = 3.5  # voxels within this distance of the axis are fitted
+RING_MM = (2.6, 3.5)  # the background around it, slab by slab
 BEYOND_TIP_MM = 6.0
-FITTED_LENGTH_MM = 60.0  # from the tip outwards: a longer one may be bent there
+FITTED_LENGTH_MM = 60.0  # from the tip outwards; a longer one may be bent
 FIRST_RADIUS_MM, FIRST_SPREAD_MM = 0.6, 0.45
-VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean over its box
+VOXEL_SAMPLES = (2, 2, 3)  # along columns, rows and slices: a voxel is the mean over its volume
 PROFILE_STEP_MM = 0.05
-SATURATED = 0.99  # of the largest value that is stored
+SATURATED = 0.99  # of the largest stored value
 LEAST_SCALE_HU = 30.0  # of noise, for the robust loss
-MOST_PIECES = 4  # of metal along one way are looked at
-PLACED = 5  # so many of the fitted parameters say where it is
-# streaks and a scanner's largest value leave up to 300 HU; from the thinnest lead to the thickest needle
+MOST_PIECES = 4  # of metal examined per trajectory
+PLACED = 5  # number of fitted parameters that give the position
+# streaks and clipping leave up to 300 HU; from the thinnest lead to the thickest needle
 USUAL_ROD = Usual(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
@@ -50,7 +50,7 @@ class FoundRod:
 
 
 def find_rods(pre: Volume, post: Volume, way: Way, post_from_pre: RigidTransform) -> tuple[FoundRod, ...]:
-    """Rods near a planned way of the first scan, in the second scan's coordinates; the longest first."""
+    """Rods near a planned trajectory of the first scan, in the second scan's coordinates; longest first."""
     there = Way(post_from_pre.apply(way.entry_mm), post_from_pre.apply(way.target_mm))
     seen = look_along(post, there, -OUTSIDE_MM, way.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
@@ -66,7 +66,7 @@ def _length_mm(places: Array) -> float:
 
 
 def _coarse(way: Way, places: Array) -> Way:
-    """The line through a bright piece; `places` (n, 3) are along the way and across it, mm."""
+    """The line through a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
     line = np.column_stack([ends, np.outer(ends, slope[0]) + slope[1]])
@@ -75,7 +75,7 @@ def _coarse(way: Way, places: Array) -> Way:
 
 
 def _fitted(volume: Volume, coarse: Way) -> FoundRod:
-    """A blurred rod along a way whose target is the tip, fitted to the voxels themselves."""
+    """A blurred rod fitted to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
@@ -90,7 +90,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
         model = np.minimum(background + (unknown[5] - background) * shape, ceiling)
         return np.asarray(model - np.minimum(values, ceiling))
 
-    # offsets at the tip and at the outer end, depth of the tip, intensity, radius, spread
+    # offsets at the tip and at the outer end, tip depth, intensity, radius, blur
     start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * ceiling, FIRST_RADIUS_MM, FIRST_SPREAD_MM])
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
@@ -98,7 +98,7 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
     scale = max(LEAST_SCALE_HU, spread_of(residuals(first.x)))
     found = least_squares(residuals, first.x, bounds=(low, high), loss="soft_l1", f_scale=2.0 * scale)
     tip_u, tip_v, end_u, end_v, depth_mm = found.x[:PLACED]
-    share = depth_mm / outside_mm  # the line goes on beyond the coarse tip
+    share = depth_mm / outside_mm  # the line continues beyond the coarse tip
     at_tip = [coarse.length_mm + depth_mm, tip_u + share * (tip_u - end_u), tip_v + share * (tip_v - end_v)]
     outer, tip = coarse.to_patient_mm(np.array([[coarse.length_mm - outside_mm, end_u, end_v], at_tip]))
     outwards = (outer - tip) / np.linalg.norm(outer - tip)
@@ -112,20 +112,20 @@ def _fitted(volume: Volume, coarse: Way) -> FoundRod:
 
 
 def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
-    """Share of the rod at places (..., 3): a disc blurred by a Gaussian across, an edge blurred along."""
+    """Share of the rod at positions (..., 3): a disc blurred by a Gaussian across, a blurred edge along."""
     tip_u, tip_v, end_u, end_v, depth_mm, _, radius_mm, spread_mm = unknown
     share = -local[..., 0] / length_mm  # 0 at the coarse tip, 1 at the outer end
     u = local[..., 1] - tip_u - share * (end_u - tip_u)
     v = local[..., 2] - tip_v - share * (end_v - tip_v)
     distances = np.arange(0.0, AROUND_MM + 5.0, PROFILE_STEP_MM)
-    # what a Gaussian in the plane leaves within a circle is a noncentral chi-square with two degrees
+    # the part of a planar Gaussian within a circle is a noncentral chi-square with two degrees of freedom
     profile = chndtr((radius_mm / spread_mm) ** 2, 2.0, (distances / spread_mm) ** 2)
     across = np.interp(np.hypot(u, v), distances, profile)
     return np.asarray(across * 0.5 * erfc((local[..., 0] - depth_mm) / (np.sqrt(2.0) * spread_mm)))
 
 
 def _within_voxel(volume: Volume, way: Way) -> Array:
-    """Places (n, 3) within a voxel from its centre, along and across the way, mm."""
+    """Sample positions (n, 3) within a voxel relative to its centre, along and across the trajectory, mm."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -133,7 +133,7 @@ def _within_voxel(volume: Volume, way: Way) -> Array:
 
 
 def _background(local: Array, values: Array) -> Array:
-    """HU around the rod at the height of each voxel: medians over a ring, slab by slab."""
+    """Background HU at the height of each voxel: medians over a ring around the rod, slab by slab."""
     radius = np.hypot(local[:, 1], local[:, 2])
     ring = (radius > RING_MM[0]) & (radius < RING_MM[1])
     slab = np.floor((local[:, 0] - local[:, 0].min()) / SLAB_MM).astype(int)

@@ -1,4 +1,4 @@
-"""A picture of each trajectory: the CT after the operation in a plane through the planned way."""
+"""An image per trajectory: the postoperative CT in a plane through the planned trajectory."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PLANNED_COLOUR, FOUND_COLOUR = "#58c4dd", "#ff9d5c"
 
 
 def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
-    """One PNG: the planned way runs down the middle, what was found is drawn over it."""
+    """One PNG: the planned trajectory runs down the middle, with the object found drawn over it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -61,7 +61,7 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
 
 
 def _largest_offset(local: Array) -> Array:
-    """The direction (3,) across the way in which what was found lies off it."""
+    """The direction (3,) across the trajectory in which the object found deviates from it."""
     off = local[int(np.argmax(np.hypot(local[:, 1], local[:, 2])))] * np.array([0.0, 1.0, 1.0])
     length = float(np.linalg.norm(off))
     return np.array([0.0, 1.0, 0.0]) if length == 0.0 else np.asarray(off / length)

@@ -1,4 +1,4 @@
-"""What a check after the operation found, as it is kept, printed for scripts, and shown in a report."""
+"""The result of a postoperative check, as stored, printed for scripts, and shown in a report."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ronna_hw.calibration import Numbers3, Numbers4, Strict
 
 
 class FoundTrajectory(Strict):
-    """One trajectory as planned and as it was done; points in LPS mm of the planned CT."""
+    """One trajectory as planned and as carried out; points in LPS mm of the planned CT."""
 
     id: str = Field(description="Its name in the plan.")
     kind: FoundKind = Field(description="An instrument, with a tip, or a drilled hole, without.")
@@ -34,7 +34,7 @@ class FoundTrajectory(Strict):
 
 
 class PostoperativeCheck(Strict):
-    """A CT after the operation against the plan."""
+    """A postoperative CT compared with the plan."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of this format.")
     pre_series_instance_uid: str = Field(description="The planning CT.")
@@ -57,7 +57,7 @@ def _doubts(proof: Proof) -> tuple[str, ...]:
 def summary_of(
     proof: Proof, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
-    """Plain values of a comparison."""
+    """The comparison as plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
     found = []

@@ -1,4 +1,4 @@
-"""The surroundings of a straight way into the head: coordinates along and across it, and the voxels there."""
+"""The surroundings of a straight trajectory into the head: coordinates along and across it, its voxels."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from procedures.imaging.volume import Volume
 
 Array = NDArray[np.float64]
 
-STEP_MM = 0.5  # of the first look
-SEARCH_MM = 10.0  # across the way: farther from its plan nothing is taken for the instrument
-SLAB_MM = 1.0  # along the way, for what is judged piece by piece
+STEP_MM = 0.5  # of the coarse pass
+SEARCH_MM = 10.0  # across the trajectory: nothing farther off is taken for the instrument
+SLAB_MM = 1.0  # along the trajectory, for what is judged slab by slab
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """A way from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
+    """A straight line from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
 
     entry_mm: Array
     target_mm: Array
 
     @property
     def length_mm(self) -> float:
-        """From entry to target."""
+        """Distance from entry to target."""
         return float(np.linalg.norm(self.target_mm - self.entry_mm))
 
     @property
@@ -37,7 +37,7 @@ class Way:
 
     @cached_property
     def axes(self) -> Array:
-        """Columns: along the way, and two directions across it."""
+        """Columns: the direction along the trajectory, and two across it."""
         along = self.inwards
         helper = np.eye(3)[int(np.argmin(np.abs(along)))]
         across = np.cross(along, helper)
@@ -49,13 +49,13 @@ class Way:
         return np.asarray(self.entry_mm + local_mm @ self.axes.T)
 
     def to_local_mm(self, points_mm: Array) -> Array:
-        """The other way round."""
+        """The inverse of `to_patient_mm`."""
         return np.asarray((points_mm - self.entry_mm) @ self.axes)
 
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """HU on a grid of `STEP_MM` around a way, (along, across, across), and its places (..., 3) mm there.
+    """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), and its positions (..., 3) mm.
 
     -1000 HU outside the scan.
     """
@@ -65,7 +65,7 @@ class Seen:
 
 
 def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> Seen:
-    """HU around a way between two distances from its entry, linear between voxels."""
+    """HU around a trajectory between two distances from its entry, by linear interpolation."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
@@ -77,7 +77,7 @@ def look_along(volume: Volume, way: Way, first_mm: float, last_mm: float) -> See
 def voxels_around(
     volume: Volume, way: Way, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
-    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a way."""
+    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory."""
     geometry = volume.geometry
     ends = geometry.to_index(
         way.to_patient_mm(np.array([[between_mm[0], 0.0, 0.0], [between_mm[1], 0.0, 0.0]]))

@@ -1,8 +1,8 @@
-"""Correspondence, rigid fit and the prediction of its error.
+"""Correspondence, rigid registration and prediction of its error.
 
     from procedures.registration import match, register
 
-The names load on first use, so that importing this package costs nothing until it computes.
+Names load on first use, so that importing this package is cheap.
 """
 
 from __future__ import annotations

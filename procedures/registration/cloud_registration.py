@@ -1,8 +1,8 @@
-"""Registers point clouds without correspondence: principal axes to start, then iterative closest points.
+"""Registers point clouds without correspondence: principal axes as a start, then iterative closest points.
 
-For surfaces and dense scans; fiducials are paired by `match`, which says how sure it is. Nearest neighbours
-come from SciPy's k-d tree, every step is the rigid fit of the fiducials. Closest points: Besl and McKay 1992,
-trimmed to an overlap as in Chetverikov 2005.
+For surfaces and dense scans; fiducials are paired by `match`, which states its certainty. Nearest neighbours
+come from SciPy's k-d tree; every step uses the same rigid fit as the fiducials. Iterative closest points:
+Besl and McKay 1992, trimmed to an overlap as in Chetverikov 2005.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from procedures.registration.rigid_fit import as_transform, fit_rigid
 
 Array = NDArray[np.float64]
 
-LINE_RATIO = 1e-3  # of the first two standard deviations: below it a cloud is a line
-DISTINCT_AXES = 1.05  # ratio of neighbouring standard deviations, below which an axis has no direction
-CLEARLY_BETTER = 1.25  # the best orientation's residual against that of any other
-SAME_TURN_RAD = np.radians(5.0)  # nearer orientations are one
-ROUNDING_MM = 1e-6  # a residual below it is none
-SETTLED_MM = 1e-7  # change of the residual that ends the steps
+LINE_RATIO = 1e-3  # of the first two standard deviations; below it the cloud is a line
+DISTINCT_AXES = 1.05  # ratio of successive standard deviations; below it an axis has no defined direction
+CLEARLY_BETTER = 1.25  # ratio of any other orientation's residual to the best one's
+SAME_TURN_RAD = np.radians(5.0)  # orientations closer than this are the same
+ROUNDING_MM = 1e-6  # a smaller residual is zero
+SETTLED_MM = 1e-7  # iteration stops when the residual changes by less
 MOST_STEPS = 200
 
 
@@ -42,7 +42,7 @@ MOST_STEPS = 200
 class CloudFit:
     """`transform` physical <- image; `residual_mm` is the rms distance to the nearest physical points.
 
-    The residual says how alike the clouds are, not how exact the registration is.
+    The residual says how similar the clouds are, not how accurate the registration is.
     """
 
     transform: RigidTransform
@@ -53,12 +53,12 @@ class CloudFit:
 def register_clouds(
     image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
 ) -> CloudFit:
-    """Register clouds (n, 3) and (m, 3) in mm, order and counts free.
+    """Register clouds (n, 3) and (m, 3) in mm, of any order and size.
 
-    `start` is an approximate transform physical <- image; without it the principal axes give four, and the
-    clouds must show the same part. `overlap` is the share of the image points that have a counterpart.
+    `start` is an approximate transform physical <- image; without it the principal axes yield four, and both
+    clouds must cover the same part. `overlap` is the share of the image points that have a counterpart.
     Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only a mirror image fits, REG-011
-    when the shape fits in several orientations.
+    when several orientations fit.
     """
     image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
@@ -113,7 +113,7 @@ def _as_fit(fit: _Fit) -> CloudFit:
 
 
 def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float) -> _Fit:
-    """Pair each image point with the nearest physical one, fit, and again until nothing changes."""
+    """Pair each image point with the nearest physical one and fit, until the residual stops changing."""
     matrix, before_mm = start, np.inf
     kept = round(overlap * len(image))
     for step in range(1, MOST_STEPS + 1):
@@ -130,7 +130,7 @@ def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, 
 
 
 def _axis_starts(image: Array, physical: Array) -> list[Array]:
-    """The four proper rotations that lay the principal axes of one cloud on those of the other."""
+    """The four proper rotations that align the principal axes of both clouds."""
     image_axes, physical_axes = _axes(image, "image"), _axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):
@@ -144,7 +144,7 @@ def _axis_starts(image: Array, physical: Array) -> list[Array]:
 
 
 def _axes(points: Array, name: str) -> Array:
-    """Principal axes as columns, longest first. Raises REG-011 when two are as long as each other."""
+    """Principal axes as columns, longest first. Raises REG-011 when two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
         raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")

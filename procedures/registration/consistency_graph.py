@@ -1,8 +1,8 @@
 """Which pairs of two point sets are compatible: the consistency graph and its cliques.
 
 A node is one possible pair (image i, physical j). Two nodes are joined when the distance between the two
-image points equals the distance between the two physical points, within what the noise allows. Pairs that
-are all joined to each other (a clique) are the candidates for one rigid transform.
+image points equals the distance between the two physical points, within what the noise allows. Pairs that are
+all joined to each other, a clique, are the candidates for one rigid transform.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 CLIQUE_SLACK = 2  # cliques up to two pairs smaller than the largest still compete
-MOST_BRANCHES = 20_000  # tens of milliseconds; beyond it the noise is too large for the spacing
+MOST_BRANCHES = 20_000  # tens of milliseconds; if it takes more, the noise is too large for the spacing
 
 
 def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) -> NDArray[np.bool_]:
     """Adjacency (n*m, n*m); node i*m + j pairs image point i of n with physical point j of m."""
     within_image = np.linalg.norm(image_mm[:, None] - image_mm[None], axis=-1)
     within_physical = np.linalg.norm(physical_mm[:, None] - physical_mm[None], axis=-1)
-    # A point has one partner: infinite distances of opposite sign keep i = i' and j = j' apart.
+    # A point has one partner: infinite distances of opposite sign exclude pairs that share i or j.
     np.fill_diagonal(within_image, np.inf)
     np.fill_diagonal(within_physical, -np.inf)
     difference = np.abs(within_image[:, None, :, None] - within_physical[None, :, None, :])
@@ -31,9 +31,10 @@ def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) 
 
 
 def prune(neighbours: list[int], smallest: int) -> list[int]:
-    """Rows of the graph without the nodes and edges that no clique of `smallest` nodes can hold.
+    """Remove the nodes and edges that cannot be part of a clique of `smallest` nodes.
 
-    A node of such a clique has all its other nodes as neighbours, both ends of an edge have them in common.
+    In such a clique every node has all the others as neighbours, and both ends of an edge
+    have them in common.
     """
     kept = list(neighbours)
     waiting = [node for node, row in enumerate(kept) if row]
@@ -56,7 +57,7 @@ def prune(neighbours: list[int], smallest: int) -> list[int]:
 
 
 def _drop_lonely(kept: list[int], fewest: int) -> None:
-    """Remove, in place, nodes with fewer neighbours, until all have enough."""
+    """Repeatedly remove, in place, nodes with too few neighbours."""
     lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
     while lonely:
         gone = 0
@@ -71,9 +72,9 @@ def _drop_lonely(kept: list[int], fewest: int) -> None:
 
 @dataclass
 class CliqueSearch:
-    """Bron-Kerbosch search with pivots over bit sets, for the maximal cliques near the largest size.
+    """Bron-Kerbosch search with pivoting over bit sets, for the maximal cliques near the largest size.
 
-    `exhausted` is true when the search was cut off, so that cliques may be missing.
+    `exhausted` is true when the search was cut off, so cliques may be missing.
     """
 
     adjacency: NDArray[np.bool_]
@@ -86,7 +87,7 @@ class CliqueSearch:
     _branches: int = 0
 
     def run(self) -> list[int]:
-        """The maximal cliques as bit masks over the nodes, of at least `fewest` and near the largest size."""
+        """The maximal cliques as bit masks over the nodes, at least `fewest` and near the largest size."""
         self._neighbours = bit_rows(self.adjacency)
         self.largest = self._greedy()
         self._neighbours = prune(self._neighbours, self._bound())

@@ -1,4 +1,4 @@
-"""A correspondence with its certainty, and the coarse orientation that may be known in advance."""
+"""A correspondence with its certainty, and the approximate orientation known beforehand."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from procedures.registration.errors import BadParameter, NoUniqueMatch
 
 Array = NDArray[np.float64]
 
-DEFAULT_PRIOR_TOLERANCE_RAD = math.radians(60.0)  # supine, prone or lateral is told apart
+DEFAULT_PRIOR_TOLERANCE_RAD = math.radians(60.0)  # enough to distinguish supine, prone and lateral
 
 
 class MatchStatus(StrEnum):
-    """Only UNIQUE may be used to move anything."""
+    """Only UNIQUE permits motion."""
 
     UNIQUE = "UNIQUE"
     AMBIGUOUS = "AMBIGUOUS"
@@ -28,7 +28,7 @@ class MatchStatus(StrEnum):
 
 @dataclass(frozen=True)
 class Prior:
-    """Approximate orientation physical <- image, and how far the true one may be from it."""
+    """Approximate rotation physical <- image, and how far the true one may deviate from it."""
 
     rotation: Rotation
     tolerance_rad: float = DEFAULT_PRIOR_TOLERANCE_RAD
@@ -50,7 +50,7 @@ class Prior:
             )
 
     def allows(self, rotation: Array) -> bool:
-        """Whether a rotation (3, 3) lies within the tolerance."""
+        """Whether a rotation (3, 3) is within the tolerance."""
         return turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation) <= self.tolerance_rad
 
 
@@ -62,7 +62,7 @@ def turn_rad(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One possible correspondence: `pairs` (k, 2) of image and physical indices, and what it implies."""
+    """One possible correspondence: `pairs` (k, 2) of image and physical indices, with transform and score."""
 
     pairs: NDArray[np.intp]
     transform: RigidTransform
@@ -75,11 +75,11 @@ class Hypothesis:
 class Match:
     """The result of `match`.
 
-    UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform`
-    physical <- image; `runner_up` is the best contradicting hypothesis, if any was near. AMBIGUOUS: the
-    best hypothesis in `pairs` and `transform`, for display only, and its rival in `runner_up`. TOO_FEW
-    and INCONSISTENT: no pairs, no transform; `runner_up` is the nearest miss, None where no three points
-    agree. `margin_nats` is the logarithm of the odds of the best against its rival, at least.
+    UNIQUE: `pairs` (k, 2) image and physical indices, ordered by image index, and `transform` physical <-
+    image; `runner_up` is the best contradicting hypothesis, if one came close. AMBIGUOUS: the best hypothesis
+    in `pairs` and `transform`, for display only, and its rival in `runner_up`. TOO_FEW and INCONSISTENT: no
+    pairs, no transform; `runner_up` is the nearest miss, None if no three points agree. `margin_nats` is a
+    lower bound on the log odds of the best against its rival.
     """
 
     status: MatchStatus
@@ -92,7 +92,7 @@ class Match:
     unmatched_physical: tuple[int, ...]
 
     def require_unique(self) -> RigidTransform:
-        """The transform; raises REG-008, with what was nearest, unless the correspondence is unique."""
+        """The transform; raises REG-008 with the nearest miss unless the correspondence is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
             nearest = [_shown(self.pairs)] if len(self.pairs) else []
             nearest += [_shown(self.runner_up.pairs)] if self.runner_up else []
@@ -103,5 +103,5 @@ class Match:
 
 
 def _shown(pairs: NDArray[np.intp]) -> str:
-    """Pairs for a person, who counts from 1."""
+    """Pairs as shown to a person, counting from 1."""
     return "image-physical " + " ".join(f"{i + 1}-{j + 1}" for i, j in pairs.tolist())

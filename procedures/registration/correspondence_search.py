@@ -1,4 +1,4 @@
-"""The search behind `match`: cliques, fits, leave-one-out subsets, and the verdict on the best."""
+"""The search behind `match`: cliques, fits, leave-one-out subsets, and the decision."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ from procedures.registration.points import FEWEST_PAIRS
 
 Array = NDArray[np.float64]
 
-# Wide: 8 fiducials have 28 distances, and one that is left out splits the set in two that contradict each
-# other. Five lose 2 runs of 1,000 when the length of an error is normal, not each axis; the fit decides.
+# Wide, because 8 fiducials have 28 distances, and one wrongly excluded splits the set into two that
+# contradict each other. Five sigmas lose 2 runs of 1,000 when the length of an error is normal rather than
+# each axis; the fit decides.
 DISTANCE_GATE_SIGMAS = 7.0
 UNIQUE_MARGIN_NATS = math.log(1e4)
-DROPS_TRIED = 2  # a pairing that fails the gate is judged with up to this many pairs left out
+DROPS_TRIED = 2  # a pairing that fails the gate is also judged with up to this many pairs removed
 
 
 @dataclass
@@ -40,7 +41,7 @@ class CorrespondenceSearch:
     prior: Prior | None
 
     def answer(self) -> Match:
-        """Search near the largest cliques first; look at all of them only when none of those holds."""
+        """Search near the largest cliques first; consider all of them only if none of those passes."""
         tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
         nearest: list[Candidate] = []
@@ -73,13 +74,13 @@ class CorrespondenceSearch:
         return self._explain(nearest, outside_prior)
 
     def too_few(self, counts: str) -> Match:
-        """An answer without pairs for points that are fewer than expected, with what agrees among them."""
+        """An answer without pairs for fewer points than expected, with what agrees among them."""
         found = self.answer()
         nothing = self.no_match(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
         return replace(nothing, runner_up=found.runner_up)
 
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
-        """Candidates that pass the gate, and those that fail it; too weak ones are left out."""
+        """Candidates that pass the gate, and those that fail; those with too little evidence are left out."""
         waiting: dict[int, list[int]] = {}
         for clique in cliques:
             waiting.setdefault(clique.bit_count(), []).append(clique)
@@ -111,25 +112,25 @@ class CorrespondenceSearch:
         return held, failed
 
     def _carries_a_bad_pair(self, one: Candidate) -> bool:
-        """Whether some pair may cost more than it earns, so that the set without it must be looked at.
+        """Whether some pair may cost more than it earns, so that the set without it must be examined.
 
-        A planned pair is not doubted: that it exists is known beforehand.
+        Up to the planned number of pairs none is doubted: they are known to exist.
         """
         planned = self.expected is not None and one.size <= self.expected
         return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
-        """UNIQUE when the best beats everything that contradicts it, else why not."""
+        """UNIQUE if the best beats everything that contradicts it, else the reason why not."""
         larger = [
             one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
         ]
         if not larger and ranked[0].mirror_excess > 2.0 * UNIQUE_MARGIN_NATS:
             larger = ranked[:1]
         if larger:
-            # Any three of a mirrored set still fit; the whole set says that left and right are exchanged.
+            # Any three points of a mirrored set still fit; the whole set shows left and right swapped.
             return self.no_match(MatchStatus.INCONSISTENT, _mirror_reason(larger[0]), larger[0])
         if self.expected is not None:
-            # One pair too many is left to the leave-one-out subsets: one of them must stand out.
+            # One pair too many is left to the leave-one-out subsets: one of them must clearly win.
             over_full = max(ranked, key=lambda one: one.size)
             if over_full.size > self.expected + 1:
                 return self.no_match(
@@ -148,7 +149,7 @@ class CorrespondenceSearch:
         best = ranked[0]
         rivals = [one for one in ranked[1:] if one.nodes & ~best.nodes]
         if not rivals:
-            # Everything smaller was left out unseen; none of it can score more than this.
+            # All smaller ones were skipped unseen; none of them can score more than this.
             unseen = self.evidence.most_nats(best.size - 1)
             return self._found(best, None, max(best.score_nats - unseen, UNIQUE_MARGIN_NATS))
         margin = best.score_nats - rivals[0].score_nats
@@ -171,7 +172,7 @@ class CorrespondenceSearch:
         return self._result(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
 
     def _explain(self, nearest: list[Candidate], outside_prior: bool) -> Match:
-        """Why no pairing holds; the nearest miss is shown."""
+        """Why no pairing passes, with the nearest miss."""
         miss = max(nearest, key=lambda one: (one.size, one.score_nats))
         if outside_prior:
             reason = "the points agree only in an orientation that the prior excludes"

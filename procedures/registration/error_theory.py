@@ -1,9 +1,9 @@
-"""Fiducial and target errors of a rigid registration: the formulas, each by its number in the thesis.
+"""Fiducial and target errors of a rigid registration: the formulas, numbered as in the thesis.
 
-FLE is the 3-D rms localization error of BOTH spaces together; FRE the rms residual after the fit;
-TRE the rms error at a target. FRE says nothing about TRE: use it only as a gate.
-Sources: Fitzpatrick, West, Maurer 1998 (eq. 36, 39); Danilchenko, Fitzpatrick 2011 (covariances);
-Satterthwaite 1946 (sum of unequal squares as one scaled chi-square).
+FLE is the 3-D rms localization error of BOTH spaces together; FRE the rms residual after the fit; TRE the
+rms error at a target. FRE says nothing about TRE: use it only as a gate. Sources: Fitzpatrick, West, Maurer
+1998 (eq. 36, 39); Danilchenko, Fitzpatrick 2011 (covariances); Satterthwaite 1946 (sum of unequal squares as
+one scaled chi-square).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
 
 
 def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
-    """FLE of each of two spaces of one kind, from the FREs of several registrations, eq. 37 and 38.
+    """FLE of each of two spaces with equal FLE, from the FREs of several registrations, eq. 37 and 38.
 
     The squares are averaged over the registrations and halved between the two equal spaces. Raises REG-002,
     REG-007.
@@ -54,9 +54,9 @@ def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
 
 
 def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> float:
-    """The FRE that a sound registration exceeds with probability 1 - confidence.
+    """The FRE that a valid registration exceeds with probability 1 - confidence.
 
-    3 n FRE^2 / FLE^2 is chi-square with 3n - 6 degrees of freedom when FLE is isotropic and equal.
+    3 n FRE^2 FLE^2 is chi-square with 3n - 6 degrees of freedom if FLE is isotropic and equal.
     """
     freedom = degrees_of_freedom(pairs)
     if not (math.isfinite(fle_mm) and fle_mm > 0.0):
@@ -75,7 +75,7 @@ def chi_square_limit(freedom: int, confidence: float) -> float:
 
 @dataclass(frozen=True)
 class FreGate:
-    """Verdict of the chi-square gate on a residual. Passing it does not make a registration accurate."""
+    """Result of the chi-square gate on a residual. Passing it does not make a registration accurate."""
 
     fre_mm: float
     chi_square: float
@@ -114,7 +114,7 @@ def fre_gate(fre_mm: float, fle_mm: float, pairs: int, confidence: float = DEFAU
 
 
 def require_size(name: str, size_mm: float) -> None:
-    """Raises REG-007 for the size of an error that is not finite or negative."""
+    """Raises REG-007 if an error size is negative or not finite."""
     if not (math.isfinite(size_mm) and size_mm >= 0.0):
         raise BadParameter(f"{name} must be finite and not negative", got=f"{size_mm} mm")
 
@@ -143,8 +143,8 @@ def _squared_distance(points: Array, axis: Array) -> Array:
 def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:
     """Covariance (6, 6) of the fitted pose about the fiducials' centre: rad^2, rad mm and mm^2.
 
-    `weighted` says whether the fit used the inverse covariances (then it is the inverse normal matrix)
-    or plain least squares (then the sandwich form, which holds for any error of the fiducials).
+    `weighted` says whether the fit used the inverse covariances (then it is the inverse normal matrix) or
+    plain least squares (then the sandwich form, valid for any fiducial error).
     """
     jacobian = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0))
     transposed = np.swapaxes(jacobian, -1, -2)
@@ -161,11 +161,11 @@ def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) ->
 
 
 def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None = None) -> Array:
-    """Radius (m,) in mm that holds the error vector with the given probability.
+    """Radius (m,) in mm that contains the error vector with the given probability.
 
-    The squared length is a sum of unequal squares, taken as one scaled chi-square with the same mean and
-    variance. `freedom` is given when the error's size was itself estimated from that many residual degrees
-    of freedom; the limit then widens as an F distribution says.
+    The squared length is a sum of unequal squares, approximated by a scaled chi-square with the same mean and
+    variance. `freedom` is given when the size of the error was itself estimated from that many residual
+    degrees of freedom; the limit then widens according to the F distribution.
     """
     if not 0.0 < confidence < 1.0:
         raise BadParameter(

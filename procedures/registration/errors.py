@@ -1,4 +1,4 @@
-"""Errors of pairing and registering points, REG-001 to REG-011."""
+"""Errors of point correspondence and registration, REG-001 to REG-011."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import DataError, RefusedError
 
 
 class BadPoints(DataError):
-    """A point array is not (n, 3) finite millimetres, or paired arrays differ in length."""
+    """A point array is not (n, 3) with finite coordinates in mm, or paired arrays differ in length."""
 
     code = "REG-001"
     action = "Give finite points in mm as an (n, 3) array, one row per pair in both sets."
 
 
 class TooFewPoints(DataError):
-    """Fewer than three pairs do not determine a rigid transform."""
+    """A rigid transform needs at least three pairs."""
 
     code = "REG-002"
     action = "Measure at least three fiducials; five are recommended."
@@ -50,14 +50,14 @@ class NotConverged(DataError):
 
 
 class BadParameter(DataError):
-    """A standard deviation, a count, a prior or a confidence is impossible."""
+    """A standard deviation, a count, a prior or a confidence is out of range."""
 
     code = "REG-007"
     action = "Give a positive finite length in mm."
 
 
 class NoUniqueMatch(RefusedError):
-    """An attempt to use a correspondence that is not unique."""
+    """Attempt to use a correspondence that is not unique."""
 
     code = "REG-008"
     action = (
@@ -68,7 +68,7 @@ class NoUniqueMatch(RefusedError):
 
 
 class UnsoundRegistration(RefusedError):
-    """An attempt to use a mirrored or ill-posed registration."""
+    """Attempt to use a mirrored or ill-posed registration."""
 
     code = "REG-009"
     action = "Check left and right in the series and in the pairing; measure a fiducial outside the plane."
@@ -89,7 +89,7 @@ class SymmetricCloud(DataError):
 
 
 class LayoutNotFound(RefusedError):
-    """The spheres of a scan do not show the requested layout, or match it in more than one way."""
+    """The spheres of a scan do not contain the requested layout, or match it in more than one way."""
 
     code = "REG-012"
     action = (

@@ -1,9 +1,9 @@
 """Scoring of candidate pairings: rigid fit, chi-square gate, Bayesian score.
 
-All candidates of one size are fitted in one stack. Scores are natural logarithms (nats) of the odds
-against "all of these are unrelated points": residuals cost q/2, every pair beyond the second earns what
-the chance of hitting a point within the noise by accident is worth. Two things are assumed beforehand: most
-points are spheres that both sides see, not strays; and the spheres are on one head.
+All candidates of one size are fitted as one stack. Scores are log odds (nats) against "all of these are
+unrelated points": residuals cost q/2; every pair beyond the second earns the negative logarithm of the
+probability of an accidental match within the noise. Two things are assumed a priori: most points are spheres
+that both sides see, not strays; and the spheres are on one head.
 """
 
 from __future__ import annotations
@@ -23,40 +23,40 @@ from procedures.registration.rigid_fit import as_transform, fit_rigid, mirrored_
 
 Array = NDArray[np.float64]
 
-GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects true pairs
-OUTLIER_BALL_RADIUS_MM = 300.0  # stray readings lie within this ball around the head
+GATE_FALSE_ALARM = 1e-6  # probability that the gate rejects correct pairs
+OUTLIER_BALL_RADIUS_MM = 300.0  # stray markers are within this ball around the head
 LN_OUTLIER_VOLUME = math.log(4.0 / 3.0 * math.pi * OUTLIER_BALL_RADIUS_MM**3)
-# Assumed, not measured: decision 10 shows how the answers depend on these two odds.
-PAIR_ODDS = 10.0  # that two points which could be one sphere are, before looking closer
-WIDE_SET_ODDS = 1e-3  # that pairs which lie farther apart than a head is wide are all true
-WIDEST_HEAD_MM = 260.0  # between two spheres: a long head of 220 mm, at both ends a base and half a sphere
-LINE_RATIO = 1e-3  # second over first singular value: below it a set is a line and fixes no rotation
+# Assumed, not measured: decision 10 shows how the answers depend on these odds.
+PAIR_ODDS = 10.0  # a priori, that two points which could be the same sphere are
+WIDE_SET_ODDS = 1e-3  # that pairs farther apart than a head is wide are all correct
+WIDEST_HEAD_MM = 260.0  # between two spheres: a head 220 mm long, plus a base and half a sphere at each end
+LINE_RATIO = 1e-3  # second over first singular value; below it a set is a line and fixes no rotation
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What agreement is worth, from the variance per axis of both sets together, mm2."""
+    """The weight of evidence, from the variance per axis of both sets together, mm2."""
 
     variance_mm2: float
 
     @property
     def nats_per_pair(self) -> float:
-        """What one more agreeing pair is worth."""
+        """What each additional agreeing pair is worth."""
         by_chance = LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
         return math.log(PAIR_ODDS) + by_chance
 
     def most_nats(self, pairs: int) -> float:
-        """The score that no candidate of this size can exceed."""
+        """Upper bound on the score of a candidate of this size."""
         return (pairs - 2) * self.nats_per_pair
 
 
 @lru_cache(maxsize=64)
 def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
-    """Limit of the residual chi-square of a rigid fit of that many pairs, for either shape of the noise.
+    """Limit on the residual chi-square of a rigid fit of this many pairs, valid for both noise models.
 
-    An error that is normal on every axis leaves chi-square with 3k - 6 degrees of freedom. One whose length
-    is normal, in any direction, has the same variance and a longer tail: three times a chi-square with one
-    degree per point, of which the fit takes 6 parts in 3k.
+    If an error is normal on each axis, the residual is chi-square with 3k - 6 degrees of freedom. If its
+    length is normal, in any direction, the variance is the same but the tail is longer: three times a
+    chi-square with one degree per point, of which the fit takes 6 parts in 3k.
     """
     per_axis = float(chdtri(3 * pairs - 6, false_alarm))
     by_length = (3.0 - 6.0 / pairs) * float(chdtri(pairs, false_alarm))
@@ -78,12 +78,12 @@ class Candidate:
 
     @property
     def passed(self) -> bool:
-        """Whether the noise explains the residuals and the points fix a rotation."""
+        """Whether noise explains the residuals and the points determine a rotation."""
         return self.chi_square < gate(self.size) and not self.on_a_line
 
     @property
     def mirror_excess(self) -> float:
-        """How much chi-square a mirror image would save; negative where the rotation is better."""
+        """How much chi-square a mirror image would save; negative if the rotation fits better."""
         return self.chi_square - self.mirrored_chi_square
 
     @property
@@ -125,7 +125,7 @@ def evaluate(
 
 
 def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """Every pairing that results from dropping one pair, each once.
+    """All pairings with one pair dropped, without repeats.
 
     Dropping only the worst pair would leave swapped pairs behind.
     """
@@ -133,7 +133,7 @@ def leave_one_out(masks: Sequence[int]) -> list[int]:
 
 
 def as_hypothesis(one: Candidate, physical_count: int) -> Hypothesis:
-    """A candidate as it is told: pairs of indices, their transform and their score."""
+    """A candidate as reported: pairs of indices, transform and score."""
     pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)
     transform = as_transform(one.rotation, one.translation_mm)
     return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)

@@ -1,4 +1,4 @@
-"""A layout of spheres that is known beforehand, found among the spheres of a scan, or refused."""
+"""Finds a known layout of spheres among the spheres of a scan, or refuses."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from procedures.registration.matching import match
 from procedures.registration.points import checked_points
 from procedures.registration.template import TEMPLATE_SIGMA_MM
 
-# Per axis: scale and table feed of a scanner over the width of a frame (0.1 % of 100 mm), beside the noise.
+# Per axis: a scanner's scale and table feed over the width of a frame (0.1 % of 100 mm), plus noise.
 SCAN_SIGMA_MM = 0.12
 
 
 @dataclass(frozen=True, eq=False)
 class FoundLayout:
-    """Where a layout is: `order` (k,) holds, for each of its spheres, the index of the scan's."""
+    """The layout as found: `order` (k,) is, for each of its spheres, the index of the scan's sphere."""
 
     order: NDArray[np.intp]
     scan_from_layout: RigidTransform
@@ -32,8 +32,8 @@ class FoundLayout:
 def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
     """Find a layout (k, 3), k at least 3, among the spheres (n, 3) of a scan, both in mm.
 
-    Every sphere of the layout must be there, in one way only, each where the others say within what a scanner
-    makes of it. Raises REG-012, REG-001.
+    Every sphere of the layout must be present, in exactly one way, each where the others predict it to within
+    the scanner's accuracy. Raises REG-012, REG-001.
     """
     layout, spheres = checked_points(layout_mm, "layout"), checked_points(spheres_mm, "scan")
     found = match(
@@ -60,5 +60,5 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
 
 
 def _width_mm(points_mm: NDArray[np.float64]) -> float:
-    """The largest distance of two points: tells another unit at a glance."""
+    """The largest distance between two points; a wrong unit shows at a glance."""
     return float(pdist(points_mm).max(initial=0.0))

@@ -1,4 +1,4 @@
-"""Correspondence of two unordered point sets with outliers in both, or the reason why there is none.
+"""Correspondence of two unordered point sets with outliers in both, or the reason why none was found.
 
 The largest sets of pairs with matching distances are fitted and scored; the best must be 10,000 times more
 likely than any contradicting one, or the answer is AMBIGUOUS.
@@ -19,7 +19,7 @@ from procedures.registration.errors import BadParameter, BadPoints
 from procedures.registration.hypotheses import Evidence
 from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
 
-MOST_POINTS = 40  # a head carries up to ten; the graph grows with the square of both counts
+MOST_POINTS = 40  # a head carries up to ten; the graph grows with the product of both counts squared
 
 
 def match(
@@ -33,10 +33,10 @@ def match(
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3), in mm, order unknown, outliers in both.
 
-    A sigma is one standard deviation, of every axis or one for each of the three; pairing is isotropic and
-    takes the rms of three. `expected` is the planned number of pairs; UNIQUE then
-    means exactly that many. `prior` is an approximate rotation physical <- image (bare: 60 degrees
-    tolerance). Raises REG-001 and REG-007 (both ValueError); too few points is an answer, not an error.
+    A sigma is one standard deviation, common to all axes or one per axis; pairing is isotropic and uses the
+    rms of the three. `expected` is the planned number of pairs; UNIQUE then means exactly that many. `prior`
+    is an approximate rotation physical <- image (bare: 60 degrees tolerance). Raises REG-001 and REG-007
+    (both ValueError); too few points are an answer, not an error.
     """
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
     for name, points in (("image", image), ("physical", physical)):
@@ -56,7 +56,7 @@ def match(
 
 
 def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
-    """What agreement is worth under these standard deviations, as `match` takes them. Raises REG-007."""
+    """The weight of evidence for these standard deviations, given as to `match`. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
         raise BadParameter(
@@ -66,7 +66,7 @@ def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
 
 
 def _variance_mm2(name: str, sigma_mm: Any) -> float:
-    """Variance per axis: the mean of the squares of three numbers, or the square of one."""
+    """Variance per axis: the square of one number, or the mean square of three."""
     try:
         given = np.asarray(sigma_mm)
     except ValueError:  # rows of unequal length

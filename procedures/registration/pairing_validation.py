@@ -1,8 +1,8 @@
-"""Validation of a pairing that was found, against the stated errors of both devices (thesis, 5.3).
+"""Validates a pairing against the stated errors of both devices (thesis, 5.3).
 
-The text says that the known errors of both sets are used to validate a successful pairing, not how. Here the
-pairs are fitted, and the sum of their squared residuals must not exceed what the stated standard deviations
-explain.
+The thesis says that the known errors of both sets are used to validate a successful pairing, but not
+how. Here the pairs are fitted, and the sum of squared residuals must not exceed what the stated
+standard deviations explain.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from procedures.registration.similarity_matrix import SimilarityPairs
 
 Array = NDArray[np.float64]
 
-FALSE_ALARM = 1e-3  # share of true pairings that the validation refuses; ours, the text gives none
+FALSE_ALARM = 1e-3  # share of correct pairings that the validation refuses; our choice, the thesis gives none
 
 
 def validate_many(
     image_mm: Array, physical_mm: Array, found: Sequence[SimilarityPairs], variance_mm2: float
 ) -> tuple[SimilarityPairs, ...]:
-    """Pairings of image points (b, n, 3) with physical points (b, m, 3), mm, that agree with the errors.
+    """Check pairings of image points (b, n, 3) with physical points (b, m, 3), mm, against the stated errors.
 
     `variance_mm2` is the stated variance per axis of both sets together. A UNIQUE pairing whose residuals
-    exceed it becomes INCONSISTENT; the others stay as they are.
+    exceed it becomes INCONSISTENT; the others are returned unchanged.
     """
     by_size: dict[int, list[int]] = {}
     for number, one in enumerate(found):

@@ -34,13 +34,11 @@ Array = NDArray[np.float64]
 COLLINEAR_REFUSED = 1e-3  # second over first singular value of the cross-covariance
 COLLINEAR_WARNED = 0.05
 THICKNESS_COUNTED = 1e-3  # third over first singular value: below it a set counts as planar
-ILL_POSED_MARGIN = (
-    0.05  # third over second singular value so near 1 that a mirrored set has no clear rotation
-)
+ILL_POSED_MARGIN = 0.05  # third over second singular value; this near 1, a mirrored set has no clear rotation
 
 
 class Caveat(StrEnum):
-    """What speaks against a registration and does not show in its FRE."""
+    """An objection to a registration that does not show in its FRE."""
 
     NEARLY_COLLINEAR = "nearly collinear"
     MIRRORED = "a mirror image fits better than any rotation"
@@ -51,8 +49,8 @@ class Caveat(StrEnum):
 class TargetError:
     """Predicted error at targets.
 
-    `rms_mm` (m,), the radius `limit_mm` (m,) that holds the error with probability `confidence`, the
-    covariance (m, 3, 3) in the physical frame, and by which formula.
+    `rms_mm` (m,), the radius `limit_mm` (m,) that contains the error with probability `confidence`, the
+    covariance (m, 3, 3) in the physical frame, and the formula used.
     """
 
     rms_mm: Array
@@ -66,10 +64,10 @@ class TargetError:
 class Registration:
     """A rigid registration physical <- image with residuals and predicted error.
 
-    `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `leave_one_out_mm` holds, per
-    pair, the distance between its measured place and the place the other pairs predict; None where the
-    others do not determine a transform. `chi_square` is the residual sum weighted by the covariances
-    (None without). `fre_mm` is a residual, never an accuracy.
+    `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `leave_one_out_mm` is, per pair,
+    the distance between the measured position and the one that the other pairs predict; None if the others do
+    not determine a transform. `chi_square` is the residual sum weighted by the covariances (None without).
+    `fre_mm` is a residual, never an accuracy.
     """
 
     transform: RigidTransform
@@ -89,13 +87,13 @@ class Registration:
 
     @property
     def fle_mm(self) -> float:
-        """3-D rms localization error of both spaces: as the covariances say, else from FRE by eq. 36."""
+        """3-D rms localization error of both spaces: from stated covariances, else from FRE by eq. 36."""
         if self.covariance_mm2 is not None:
             return math.sqrt(float(np.trace(self.covariance_mm2, axis1=1, axis2=2).mean()))
         return fle_from_fre_mm(self.fre_mm, self.pairs)
 
     def between(self, target: Frame, source: Frame) -> Transform:
-        """The transform with its frames named, for example `between(Frame.ROBOT, Frame.CT)`."""
+        """The transform with named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
         return Transform(target, source, self.transform)
 
     def require_sound(self) -> None:
@@ -208,7 +206,7 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
 
 
 def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
-    """Distance of each pair's measured place from the place that the other pairs predict, mm."""
+    """Distance of each pair's measured position from the one that the other pairs predict, mm."""
     distances: list[float | None] = []
     for index in range(len(image)):
         keep = np.arange(len(image)) != index

@@ -9,17 +9,17 @@ from procedures.registration.errors import BadCovariance, BadPoints, DuplicatePo
 
 Array = NDArray[np.float64]
 
-COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares stay far from overflow
+COORDINATE_LIMIT_MM = 1e6  # one kilometre: no theatre is larger, and squares are far from overflow
 NEAREST_SPHERES_MM = 2.0  # two 11.5 mm spheres cannot be closer; a repeated detection is
-SMALLEST_SPREAD_M = 0.01  # of markers: what spreads so far and no further than two spheres may be in metres
-FEWEST_PAIRS = 3  # a rigid transform has six unknowns, two points leave one of them free
-SYMMETRY_TOLERANCE = 1e-9  # relative; covariances come from products and are symmetric to rounding
+SMALLEST_SPREAD_M = 0.01  # of markers: a set wider than this but no wider than two spheres may be in metres
+FEWEST_PAIRS = 3  # a rigid transform has six unknowns; two points leave one undetermined
+SYMMETRY_TOLERANCE = 1e-9  # relative; covariances are products, symmetric up to rounding
 
 REAL_KINDS = "iuf"  # of a NumPy type: signed, unsigned, floating
 
 
 def checked_points(points_mm: ArrayLike, name: str) -> Array:
-    """The points as a float array (n, 3) of its own; an empty list is (0, 3). Raises REG-001."""
+    """The points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
     values = _real_numbers(points_mm, f"the {name} points", BadPoints)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
@@ -48,7 +48,7 @@ def checked_targets(points_mm: ArrayLike) -> Array:
 
 
 def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
-    """Two sets whose rows belong together, at least three, no repeats. Raises REG-001, 002, 004."""
+    """Two sets with matching rows, at least three, no repeats. Raises REG-001, 002, 004."""
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
@@ -60,7 +60,7 @@ def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, A
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
-    """Raises REG-004 when two points of a set are nearer than two spheres can be."""
+    """Raises REG-004 when two points of a set are closer than two spheres can be."""
     distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
     np.fill_diagonal(distances, np.inf)
     if distances.min() < NEAREST_SPHERES_MM:
@@ -97,7 +97,7 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
 
 
 def _real_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
-    """A float array of its own; complex numbers, truth values, texts and objects are refused."""
+    """A new float array; complex numbers, booleans, strings and objects are refused."""
     try:
         given = np.asarray(numbers)
     except (TypeError, ValueError) as error:

@@ -1,7 +1,7 @@
 """Least-squares rigid transform between two point sets, by singular value decomposition.
 
-Works on stacks of sets at once, because a correspondence search fits hundreds of candidates.
-Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a reflection.
+Works on stacks of point sets, because a correspondence search fits hundreds of candidates. Arun, Huang,
+Blostein 1987 with the determinant guard of Umeyama 1991: never a reflection.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class RigidFit:
-    """Fits of a stack of sets; every field has the stack's leading axes.
+    """Fits of a stack of sets; every field has the leading axes of the stack.
 
     `rotation` (..., 3, 3) is proper, `translation_mm` (..., 3). `spread_mm2` (..., 3) are the singular
     values of the cross-covariance sum, largest first: the set's extent along its three principal axes.
@@ -46,9 +46,9 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """The transform of one fit (3, 3) and (3,), taken as it is: a product of singular vectors is orthogonal.
+    """The transform of one fit, (3, 3) and (3,), not normalized: a product of singular vectors is orthogonal.
 
-    To normalize it again would cost as much as the fit.
+    Normalizing would cost as much as the fit.
     """
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation_mm
@@ -62,9 +62,9 @@ def residuals(fit: RigidFit, image_mm: Array, physical_mm: Array) -> Array:
 
 
 def mirrored_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
-    """Squared residual sum of the best reflection, where the best rotation leaves `squared_sum_mm2`.
+    """Squared residual sum of the best reflection, given the best rotation's `squared_sum_mm2`.
 
-    Turning the sign of the smallest axis changes the sum by four times its singular value.
+    Flipping the sign of the smallest axis changes the sum by four times its singular value.
     """
     change = np.where(fit.mirrored, -4.0, 4.0) * fit.spread_mm2[..., 2]
     return np.asarray(np.maximum(squared_sum_mm2 + change, 0.0))

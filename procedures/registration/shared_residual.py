@@ -1,7 +1,7 @@
-"""The chi-square of a fit's residuals when its points share errors.
+"""Chi-square of a fit's residuals when its points share errors.
 
-An error of the tool frame, where the tool is turned from point to point, displaces them all together and does
-not average out like independent errors. It is judged with the whole covariance of all coordinates.
+An error of the tool frame displaces all points together if the tool's orientation differs between them, and
+does not average out like independent errors. It is judged with the full covariance of all coordinates.
 """
 
 from __future__ import annotations
@@ -18,10 +18,11 @@ Array = NDArray[np.float64]
 def chi_square_of_shared(
     residuals_mm: Array, fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array
 ) -> float:
-    """Chi-square, with 3n - 6 degrees of freedom, of residuals (n, 3) mm of a rigid fit of any weights.
+    """Chi-square, with 3n - 6 degrees of freedom, of the residuals (n, 3) mm of a rigid fit with any weights.
 
-    `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) what is independent, `shared_mm`
-    (n, 3, k) how far each of k unit errors displaces every point. What a pose can explain does not count.
+    `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) is the independent part,
+    `shared_mm` (n, 3, k) the displacement of every point by each of k unit errors. What a rigid motion can
+    explain does not count.
     """
     columns = shared_mm.reshape(-1, shared_mm.shape[-1])
     weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)

@@ -1,4 +1,4 @@
-"""Whether known points have moved, from another measurement of them in the same frame. Pure numerics."""
+"""Whether known points have moved, from a second measurement in the same frame. Pure numerics."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from procedures.registration.rigid_fit import fit_rigid
 Array = NDArray[np.float64]
 
 LEAST_POINTS = 3
-NEAR_MM = 8.0  # a point within this of its place is that point: spheres stand 20 mm and more apart
-SIGMA_MM = 0.15  # per axis, of averaged points of a tracker, where they have to be recognised by their layout
+NEAR_MM = 8.0  # a point this close to a recorded one is that point: spheres are 20 mm and more apart
+SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be recognised by their layout
 
 
 @dataclass(frozen=True)
 class PointShift:
-    """Mean way of the points (3,) mm, the rms of the ways that a rigid motion gives them, and how many."""
+    """Mean displacement of the points (3,) mm, its rms under the rigid motion, and the number of points."""
 
     mean_mm: Array
     rms_mm: float
@@ -28,7 +28,7 @@ class PointShift:
 
 
 def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """As `shift_of` where too few are seen for that: two at least, each near its place; rms of their ways."""
+    """Like `shift_of` for fewer points: at least two, each near its recorded position; rms displacement."""
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
     if not (len(recorded) and len(seen)):
@@ -42,9 +42,9 @@ def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | Non
 
 
 def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """How points (n, 3) have moved, seen again (m, 3) in any order among others.
+    """How points (n, 3) have moved, given new readings (m, 3) in any order among others.
 
-    None when fewer than three of them are seen, or when it is not clear which they are.
+    None when fewer than three of them are seen, or when their identity is not clear.
     """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
@@ -71,9 +71,10 @@ def moved_alone_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) 
 
 
 def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
-    """Rows of points (n, 3) and of the same points seen again (m, 3), in any order among others.
+    """Row indices of points (n, 3) and of the same points in a new reading (m, 3), in any order among others.
 
-    The nearest, or by their layout where these are too few or not clear. None as `shift_of`.
+    Matched to the nearest, or by their layout if too few match or the match is not clear.
+    None as for `shift_of`.
     """
     recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
     seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)

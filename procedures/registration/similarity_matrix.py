@@ -1,13 +1,14 @@
-"""The thesis' correspondence by a similarity matrix: a baseline for comparison, not for clinical use.
+"""The thesis' correspondence by similarity matrix: a baseline for comparison, not for clinical use.
 
-A cell (i, j) counts how many distances from image point i equal one from physical point j within e. Points
-whose best cell is lowest are dropped one by one until every point left agrees with all the others, or too
-few are left. The text leaves open how a cell is matched and what is dropped when: here distances are matched
-one to one in order of length, and the single worst point of the larger set goes first (of both sets, when
-they are equal). Dropping all failing points at once fails far more often. The text also validates what was
-found: see `pairing_validation`.
+Cell (i, j) counts the distances from image point i that equal one from physical point j within e. Points
+whose best cell is lowest are dropped one by one until all remaining points agree with each other, or too few
+remain. The thesis leaves open how a cell is matched and what is dropped when: here distances are matched one
+to one in order of length, and the single worst point of the larger set goes first (of both sets, if equally
+large). Dropping all failing points at once fails far more often. For the thesis' validation of the result
+see `pairing_validation`.
 
-Many readings with equally many points are solved at once, because a study repeats it by the million.
+Many readings with the same number of points are solved at once, because a study repeats
+this millions of times.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ def match_many_by_similarity(
 ) -> tuple[SimilarityPairs, ...]:
     """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the thesis' rule.
 
-    Each reading has its own e (b,), mm; n and m are at least 3. UNIQUE when every point left has exactly one
-    partner, AMBIGUOUS when some have several, else INCONSISTENT.
+    Each reading has its own e (b,), mm; n and m are at least 3. UNIQUE when every remaining point has exactly
+    one partner, AMBIGUOUS when some have several, else INCONSISTENT.
     """
     image, physical = _distances(image_mm), _distances(physical_mm)
     found: dict[int, SimilarityPairs] = {}
@@ -56,10 +57,10 @@ def match_many_by_similarity(
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
     """Matrices (b, n, m) for sorted distances (b, n, k) of image and (b, m, l) of physical points, e (b,).
 
-    All cells walk along their two sorted rows at once: the shorter distance of two that differ by more than
-    e is passed over.
+    All cells walk along their two sorted rows in parallel; of two distances that differ by more than e,
+    the shorter is skipped.
     """
-    # A last column of infinity stops a walk at the end of its row; infinities of two signs never agree.
+    # A trailing infinity stops a walk at the end of its row; infinities of opposite sign never match.
     image = np.pad(within_image_mm, ((0, 0), (0, 0), (0, 1)), constant_values=np.inf)
     physical = np.pad(within_physical_mm, ((0, 0), (0, 0), (0, 1)), constant_values=1e300)
     batch, rows, length = image.shape
@@ -85,20 +86,20 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings that have the same number of points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with the same number of points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
 
     of: Indices
     rows: Indices
     columns: Indices
-    waiting: list[_Readings]  # where those go that lose another point
+    waiting: list[_Readings]  # destination of those that lose another point
 
     @property
     def size(self) -> tuple[int, int]:
-        """Image and physical points left."""
+        """Numbers of image and physical points left."""
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Outcomes of the readings that are complete or have too few points; the others lose a point."""
+        """Outcomes of the readings that are settled or have too few points; the others lose a point."""
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
@@ -155,15 +156,15 @@ def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """The row whose best cell is lowest, among equals the one with the smallest sum; and that best cell."""
+    """The row whose best cell is lowest, in a tie the one with the smallest sum; and that best cell."""
     best = matrix.max(axis=2)
-    most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any sum of a row
+    most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
     return worst, np.take_along_axis(best, worst[:, None], axis=1)[:, 0]
 
 
 def _without(kept: Indices, position: Indices) -> Indices:
-    """Each row of (k, r) without the element at its position."""
+    """Each row of (k, r) without the element at the given position."""
     stays = np.arange(kept.shape[1]) != position[:, None]
     return np.asarray(kept[stays].reshape(len(kept), -1))
 
@@ -176,7 +177,7 @@ def _sorted_rows(distances: Array, kept: Indices) -> Array:
     """Distances from each kept point to the other kept ones, ascending."""
     chosen = np.take_along_axis(distances, kept[:, :, None], axis=1)
     chosen = np.take_along_axis(chosen, kept[:, None, :], axis=2)
-    return np.asarray(np.sort(chosen, axis=2)[:, :, 1:])  # the first is that to itself
+    return np.asarray(np.sort(chosen, axis=2)[:, :, 1:])  # the first is the distance to itself
 
 
 def _no_pairs() -> Indices:

@@ -1,16 +1,16 @@
-"""Error to expect at a target, from errors that localizations and target share and from those of their own.
+"""Predicts the error at a target from errors shared by localizations and target, and from independent ones.
 
-An error of the arm (a link too long, a tool frame out of place) displaces the tool at every sphere and again
-at the target. What the registration recorded is wrong by the first, what the arm then reaches by the second,
-and with the registration in between the two subtract:
+An error of the arm (a link too long, a wrong tool frame) displaces the tool at every sphere and again at the
+target. The first corrupts what the registration recorded, the second what the arm then reaches; through the
+registration the two subtract:
 
     error at the target = (J_t - sum_i W_i J_i) s  +  e_t  -  sum_i W_i e_i
 
-s: sizes of the shared errors, J: displacement of the tool by each at target (t) and sphere (i), e: errors of
-their own, W: what the fit makes of a recorded sphere at the target. To first order in all errors, as the
-covariances of Danilchenko and Fitzpatrick 2011.
+s: sizes of the shared errors; J: displacement of the tool per shared error at target (t) and sphere (i); e:
+independent errors; W: effect of a recorded sphere on the target through the fit. To first order in all
+errors, like the covariances of Danilchenko and Fitzpatrick 2011.
 
-Nothing here knows an arm; `procedures.calibration.arm_sources` gives the displacements of one.
+This module is independent of any arm; `procedures.calibration.arm_sources` computes one's displacements.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ AXES = 3
 class SharedErrors:
     """`k` independent errors of one source that act at all poses, one standard deviation each.
 
-    How far they displace the true tool from where it is believed, mm in the frame of the targets.
+    Displacement of the true tool from its assumed position, mm in the frame of the targets.
     """
 
     source: str
@@ -43,7 +43,7 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class OwnErrors:
-    """Errors of one source that are independent from pose to pose: covariances, mm2."""
+    """Errors of one source that are independent between poses: covariances, mm2."""
 
     source: str
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
@@ -52,31 +52,31 @@ class OwnErrors:
 
 @dataclass(frozen=True)
 class TargetPrediction:
-    """Covariance (3, 3) mm2 of the error at one target, by source; the sources are independent."""
+    """Covariance (3, 3) mm2 of the error at one target, by source; sources are independent."""
 
     by_source_mm2: dict[str, Array]
 
     @property
     def covariance_mm2(self) -> Array:
-        """Of the whole error."""
+        """Covariance of the total error."""
         return np.asarray(np.sum(list(self.by_source_mm2.values()), axis=0))
 
     @property
     def rms_mm(self) -> float:
-        """Root mean square of the error's length."""
+        """Root mean square length of the error."""
         return float(np.sqrt(np.trace(self.covariance_mm2)))
 
     @property
     def budget_mm(self) -> dict[str, float]:
-        """Share of each source, rms; the squares add up to the square of the whole."""
+        """Contribution of each source, rms; the squares add up to the square of the total."""
         return {name: float(np.sqrt(np.trace(part))) for name, part in self.by_source_mm2.items()}
 
     def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
-        """Radius that holds the error with this probability. Raises REG-007."""
+        """Radius that contains the error with this probability. Raises REG-007."""
         return float(error_limit_mm(self.covariance_mm2, confidence))
 
     def holds(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> NDArray[np.bool_]:
-        """Which errors (..., 3) lie inside the ellipsoid that holds them with this probability."""
+        """Which errors (..., 3) are inside the ellipsoid that contains them with this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
         return np.asarray((errors * weighted).sum(axis=-1) <= chi_square_limit(AXES, confidence))
@@ -88,9 +88,10 @@ def predict_target_error(
     sources: Sequence[SharedErrors | OwnErrors],
     weights: ArrayLike | None = None,
 ) -> TargetPrediction:
-    """Predict the error at a target (3,) mm that was registered by spheres (n, 3) mm, in one frame.
+    """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, in one frame.
 
-    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None is a fit without.
+    `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None
+    for an unweighted fit.
     """
     spheres, target = np.asarray(spheres_mm, dtype=float), np.asarray(target_mm, dtype=float)
     influence = influence_of_spheres(spheres, target, weights)
@@ -107,7 +108,7 @@ def predict_target_error(
 
 
 def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike | None = None) -> Array:
-    """Shift (n, 3, 3) of the mapped target per shift of each recorded sphere; all of them add up to 1."""
+    """Shift (n, 3, 3) of the mapped target per shift of each recorded sphere; they add up to the identity."""
     centre = spheres_mm.mean(axis=0)
     jacobian = pose_jacobian(spheres_mm, centre)
     projected = np.swapaxes(jacobian, -1, -2)

@@ -1,7 +1,7 @@
 """Correspondence through a template: a rigid frame of spheres with known distances.
 
-Each side is paired with the template on its own, so that the distances of the template, not those of noisy
-points, decide; what belongs to no template point is left out on both sides.
+Each side is matched to the template separately, so that the template's distances decide rather than those
+between noisy points; points without a counterpart in the template are ignored on both sides.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from procedures.registration.points import checked_points
 Array = NDArray[np.float64]
 Sigma = float | Sequence[float] | NDArray[np.float64]
 
-TEMPLATE_SIGMA_MM = 0.05  # per axis: how exactly such a frame is made and measured
+TEMPLATE_SIGMA_MM = 0.05  # per axis: accuracy to which such a frame is made and measured
 
 
 def match_by_template(
@@ -36,9 +36,9 @@ def match_by_template(
 ) -> Match:
     """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
 
-    UNIQUE only when all k template points are found on both sides, each in one way, and agree between them.
-    The reason of a failure names the side; its runner-up then pairs template points with that side's.
-    Raises REG-001 and REG-007.
+    UNIQUE only when all k template points are found on both sides, in exactly one way each, and the sides
+    agree. The reason for a failure names the side; its runner-up then pairs template points with those of
+    that side. Raises REG-001 and REG-007.
     """
     template = checked_points(template_mm, "template")
     image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
@@ -46,7 +46,7 @@ def match_by_template(
     in_ct = _found(template, image, sigma_template_mm, sigma_image_mm, None)
     if in_ct.transform is None or in_ct.status is not MatchStatus.UNIQUE:
         return _failed(in_ct, "image", image, physical)
-    # What is known of the orientation of the image holds for the template as it lies in the image.
+    # What is known about the image's orientation is transferred to the template as found in the image.
     turned = known and replace(known, rotation=known.rotation * in_ct.transform.rotation)
     in_room = _found(template, physical, sigma_template_mm, sigma_physical_mm, turned)
     if in_room.status is not MatchStatus.UNIQUE:

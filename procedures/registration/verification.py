@@ -1,8 +1,8 @@
 """Two-way verification of a registration: CT -> room and room -> CT, one row per fiducial and per reading.
 
-Every fiducial of the CT is looked for in the room and every reading of the room in the CT, each with the
-evidence that its own instruments give: agreement of the two CT estimators, tracker residual, stereo
-residual, leave-one-out residual, and whether its nearest neighbour on the other side is its partner.
+Every fiducial of the CT is looked up in the room and every reading of the room in the CT, each with its own
+evidence: agreement of the two CT estimators, tracker residual, stereo residual, leave-one-out residual, and
+whether its nearest neighbour on the other side is its partner.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Instrument(StrEnum):
 
 
 class CtToRoomRow(Strict):
-    """One sphere of the CT and what the room says about it; none where nothing was measured."""
+    """One sphere of the CT and what was measured of it in the room; None if nothing was."""
 
     fiducial: int = Field(description="Index in the CT.")
     ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")
@@ -54,7 +54,7 @@ class RoomToCtRow(Strict):
 
 
 class TwoWayTable(Strict):
-    """Both directions, with what is unmatched on either side."""
+    """Both directions, with the unmatched points of either side."""
 
     ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
     room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")
@@ -65,7 +65,7 @@ class TwoWayTable(Strict):
 
 @dataclass(frozen=True)
 class RoomPoint:
-    """A stereo measurement of one known fiducial, in the frame that the fine transform maps to, mm."""
+    """A stereo measurement of one known fiducial, in the target frame of the fine transform, mm."""
 
     fiducial: int
     position_mm: tuple[float, float, float]
@@ -83,10 +83,10 @@ def verify_two_way(
 ) -> TwoWayTable:
     """Build the table.
 
-    `image_mm` (n, 3) are all fiducials of the CT, `tracker_mm` (m, 3) all stray readings averaged, `pairs`
-    (k, 2) their correspondence with `coarse` tracker <- CT. `stereo` are the fine measurements in the order
-    in which `fine` was registered from them. `ct_disagreement_mm` gives, by fiducial, the distance between
-    the two CT estimators. Raises REG-001.
+    `image_mm` (n, 3) are all fiducials of the CT, `tracker_mm` (m, 3) all averaged stray markers, `pairs` (k,
+    2) their correspondence with `coarse` tracker <- CT. `stereo` are the fine measurements in the order in
+    which `fine` was registered from them. `ct_disagreement_mm` is, per fiducial, the distance between the two
+    CT estimators. Raises REG-001.
     """
     image, tracker = checked_points(image_mm, "image"), checked_points(tracker_mm, "tracker")
     partners = np.asarray(pairs, dtype=int).reshape(-1, 2)

@@ -1,8 +1,8 @@
 """Rigid fit that weights every pair by its own error ellipsoid.
 
-No closed form exists for unequal, direction-dependent errors, so the SVD solution is the start of a
-Gauss-Newton iteration on the rotation vector and the translation (Balachandran and Fitzpatrick 2009,
-in the same spirit): six normal equations with the inverse covariances, five to eight steps.
+Unequal, anisotropic errors have no closed-form solution, so the SVD solution starts a Gauss-Newton iteration
+on the rotation vector and the translation (in the spirit of Balachandran and Fitzpatrick 2009): six normal
+equations with the inverse covariances, five to eight steps.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from procedures.registration.errors import NotConverged
 
 Array = NDArray[np.float64]
 
-MOST_STEPS = 50  # ordinary data settle in five to eight
-MOST_HALVINGS = 30  # a step shortened by 2**-30 is no step
+MOST_STEPS = 50  # ordinary data converge in five to eight
+MOST_HALVINGS = 30  # a step halved this often is zero
 SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far below any instrument
 
 
 def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
-    """How points (..., 3) move with a small rotation about `centre_mm` and a shift: (..., 3, 6).
+    """Derivative of points (..., 3) by a small rotation about `centre_mm` and a translation: (..., 3, 6).
 
     The first three columns are per radian about x, y, z of the physical frame, the last three per mm.
     """
@@ -43,7 +43,7 @@ def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
 def fit_weighted(
     image_mm: Array, physical_mm: Array, covariance_mm2: Array, rotation: Array, translation_mm: Array
 ) -> tuple[Array, Array]:
-    """Maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a start near it.
+    """Maximum likelihood rotation (3, 3) and translation (3,) physical <- image from a nearby start.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame. Raises REG-006.
     """

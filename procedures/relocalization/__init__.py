@@ -1,4 +1,4 @@
-"""Fine re-localization of spheres with the stereo head: image, triangulation, visual servo. Pure numerics."""
+"""Fine re-localization of spheres with the stereo head: images, triangulation, servoing. Pure numerics."""
 
 from procedures.relocalization.search_pattern import search_offsets_mm, search_pose
 from procedures.relocalization.servo import ServoSettings, ServoState, recorded_point

@@ -1,7 +1,7 @@
 """One calibrated camera: from a sphere's outline to a line of sight, and from a point to a pixel.
 
-Pixels are of the full sensor, (0, 0) at the centre of the top-left one. Distortion is OpenCV's model of
-five coefficients k1 k2 p1 p2 k3, on normalised coordinates.
+Pixels are those of the full sensor, with (0, 0) at the centre of the top-left one. Distortion follows
+OpenCV's five-coefficient model, k1 k2 p1 p2 k3, in normalised coordinates.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ UNDISTORT_END = 1e-14  # normalised units, 1e-10 px
 
 
 class Camera:
-    """A camera calibration ready for arithmetic; `tool` coordinates in mm."""
+    """A camera calibration prepared for computation; `tool` coordinates in mm."""
 
     def __init__(self, calibration: CameraCalibration, frame: Frame = Frame.CAMERA_LEFT) -> None:
         self._focal = np.array(calibration.focal_px)
@@ -30,12 +30,12 @@ class Camera:
         pose = calibration.camera_from_tool.transform(frame, Frame.TOOL)
         self.rotation = pose.rotation_matrix  # camera <- tool
         self.translation_mm = pose.translation_mm
-        self.centre_mm = pose.inverse().translation_mm  # of projection, in tool coordinates
+        self.centre_mm = pose.inverse().translation_mm  # centre of projection, in tool coordinates
 
     def project(self, point_mm: ArrayLike) -> tuple[Array, Array]:
-        """Pixel (2,) of a point (3,) in tool coordinates, and its derivative (2, 3) by that point.
+        """Pixel (2,) of a point (3,) in tool coordinates, and its derivative (2, 3) by the point.
 
-        The derivative leaves the distortion's slope out: it only weights a least-squares step.
+        The derivative neglects distortion: it only weights a least-squares step.
         """
         x, y, z = self.rotation @ np.asarray(point_mm, dtype=float) + self.translation_mm
         pixel = self._focal * distorted(np.array([x / z, y / z]), self._distortion) + self._principal
@@ -45,9 +45,9 @@ class Camera:
     def centre_of(self, sphere: SphereImage) -> Array:
         """Normalised image coordinates (2,) of the sphere's true centre, distortion and bias removed.
 
-        The outline of a sphere is an ellipse whose centre lies too far out from the optical axis. With its
-        semi-minor axis b in normalised units the sphere's centre is at the ellipse's centre / (1 + b^2):
-        the section of a circular cone by the image plane, solved for the cone's axis.
+        The outline of a sphere is an ellipse whose centre is too far from the optical axis. With semi-minor
+        axis b in normalised units, the sphere's centre is the ellipse's centre divided by (1 + b^2): the
+        section of a circular cone by the image plane, solved for the cone's axis.
         """
         ellipse = self.undistorted(sphere.centre_px)
         semi_minor = sphere.axes_px[1] / float(np.sqrt(self._focal.prod()))
@@ -58,10 +58,10 @@ class Camera:
         return np.asarray(self._focal * distorted(normalised, self._distortion) + self._principal)
 
     def angular_radius_rad(self, sphere: SphereImage) -> float:
-        """Half the angle under which the sphere is seen from the centre of projection.
+        """Half the angle that the sphere subtends at the centre of projection.
 
-        From the same section of a cone: sin^2 a = b^2 (1 + b^2) / (r^2 + (1 + b^2)^2), r the distance of
-        the ellipse's centre from the optical axis.
+        From the same conic section: sin^2 a = b^2 (1 + b^2) / (r^2 + (1 + b^2)^2), r the distance of the
+        ellipse's centre from the optical axis.
         """
         radius_squared = float((self.undistorted(sphere.centre_px) ** 2).sum())
         b_squared = sphere.axes_px[1] ** 2 / float(self._focal.prod())
@@ -82,13 +82,13 @@ class Camera:
         raise BadMeasurement("the distortion cannot be removed here", got=str(tuple(observed)))
 
     def direction(self, normalised: Array) -> Array:
-        """Unit direction (3,) of the line of sight in tool coordinates."""
+        """Unit direction (3,) of the line of sight, in tool coordinates."""
         ray = self.rotation.T @ np.array([normalised[0], normalised[1], 1.0])
         return np.asarray(ray / np.linalg.norm(ray))
 
 
 def distorted(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
-    """Normalised coordinates (..., 2) with a lens's distortion, by k1 k2 p1 p2 k3."""
+    """Normalised coordinates (..., 2) with lens distortion applied, k1 k2 p1 p2 k3."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = ideal[..., 0], ideal[..., 1]
     square = x * x + y * y

@@ -1,8 +1,8 @@
-"""A first guess of the sphere's outline: circles through edge points of a reduced image.
+"""First guess of the sphere's outline: circles through edge points of a reduced image.
 
-Three edge points make a circle; it counts only when the gradients at the points look at its centre, as they
-do at the rim of a bright disc. Straight occluders, stains and posts drop out by that rule. Random choice
-with a fixed seed, so the same image always gives the same circles.
+Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
+rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
+so the same image always yields the same circles.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ Array = NDArray[np.float64]
 
 SEED = 20250711
 TRIPLES = 4000
-PORTIONS = 10  # of the triples: a clear picture needs no more than one or two
-HYPOTHESES = 100  # scored circles at most
+PORTIONS = 10  # of the triples: a clear image needs only one or two
+HYPOTHESES = 100  # scored circles, at most
 SCORED_POINTS = 600
 FACING_START = 0.90  # cosine between gradient and the direction to the centre
 FACING = 0.94
-TOLERANCE_PX = 2.0  # of the reduced image
+TOLERANCE_PX = 2.0  # px of the reduced image
 REFINED_TOLERANCE_PX = (2.5, 1.5, 1.2)
 SECTORS = 60
-LEAST_COVERAGE = 0.2  # of the sectors; less is no circle
+LEAST_COVERAGE = 0.2  # of the sectors; with less it is no circle
 LEAST_POINTS = 12
 CANDIDATES = 3
-REFINED_CIRCLES = 8  # tried at most, of those that score at least ...
+REFINED_CIRCLES = 8  # at most, of those that score at least ...
 SCORE_SHARE = 0.3  # ... this share of the best
 
 
 @dataclass(frozen=True)
 class Circle:
-    """Centre and radius in pixels, and the share of the rim on which edges were found."""
+    """Centre and radius in pixels, and the share of the rim with edges."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -43,7 +43,7 @@ class Circle:
 
 
 def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> list[Circle]:
-    """Up to three distinct circles within the radius limits, the one with the most visible rim first."""
+    """Up to three distinct circles within the radius limits, most visible rim first."""
     count = len(edges.position_px)
     if count < LEAST_POINTS:
         return []
@@ -96,7 +96,7 @@ def _circles_through(
     centres, radii = a + offset, np.hypot(offset[:, 0], offset[:, 1])
     kept = (radii >= smallest_px) & (radii <= largest_px)
     centres, radii, triples = centres[kept], radii[kept], triples[kept]
-    for corner in range(3):  # each leaves fewer for the next
+    for corner in range(3):  # each test leaves fewer for the next
         inward = centres - edges.position_px[triples[:, corner]]
         kept = (inward * edges.direction[triples[:, corner]]).sum(axis=1) > FACING_START * radii
         centres, radii, triples = centres[kept], radii[kept], triples[kept]
@@ -104,7 +104,7 @@ def _circles_through(
 
 
 def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
-    """Edge points that lie on each circle and face its centre, as a number per circle."""
+    """Number of edge points on each circle that face its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
     direction = edges.direction[::step].astype(np.float32)
@@ -117,7 +117,7 @@ def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Least-squares circle through the points that belong to it; None when too little rim is left."""
+    """Least-squares circle through the points on it; None when too little rim remains."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
@@ -138,7 +138,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Which of the circles (k,) are this one."""
+    """Which of the circles (k,) are the same as this one."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

@@ -1,8 +1,8 @@
 """Robust fit of an ellipse to rim points.
 
 The ellipse is |S (x - c)| = 1 with S symmetric and positive definite. Residuals are first-order geometric
-distances (Sampson). The first iterations take the points that most agree on a circle, since a sphere's
-outline is nearly one and a wrong arc would bend an ellipse; the others weight all by Tukey's biweight.
+distances (Sampson). The first iterations use the points that best agree on a circle, since a sphere's outline
+is nearly one and a wrong arc would distort an ellipse; the later ones weight all points by Tukey's biweight.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 START_ITERATIONS = 3
-CIRCLES = 80  # tried, each through three points: at half of the rim wrong, ten of them are right
-AGREEMENT_PX = 0.6  # the outline of a sphere in the corner of the image departs from a circle by as much
+CIRCLES = 80  # each through three points: with half of the rim wrong, ten of them are right
+AGREEMENT_PX = 0.6  # the outline of a sphere in a corner of the image deviates this much from a circle
 SEED = 20250711
 ITERATIONS = 12
 TUKEY = 4.685  # 95 % efficiency for normal errors
 MAD_TO_SIGMA = 1.4826
-SIGMA_FLOOR_PX = 0.01  # below this the residuals are the model's, not the noise's
+SIGMA_FLOOR_PX = 0.01  # smaller residuals come from the model, not from noise
 STEP_END_PX = 1e-4
 LEAST_POINTS = 10
 
@@ -56,7 +56,7 @@ class Ellipse:
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """The ellipse, the weights (n,) of its points, their scatter, and the covariance of the centre."""
+    """The ellipse, the weights (n,) of its points, their scatter, and the covariance of its centre."""
 
     ellipse: Ellipse
     weights: Array
@@ -65,14 +65,14 @@ class EllipseFit:
 
 
 def circle(centre_px: tuple[float, float], radius_px: float) -> Ellipse:
-    """A circle as an ellipse, to start from."""
+    """A circle as a starting ellipse."""
     return Ellipse(centre_px, (1.0 / radius_px, 0.0, 1.0 / radius_px))
 
 
 def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -> EllipseFit | None:
-    """Fit to points (n, 2) from a start within a few pixels; None when the points define no ellipse.
+    """Fit to points (n, 2) from a start within a few pixels; None if the points define no ellipse.
 
-    From a start that is no longer rough, on the rim within its noise, the search for agreement is left out.
+    With `rough_start` false, the start is on the rim to within its noise and the consensus search is skipped.
     """
     if len(points_px) < LEAST_POINTS:
         return None
@@ -106,13 +106,13 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
 
 
 def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
-    """Distances (n,) and their derivatives (n, 5) by centre and shape."""
+    """Distances (n,) and their derivatives (n, 5) with respect to centre and shape."""
     x = points_px[:, 0] - parameters[0]
     y = points_px[:, 1] - parameters[1]
     xx, xy, yy = parameters[2:]
     u, v = xx * x + xy * y, xy * x + yy * y  # S (x - c)
     length = np.maximum(np.hypot(u, v), 1e-9)
-    slope_x = (xx * u + xy * v) / length  # derivative of |S (x - c)| by the point
+    slope_x = (xx * u + xy * v) / length  # derivative of |S (x - c)| with respect to the point
     slope_y = (xy * u + yy * v) / length
     steepness = np.maximum(np.hypot(slope_x, slope_y), 1e-12)
     jacobian = np.stack(
@@ -122,12 +122,12 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
 
 
 def _agreeing(points_px: Array) -> NDArray[np.bool_]:
-    """The points near that circle through three of them which has most points near it."""
+    """The points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
     ab, ac = b - a, c - a
     area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    area = np.where(np.abs(area) < 1e-6, np.inf, area)  # the same point twice: a circle of radius 0
+    area = np.where(np.abs(area) < 1e-6, np.inf, area)  # a repeated point: a circle of radius 0
     square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
     x = (ac[:, 1] * square_ab - ab[:, 1] * square_ac) / area
     y = (ab[:, 0] * square_ac - ac[:, 0] * square_ab) / area

@@ -1,4 +1,4 @@
-"""Errors between a sphere's image and its position, STE-001 to STE-014; data errors are `ValueError`s."""
+"""Errors between image and sphere position, STE-001 to STE-014; data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class SphereNotInView(DataError):
 
 
 class WrongCamera(DataError):
-    """The calibration belongs to a different camera from the one that took the image."""
+    """The calibration belongs to a different camera than the one that took the image."""
 
     code = "STE-010"
     action = "Use the calibration of the mounted head, or calibrate it."
@@ -91,7 +91,7 @@ class PairNotUsable(DataError):
 
 
 class NotTrusted(DataError):
-    """A sphere is in view, but too little of it, or too poorly, for a reliable centre."""
+    """A sphere is in view, but not enough of it, or not clearly enough, for a reliable centre."""
 
     code = "STE-013"
     action = (
@@ -100,7 +100,7 @@ class NotTrusted(DataError):
 
 
 class HeadTurned(RefusedError):
-    """A camera of the stereo head is not where its calibration says."""
+    """A camera of the stereo head has moved since its calibration."""
 
     code = "STE-014"
     action = "Do not use these positions: check the stereo head with ronna-stereo check, then calibrate it."

@@ -1,13 +1,13 @@
-"""Watches the stereo head during a case: do both cameras still sit where their calibration says?
+"""Watches the stereo head during a case: are both cameras still where their calibration says?
 
-A camera that turns in its mount moves every sphere by the same vector, which neither the fit of the
-registration nor the distances between spheres can show. Two things in each pair do show it:
+A camera that rotates in its mount shifts every sphere by the same vector, which neither the registration
+residual nor the distances between spheres can reveal. Each image pair shows it in two ways:
 
-- turned in the plane of both lines of sight, it moves the place where they meet towards one camera and away
-  from the other: the sphere's outlines then have unequal sizes. 0.2 degrees make 0.17 %.
-- turned out of that plane, it opens a gap between the lines of sight: 0.2 degrees make 0.9 mm.
+- a rotation in the plane of both lines of sight moves their intersection towards one camera and away
+  from the other, so the sphere's outlines have unequal sizes: 0.17 % for 0.2 degrees.
+- a rotation out of that plane opens a gap between the lines of sight: 0.9 mm for 0.2 degrees.
 
-Both are medians over all spheres of a re-localization: blood or glare on one of them is not the head's.
+Both are medians over all spheres of a re-localization, so that blood or glare on one of them does not count.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from procedures.relocalization.errors import HeadTurned
 from ronna_hw.text.beyond import told_apart
 
 # Left minus right radius over the sphere's. Focal lengths known to 1e-4 each scatter it by 1.5e-4 from head
-# to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg make it 0.16e-2 to 0.20e-2.
+# to head (0.04e-2 at most over the scenes of seeds 0 to 19); 0.2 deg change it by 0.16e-2 to 0.20e-2.
 LARGEST_UNLIKENESS = 0.0009
-# Over the stated error of the head, which is about the gap's own standard deviation from head to head.
+# Over the stated error of the head, which is about the standard deviation of the gap from head to head.
 LARGEST_GAP_OVER_STATED = 5.0
-LEAST_GAP_LIMIT_MM = 0.02  # rims that are measured to a few micrometres never meet better
+LEAST_GAP_LIMIT_MM = 0.02  # rims measured to a few micrometres never meet better
 
 
 def check_head(
@@ -31,8 +31,8 @@ def check_head(
 ) -> None:
     """Raise STE-014 when the spheres of one re-localization show that a camera has moved.
 
-    `radii_mm` are those that the left and the right outline give at the measured place, sphere by sphere;
-    `stated_error_mm` is that of the head's calibration record.
+    `radii_mm` are the radii from the left and the right outline at the measured position, per sphere;
+    `stated_error_mm` is from the head's calibration record.
     """
     unlikeness = median(2.0 * (left - right) / (left + right) for left, right in radii_mm)
     if abs(unlikeness) > LARGEST_UNLIKENESS:

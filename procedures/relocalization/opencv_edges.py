@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
-SMOOTHING_PX = 1.0  # Gaussian of the reduced image, against grain
+SMOOTHING_PX = 1.0  # Gaussian on the reduced image, against grain
 GREY_LEVELS = 255.0
-NOISE_SAMPLING = 3  # every third pixel is enough to see how noisy an image is
+NOISE_SAMPLING = 3  # every third pixel suffices to estimate the noise
 STRONG_PERCENTILE = 99.5
-STRONG_SHARE = 0.2  # an edge is at least this share of the strong ones ...
+STRONG_SHARE = 0.2  # an edge has at least this share of the strong gradients ...
 NOISE_FACTOR = 6.0  # ... and this many times the typical gradient, unless that is more than ...
-NOISY_SHARE = 0.5  # ... this share of the strong ones
-GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: six grey levels of step
+NOISY_SHARE = 0.5  # ... this share of the strong gradients
+GRADIENT_FLOOR = 24.0  # Sobel units of an image stretched to 0..255: a step of six grey levels
 WEAK_SHARE = 0.5  # Canny's lower threshold relative to the upper
 
 
@@ -32,10 +32,10 @@ class EdgePoints:
 
 
 def halved(image: GreyImage, times: int) -> GreyImage:
-    """Mean over 2 x 2 pixels, so many times; rows and columns that do not fill a last block are left out.
+    """Mean over 2 x 2 pixels, repeated `times` times; rows and columns that do not fill a block are dropped.
 
-    With f = 2 ** times pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. By halves
-    it takes a tenth of the time of one step, and rounding stays below one grey level.
+    With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
+    repeatedly takes a tenth of the time of a single step, and rounding stays below one grey level.
     """
     factor = 2**times
     height, width = (side // factor * factor for side in image.shape)
@@ -48,7 +48,7 @@ def halved(image: GreyImage, times: int) -> GreyImage:
 
 
 def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
-    """Thin edges of an image whose grey values are first stretched from dark..bright to 0..255."""
+    """Thin edges of an image after stretching its grey values from dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
     with _in_this_thread():
@@ -57,7 +57,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
         slope_y = cv2.Sobel(smooth, cv2.CV_16S, 0, 1)
         upper = _edge_threshold(slope_x, slope_y)
         edges = cv2.Canny(slope_x, slope_y, WEAK_SHARE * upper, upper, L2gradient=True)
-    places = cv2.findNonZero(edges)  # None when there is none; (n, 2) or (n, 1, 2) by version
+    places = cv2.findNonZero(edges)  # None if there are none; (n, 2) or (n, 1, 2) depending on the version
     position = np.asarray([] if places is None else places, dtype=np.intp).reshape(-1, 2)
     columns, rows = position[:, 0], position[:, 1]
     gradient = np.stack([slope_x[rows, columns], slope_y[rows, columns]], axis=1).astype(float)
@@ -67,7 +67,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _in_this_thread() -> Iterator[None]:
-    """OpenCV's worker threads busy-wait: on images this small they cost more than they gain."""
+    """OpenCV's worker threads busy-wait: on images this small they cost more than they save."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:

@@ -1,8 +1,8 @@
 """The outline of one disc on the full image, near a guess: edges along rays, a robust ellipse through them.
 
-Steepest falls along rays, a blurred step fitted to every ray, an ellipse. Rays whose edge is too weak, too
-blurred, misfitted or off the ellipse are not rim: post, occluders, stains and the border of the image cost
-rim, they do not pull the centre.
+The steepest falls along rays, a blurred step fitted to each ray, an ellipse. Rays whose edge is too weak, too
+blurred, misfitted or off the ellipse are not rim: posts, occluders, stains and the image border cost rim, but
+do not pull the centre.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from procedures.relocalization.sphere_image import SphereImage
 
 COARSE_RAYS = 180
 FINE_RAYS = 300
-COARSE_REACH = 0.05  # of the radius, to each side of the first guess
-COARSE_REACH_PX = 3.0  # of the reduced image, at least
+COARSE_REACH = 0.05  # of the radius, to either side of the first guess
+COARSE_REACH_PX = 3.0  # px of the reduced image, at least
 FINE_REACH_BLURS = 4.0
-BLUR_ATTEMPTS = 3  # a first look at a defocused rim sees only the middle of its fall
+BLUR_ATTEMPTS = 3  # the first attempt on a defocused rim sees only the middle of the edge
 BLUR_GROWTH = 1.5
-FINE_REACH_PX = 6.0  # beyond the blur: enough plateau to see both grey levels
+FINE_REACH_PX = 6.0  # beyond the blur: enough plateau for both grey levels
 
-STEP_SHARE = 0.35  # of the median step: less is the sphere against its post, or a shadow
-BLUR_RATIO = 2.5  # to each side of the median blur
+STEP_SHARE = 0.35  # of the median step: a smaller one is the sphere against its post, or a shadow
+BLUR_RATIO = 2.5  # to either side of the median blur
 MISFIT_SHARE = 0.25  # of the step
 OFF_RIM_SIGMAS = 4.0
-OFF_RIM_PX = 0.35  # never stricter than this: grain and small dents are still rim
+OFF_RIM_PX = 0.35  # never stricter than this: grain and small dents still count as rim
 OFF_RIM_LIMIT_PX = 1.5
 
 
@@ -66,7 +66,7 @@ def refined(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     if first is None:
         return None
     rim &= _on_rim(first, points)
-    inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray beside a lost one is touched by what hides it
+    inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray next to a lost one is affected by the occluder
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
     if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_REACH_PX * factor + reach):
         return None

@@ -1,7 +1,7 @@
 """Whether a fitted outline is a sphere's, how good its centre is, and whether it is reliable.
 
 Where a stain dims the film up to the rim, the outline is still visible: such rays do not support the ellipse,
-but those whose edge lies on it count as visible rim.
+but those with an edge on it count as visible rim.
 """
 
 from __future__ import annotations
@@ -14,34 +14,35 @@ from procedures.relocalization.opencv_edges import GreyImage
 from procedures.relocalization.rim_edges import RimEdges, sample_profiles, steepest_falls
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 
-# Rim below a stain: the fall from the dimmed film to the background, within a window too narrow for the
+# Rim below a stain: the step from the dimmed film to the background, within a window too narrow for the
 # stain's own edge to matter. Blood and liquid leave 0.2 to 0.4 of the light (U).
 DIM_STEP_SHARE = 0.15
-DIM_NOISE_FACTOR = 6.0  # a fall of noise alone is smaller
+DIM_NOISE_FACTOR = 6.0  # steps from noise alone are smaller
 DIM_REACH_BLURS, DIM_REACH_PX = 3.0, 2.0
-DIM_OFF_RIM_PX = 0.7  # the stain's inner edge pulls the steepest place by about half a pixel
+DIM_OFF_RIM_PX = 0.7  # the stain's inner edge shifts the steepest point by about half a pixel
 
-LEAST_RIM = 0.25  # below this it is not a sphere at all
-RELIABLE_RIM = 0.625  # of the rim in view; 38 % lost must never pass
-CARRYING_RIM = 0.5  # of the rim must carry the ellipse, without what a stain dims
+LEAST_RIM = 0.25  # with less it is no sphere at all
+RELIABLE_RIM = 0.625  # of the rim in view; a loss of 38 % must never pass
+CARRYING_RIM = 0.5  # of the rim must support the ellipse, not counting what a stain dims
 RELIABLE_AXIS_RATIO = (
-    0.99  # a sphere in the corner of the sensor has 0.996; below, two things share an outline
+    0.99  # a sphere in the corner of the sensor has 0.996; below this, two objects share an outline
 )
 SPHERE_AXIS_RATIO = 0.75
 RELIABLE_SCATTER_PX = 0.6
 RELIABLE_CONTRAST_TO_NOISE = 6.0
-FILLED_SHARE = 0.6  # of the inside that must be brighter than half the step
-FILLED_AREA = (0.02, 0.8)  # where it is sampled, as a share of the area from the centre
+FILLED_SHARE = 0.6  # of the inside that must be brighter than half of the step
+FILLED_AREA = (0.02, 0.8)  # sampled range, as a share of the area from the centre
 FILLED_RINGS, FILLED_RAYS = 12, 36
-# Neighbouring rays share grain, uneven light and the edges of stains, so they say less than independent ones.
-# With this factor covariances are honest in drawn pictures; films and lights of the hardware are unknown (U).
+# Neighbouring rays share grain, uneven light and the edges of stains, so they carry less information than
+# independent ones. With this factor covariances are correct on rendered images; films and lights of the
+# hardware are unknown (U).
 SHARED_ERRORS = 2.3
 
 
 def judged(
     image: GreyImage, fit: EllipseFit, edges: RimEdges, bright: NDArray[np.bool_], rim: NDArray[np.bool_]
 ) -> SphereImage | None:
-    """The outline with its quality; `rim` are the rays that carry it, `bright` those and their neighbours."""
+    """The outline with its quality; `rim` are the rays that support it, `bright` also their neighbours."""
     step, noise, blur = (
         float(np.median(values[rim])) for values in (edges.step_grey, edges.misfit_grey, edges.blur_px)
     )
@@ -87,7 +88,7 @@ def judged(
 def _dimmed(
     image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
 ) -> NDArray[np.bool_]:
-    """Rays (n,) on which the light falls on the ellipse itself, however dim the film is there."""
+    """Rays (n,) with an edge on the ellipse itself, however dim the film is there."""
     reach = DIM_REACH_BLURS * blur_px + DIM_REACH_PX
     falls = steepest_falls(sample_profiles(image, ellipse, rays, reach))
     on_rim = np.abs(falls.offset_px) < DIM_OFF_RIM_PX
@@ -95,8 +96,8 @@ def _dimmed(
 
 
 def _filled_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
-    """Share of the inside that is brighter than half way between the grey levels of the rim."""
-    radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # so the same area to each sample
+    """Share of the inside that is brighter than halfway between the grey levels at the rim."""
+    radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
     reach = radius * ellipse.radius_at(angle)
     x = np.rint(ellipse.centre_px[0] + reach * np.cos(angle)).astype(int)

@@ -1,7 +1,7 @@
-"""Edges of a bright disc along rays from its centre, to a small part of a pixel.
+"""Edges of a bright disc along rays from its centre, to a small fraction of a pixel.
 
-First the steepest fall of brightness on each ray, then a blurred step fitted to it: background plus a
-sloping inside times the complementary error function.
+First the steepest fall in brightness on each ray, then a blurred step fitted to it: background plus a sloping
+inside times the complementary error function.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from procedures.relocalization.opencv_edges import GreyImage
 
 Array = NDArray[np.float64]
 
-BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about as much
-STEP_ITERATIONS = 3  # ten change a centre by less than 0.005 px
-SHIFT_LIMIT_PX = 1.0  # of one iteration
+BLUR_FLOOR_PX = 0.5  # linear interpolation between pixels alone blurs about this much
+STEP_ITERATIONS = 3  # with ten, a centre changes by less than 0.005 px
+SHIFT_LIMIT_PX = 1.0  # per iteration
 DAMPING = 1e-3
 INVERSE_ROOT_TWO_PI = 1.0 / np.sqrt(2.0 * np.pi)
 
 
 @dataclass(frozen=True)
 class Profiles:
-    """Grey values along rays: `grey` (rays, samples), `inside` (rays,) False where a ray leaves the image."""
+    """Grey values along rays: `grey` (rays, samples); `inside` (rays,) is False if a ray leaves the image."""
 
     angle_rad: Array  # (rays,)
-    base_px: Array  # (rays,): where offset 0 lies, from the centre
+    base_px: Array  # (rays,): distance from the centre to offset 0
     offset_px: Array  # (samples,)
     grey: Array
     inside: NDArray[np.bool_]
@@ -37,7 +37,7 @@ class Profiles:
 
 @dataclass(frozen=True)
 class RimEdges:
-    """One edge per ray: offset from the base, level outside, height of step, blur, misfit of the model."""
+    """One edge per ray: offset from the base, level outside, step height, blur, misfit of the model."""
 
     offset_px: Array
     dark_grey: Array
@@ -48,7 +48,7 @@ class RimEdges:
 
 
 def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px: float) -> Profiles:
-    """Grey values every pixel along `rays` rays, from `half_width_px` inside the rim to as much outside."""
+    """Grey values every pixel along `rays` rays, from `half_width_px` inside the rim to as far outside."""
     angle: Array = np.arange(rays, dtype=float) * (2.0 * np.pi / rays)
     base = ellipse.radius_at(angle)
     offset = np.arange(-np.ceil(half_width_px), np.ceil(half_width_px) + 1.0)
@@ -61,7 +61,7 @@ def sample_profiles(image: GreyImage, ellipse: Ellipse, rays: int, half_width_px
 
 
 def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
-    """Positions (rays, 2) of edges that lie `offset_px` from the bases of their rays."""
+    """Positions (rays, 2) of edges `offset_px` from the bases of their rays."""
     distance = profiles.base_px + offset_px
     return np.stack(
         [
@@ -73,7 +73,7 @@ def rim_points(ellipse: Ellipse, profiles: Profiles, offset_px: Array) -> Array:
 
 
 def steepest_falls(profiles: Profiles) -> RimEdges:
-    """The steepest fall from bright to dark on each ray, by the vertex of a parabola."""
+    """The steepest fall from bright to dark on each ray, refined by a parabola's vertex."""
     fall = np.zeros_like(profiles.grey)
     fall[:, 1:-1] = 0.5 * (profiles.grey[:, :-2] - profiles.grey[:, 2:])
     rays = np.arange(len(fall))
@@ -92,7 +92,7 @@ def steepest_falls(profiles: Profiles) -> RimEdges:
 def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> RimEdges:
     """Fit `B + (A + m (s - e)) * Phi((e - s) / w)` to every ray: edge e and blur w by Gauss-Newton.
 
-    B, A and m enter linearly and e, w do not; all five are stepped together from the steepest falls.
+    B, A and m are linear parameters, e and w are not; all five are iterated together from the steepest falls.
     """
     s = profiles.offset_px
     grey = profiles.grey
@@ -137,7 +137,7 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
 
 
 def _interpolate(image: GreyImage, x: Array, y: Array) -> Array:
-    """Linear interpolation; positions outside take the nearest pixel of the border."""
+    """Linear interpolation; positions outside use the nearest border pixel."""
     height, width = image.shape
     x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     column = np.minimum(x.astype(np.intp), width - 2)

@@ -1,4 +1,4 @@
-"""Search pattern when the sphere is not in view: rings around the first pose, from near to far."""
+"""Search pattern for a sphere that is not in view: rings around the first pose, from near to far."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ Array = NDArray[np.float64]
 
 RINGS = 3
 RING_STEP_MM = 5.0
-LOOKS_PER_RING = 6  # on the first; as many more on each further one, so that looks stay about 5 mm apart
+LOOKS_PER_RING = 6  # on the first; each further ring has that many more, so that looks stay about 5 mm apart
 
 
 def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) -> Array:
-    """Offsets (n, 3) in the tool frame, mm, across the tool axis. The first pose itself is not in it.
+    """Offsets (n, 3) in the tool frame, mm, perpendicular to the tool axis, without the first pose itself.
 
-    Each ring starts where the one before ended, so that the head moves in a spiral.
+    Each ring starts where the previous one ended, so the head moves in a spiral.
     """
     offsets = []
     first = 0.0
@@ -34,7 +34,7 @@ def search_offsets_mm(rings: int = RINGS, ring_step_mm: float = RING_STEP_MM) ->
 def search_pose(
     start: Transform, look: int, rings: int = RINGS, ring_step_mm: float = RING_STEP_MM
 ) -> Transform:
-    """Pose of the `look`-th look (from 0), oriented as `start`; raises STE-009 when there is none left."""
+    """Pose of look number `look` (from 0), oriented like `start`; raises STE-009 when none is left."""
     offsets = search_offsets_mm(rings, ring_step_mm)
     if look >= len(offsets):
         raise SphereNotInView(

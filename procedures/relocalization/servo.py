@@ -1,7 +1,7 @@
 """The control law that brings the tool centre point onto a sphere: from a measured residual to the next pose.
 
 The residual is the sphere's centre in the tool frame. The loop that moves the arm and takes the images is
-not here; it holds a `ServoState` and asks it after each measurement.
+elsewhere; it keeps a `ServoState` and queries it after each measurement.
 """
 
 from __future__ import annotations
@@ -22,26 +22,23 @@ Array = NDArray[np.float64]
 class ServoSettings:
     """`tolerance_mm` is the end condition (thesis: 0.03 mm).
 
-    A look places the sphere wrong by what the arm does not repeat, and by a share of the way that is still to
-    go: head and arm are turned and scaled a little against what their records say.
+    A measurement of the sphere is wrong by the arm's repeatability and by a share of the remaining distance:
+    head and arm are slightly rotated and scaled against their calibration records.
     """
 
     tolerance_mm: float = 0.03
     steps: int = 15
-    step_limit_mm: float = 10.0  # one step never moves the tool further: a wrong residual stays harmless
+    step_limit_mm: float = 10.0  # one step never moves the tool further: a wrong residual does no harm
     repeatability_mm: float = 0.03  # of the arm; KR 6 R900, ISO 9283
-    way_error: float = 0.01  # share of the way: 0.6 degrees, or 1 % of scale (U)
-    shrink: float = 0.8  # the residual must fall to this share ...
+    way_error: float = 0.01  # share of the remaining distance: 0.6 degrees, or 1 % of scale (U)
+    shrink: float = 0.8  # the residual must shrink to this share ...
     trend_steps: int = 2  # ... within this many steps
-    noise_mm: float = 0.12  # below this the arm's repeatability hides the trend
+    noise_mm: float = 0.12  # below this the arm's repeatability masks the trend
 
 
 @dataclass(frozen=True)
 class ServoState:
-    """The looks so far, oldest first: residuals, mm, and where each places the sphere, robot frame, mm.
-
-    Immutable: every measurement makes a new state.
-    """
+    """The measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
 
     settings: ServoSettings = ServoSettings()
     residuals_mm: tuple[float, ...] = field(default=())
@@ -49,18 +46,18 @@ class ServoState:
 
     @property
     def converged(self) -> bool:
-        """True when the last residual meets the end condition."""
+        """Whether the last residual meets the end condition."""
         return bool(self.residuals_mm) and self.residuals_mm[-1] <= self.settings.tolerance_mm
 
     @property
     def steps_made(self) -> int:
-        """Motions between the measurements so far."""
+        """Number of motions between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
 
     def measured(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
-        """The state after one more residual (3,) in the tool frame, seen from the pose ROBOT <- TOOL.
+        """The state after one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
-        Raises STE-007 when the residuals do not shrink, STE-008 when the steps are used up.
+        Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
         residual = _vector(residual_mm)
         length = float(np.linalg.norm(residual))
@@ -80,10 +77,11 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """The pose ROBOT <- TOOL to move to: the tool centre on the mean of all looks, orientation kept.
+        """The pose ROBOT <- TOOL to move to: the tool centre on the mean of all
+        measurements, orientation kept.
 
-        Near the sphere what is left is mostly what the arm does not repeat. Following the last look alone
-        would answer each random error with another one, so every look counts, by what it can be wrong by.
+        Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
+        would answer each random error with another, so every measurement counts, weighted by its uncertainty.
         """
         _require_tool_pose(tool_pose)
         if not self.points_mm:
@@ -115,9 +113,9 @@ class ServoState:
 
 
 def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
-    """The sphere's centre in the robot's frame, (3,) mm: nominal tool pose applied to the last residual.
+    """The sphere's centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
 
-    Adding what is measured instead of driving it to zero makes the end condition free of cost in accuracy.
+    Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
     _require_tool_pose(tool_pose)
     return tool_pose.apply(_vector(residual_mm))

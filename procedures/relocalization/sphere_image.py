@@ -18,8 +18,8 @@ class SphereImage:
     """A sphere in an image. (0, 0) is the centre of the top-left pixel; perspective bias not removed.
 
     `axes_px` are semi-axes, major first. `quality` 0..1 falls with lost rim, scatter and noise.
-    `covariance_px2` is that of the centre, x and y. `rim_fraction` is the share of the rim that was seen.
-    `doubt` is the reason for UNRELIABLE.
+    `covariance_px2` is that of the centre, x and y. `rim_fraction` is the visible share of the rim. `doubt`
+    is the reason for UNRELIABLE.
     """
 
     centre_px: tuple[float, float]
@@ -33,6 +33,6 @@ class SphereImage:
     doubt: str = ""
 
     def shifted(self, offset_x_px: float, offset_y_px: float) -> SphereImage:
-        """The same sphere in pixels of the full sensor, from the offsets of an area of interest."""
+        """The same sphere in full-sensor pixels, given the offsets of the region of interest."""
         x, y = self.centre_px
         return replace(self, centre_px=(x + offset_x_px, y + offset_y_px))

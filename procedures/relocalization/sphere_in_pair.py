@@ -1,6 +1,6 @@
-"""Locates one sphere in both images of a pair: what looks like the sphere in one must agree with the other.
+"""Locates one sphere in both images of a pair; candidates must agree between the images.
 
-Glare or a second sphere can look like the sphere in one image. The lines of sight to two different things do
+Glare or a second sphere can look like the sphere in one image. The lines of sight to two different objects do
 not meet, or meet at a distance that makes the size wrong; then the other round shapes are tried.
 """
 
@@ -22,12 +22,12 @@ from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.errors import DataError
 
 SIDES = ("left", "right")
-RADIUS_TOLERANCE = 0.25  # of the image at the tool centre point: far more than the depth that is in focus
+RADIUS_TOLERANCE = 0.25  # of the radius in the image at the tool centre point: far beyond the depth of field
 
 
 @dataclass(frozen=True)
 class AreaImage:
-    """An image and where its top-left pixel lies on the sensor."""
+    """An image and the position of its top-left pixel on the sensor."""
 
     pixels: GreyImage
     offset_x_px: int = 0
@@ -36,7 +36,7 @@ class AreaImage:
 
 @dataclass(frozen=True)
 class Sighting:
-    """The outlines in both images, pixels of the full sensors; the point when both are reliable."""
+    """The outlines in both images, in full-sensor pixels; the point if both are reliable."""
 
     left: SphereImage
     right: SphereImage
@@ -44,7 +44,7 @@ class Sighting:
 
     @property
     def doubt(self) -> str:
-        """Why there is no point, per camera; empty when there is one."""
+        """Why there is no point, per camera; empty if there is one."""
         sides = zip(SIDES, (self.left, self.right), strict=True)
         return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
 
@@ -56,10 +56,10 @@ def locate_sphere(
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> Sighting:
-    """The sphere that both cameras see; without a point when one of them sees too little of it.
+    """The sphere as seen by both cameras; without a point if one of them sees too little of it.
 
-    Raises what `measure_sphere` raises, with the name of the camera, and STE-005 or STE-006 when no two
-    round shapes match.
+    Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no
+    two round shapes match.
     """
     images = (left, right)
     ranges = tuple(
@@ -88,7 +88,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
 def _outlines(
     images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
 ) -> list[SphereImage]:
-    """The best outline of each image, pixels of the full sensor."""
+    """The best outline in each image, full-sensor pixels."""
     found: list[SphereImage] = []
     problems: dict[str, DataError] = {}
     for side, image, limits in zip(SIDES, images, ranges, strict=True):
@@ -119,7 +119,7 @@ def _agreeing(
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
 ) -> Sighting | None:
-    """The pair of reliable outlines with the smallest gap between lines of sight; None without any."""
+    """The pair of reliable outlines with the smallest gap between lines of sight; None if there is none."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)

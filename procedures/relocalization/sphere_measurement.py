@@ -1,6 +1,6 @@
 """Measures a retro-reflective sphere in one image: centre, semi-axes, quality.
 
-Reduce the image, guess circles from edges, then refine and judge them on the full image, the best first.
+Reduces the image, guesses circles from edges, then refines and judges them on the full image, best first.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from procedures.relocalization.sphere_image import SphereImage, SphereStatus
 REDUCED_PIXELS = 150_000  # at most, of the image in which circles are sought: a quarter of the sensor's sides
 SMALLEST_SIDE_PX = 48
 TWELVE_BIT_LIMIT = 4095
-SMALLEST_RADIUS_PX = 8.0  # of the reduced image: below this the rim has too few pixels to judge
+SMALLEST_RADIUS_PX = 8.0  # px of the reduced image: with less, the rim has too few pixels to judge
 DARK_PERCENTILE = 2.0
 BRIGHT_PERCENTILE = 99.8
-CONTRAST_FLOOR = 0.02  # of the grey range: less is noise or an even field
+CONTRAST_FLOOR = 0.02  # of the grey range; with less it is noise or a uniform field
 SATURATED_LEVEL, DARK_LEVEL = 0.95, 0.15  # of the grey range, of an image without contrast
 
 
@@ -33,12 +33,11 @@ def measure_sphere(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> SphereImage:
-    """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left untouched.
+    """The bright sphere with the most visible rim in a 2-D uint8 or uint16 (12-bit) image, left unmodified.
 
-    Any byte order is taken. `radius_range_px` keeps out discs of another size when the size is known.
-    Raises STE-001 for an input that is no such image, STE-002 without contrast, STE-011 when all is
-    saturated, STE-003 when no sphere is in view. A sphere of which too little rim is seen comes back as
-    UNRELIABLE.
+    Any byte order is accepted. `radius_range_px` excludes discs of another size when the size is known.
+    Raises STE-001 for any other input, STE-002 without contrast, STE-011 when fully saturated, STE-003 when
+    no sphere is in view. A sphere with too little visible rim is returned as UNRELIABLE.
     """
     best: SphereImage | None = None
     round_shapes = 0
@@ -64,9 +63,9 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Every distinct disc in the image that may be a sphere, longest visible rim first.
+    """Every distinct disc in the image that may be a sphere, most visible rim first.
 
-    As `measure_sphere`, except that finding none is not an error.
+    Like `measure_sphere`, except that finding none is not an error.
     """
     return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
 
@@ -74,7 +73,7 @@ def measure_spheres(
 def _spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Each round shape, measured lazily; None where it is not a disc."""
+    """Each round shape, measured lazily; None if it is not a disc."""
     grey = _checked(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halved(grey, halvings)
@@ -86,7 +85,7 @@ def _spheres(
         _refuse_even(dark, bright, full_range)
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
-    for guess in guesses:  # the longest visible rim first
+    for guess in guesses:  # most visible rim first
         sphere = refined(grey, _enlarged(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None

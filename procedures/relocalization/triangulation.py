@@ -18,19 +18,19 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 SPHERE_DIAMETER_MM = 11.5  # the thesis' retro-reflective spheres
-RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different things
+RAY_GAP_LIMIT_MM = 0.3  # a mount twisted by 0.07 degrees, or two different objects
 SIZE_TOLERANCE = 0.04  # of the radius: more than film and lens cause, less than a wrong match does
-LIKENESS_TOLERANCE = 0.015  # between the radii from both images, for the same sphere
+LIKENESS_TOLERANCE = 0.015  # between the radii in both images, for the same sphere
 ITERATIONS = 5
 STEP_END_MM = 1e-9
 
 
 @dataclass(frozen=True)
 class StereoPoint:
-    """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two checks on itself.
+    """Centre of a sphere in the tool frame, mm, with covariance (3, 3) and two consistency checks.
 
-    `ray_gap_mm` is the gap between the two lines of sight; `radii_mm` follow from the left and the right
-    outline at that distance.
+    `ray_gap_mm` is the gap between the two lines of sight; `radii_mm` are the radii implied by the left and
+    the right outline at that distance.
     """
 
     position_mm: Array
@@ -40,7 +40,7 @@ class StereoPoint:
 
     @property
     def radius_mm(self) -> float:
-        """Of the sphere, from both outlines."""
+        """Radius of the sphere, from both outlines."""
         return sum(self.radii_mm) / 2.0
 
 
@@ -52,11 +52,11 @@ def triangulate(
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
     ray_gap_limit_mm: float = RAY_GAP_LIMIT_MM,
 ) -> StereoPoint:
-    """Centre of the sphere in the tool frame; both outlines in pixels of the full sensors.
+    """Centre of the sphere in the tool frame; both outlines in full-sensor pixels.
 
-    Removes distortion and the perspective bias, then finds the point with the least weighted distance to
-    both pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006
-    when the outlines do not fit a sphere of this diameter, STE-004 for numbers that are not finite.
+    Removes distortion and perspective bias, then finds the point with the least weighted distance to both
+    pixels. Raises STE-005 when the gap between the lines of sight exceeds the limit, STE-006 when the
+    outlines do not fit a sphere of this diameter, STE-004 for numbers that are not finite.
     """
     cameras = (
         Camera(calibration.left, Frame.CAMERA_LEFT),
@@ -98,7 +98,7 @@ def triangulate(
 
 
 def check_serial(calibration: CameraCalibration, serial: str) -> None:
-    """Raise STE-010 unless the calibration is that of the camera with this serial number."""
+    """Raise STE-010 unless the calibration is for the camera with this serial number."""
     if calibration.serial != serial:
         raise WrongCamera(
             "the calibration belongs to a different camera", expected=calibration.serial, got=serial

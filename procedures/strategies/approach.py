@@ -1,7 +1,7 @@
-"""The direction in which each joint arrives at a pose that is entered along the tool axis.
+"""The direction in which each joint arrives at a pose that is approached along the tool axis.
 
-The play of a gear shows on the side that the joint comes from. Arriving alike at fiducials and target keeps
-it the same in all, so that the registration takes it out.
+Backlash shows on the side that the joint comes from. The same arrival direction at fiducials and target makes
+it equal at all of them, so the registration removes it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.frames import Transform
 
-LAST_STRETCH_MM = 5.0  # of the line to the pose: how each joint turns there decides its backlash
+LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns there decides its backlash
 
 
 def arrival_signs(

@@ -1,4 +1,4 @@
-"""The arm as a strategy needs it: kinematics, what it carries, the branch it works in, its errors."""
+"""The arm as a strategy needs it: kinematics, mounted tools, working branch, remaining errors."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ Joints = tuple[float, float, float, float, float, float]  # rad
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; where whole turns are counted from.
+    """Nominal kinematics; guide and stereo head as FLANGE <- TOOL; reference for whole turns.
 
-    `sizes` are those of the errors that are left in the arm.
+    `sizes` are those of the arm's remaining errors.
     """
 
     kinematics: Kinematics

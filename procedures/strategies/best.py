@@ -1,7 +1,7 @@
-"""The strategy `best`: for each target the one whose predicted error is smallest.
+"""The strategy `best`: for each target the one with the smallest predicted error.
 
-Which that is shows only with the poses that the arm reaches, so it is chosen when the paths are planned.
-Until then, and where none is reached, it is the improved JDMS.
+That is known only once the poses the arm can reach are, so it is chosen during path planning. Until then, and
+if no strategy reaches a target, it is the improved JDMS.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ CANDIDATES: tuple[Strategy, ...] = (
 
 @dataclass(frozen=True)
 class BestOfEach(StrategyByTrajectory):
-    """`others` holds what was chosen, by trajectory."""
+    """`others` is the choice made, by trajectory."""
 
     usual: Strategy = CANDIDATES[0]
     others: Mapping[str, Strategy] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
-        """Its own."""
+        """Its own name."""
         return "best"

@@ -1,4 +1,4 @@
-"""One strategy for a case, and others for some of its trajectories."""
+"""One strategy for a case, with others for some of its trajectories."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ronna_hw.frames import Transform
 
 @dataclass(frozen=True)
 class StrategyByTrajectory:
-    """`others` by the name of their trajectory, `usual` for the rest; each is localized by itself.
+    """`others` by trajectory name, `usual` for the rest; each trajectory is localized separately.
 
-    Of a strategy that otherwise localizes once, the poses serve the one trajectory.
+    For a strategy that otherwise localizes once, the poses serve that one trajectory.
     """
 
     usual: Strategy
@@ -26,7 +26,7 @@ class StrategyByTrajectory:
 
     @property
     def name(self) -> str:
-        """That of the usual strategy."""
+        """Name of the usual strategy."""
         return self.usual.name
 
     @property
@@ -51,11 +51,11 @@ class StrategyByTrajectory:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """As the trajectory's own strategy has them."""
+        """Those of the trajectory's own strategy."""
         return self.of(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """As the trajectory's own strategy has them."""
+        """Those of the trajectory's own strategy."""
         return self.of(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)

@@ -1,4 +1,4 @@
-"""What can go wrong when the arm's orientations are chosen, STR-002 to STR-004."""
+"""Errors in choosing the arm's orientations, STR-002 to STR-004."""
 
 from __future__ import annotations
 

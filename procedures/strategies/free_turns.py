@@ -1,4 +1,4 @@
-"""Turns of the tool about its axis that are tried: from the planned free angle outwards, to both sides."""
+"""Turns of the tool about its axis to try: from the planned free angle outwards, to both sides."""
 
 from __future__ import annotations
 

@@ -1,17 +1,17 @@
-"""The improved JDMS: at each fiducial the arm errs as nearly as it can as it will at the target.
+"""The improved JDMS: at each fiducial the arm errs as nearly as possible as it will at the target.
 
-JDMS keeps the joints near those at the target, whatever a joint's turn does to the tool, and pays with the
-tool frame's error. Here each fiducial has the orientation in which all known errors of the arm together
-(links, offsets, harmonics, gravity, tool frame; each by its size) displace the tool most nearly as at the
-target. The registration takes out what is alike. With a tool frame that is badly known this leans towards
-OCS, on a calibrated arm towards JDMS.
+JDMS keeps the joints near those at the target, regardless of how each joint turns the tool, at the cost of
+the tool frame's error. Here the orientation at each fiducial makes the displacement of the tool by all known
+errors of the arm together (links, offsets, harmonics, gravity, tool frame; each with its size) as similar as
+possible to that at the target. The registration removes the common part. With a poorly known tool frame the
+result is close to OCS, on a calibrated arm close to JDMS.
 
 Minimise over the rotation w of the tool about the fiducial the sum over the errors k of
 
     |d_k(q(w)) - d_k(q_target)|^2,   d_k: displacement of the tool by one standard deviation of error k
 
-by Gauss and Newton, from the orientation that JDMS chooses. At the target the displacement is that of the
-instrument's tip, which the guide holds beyond its own end.
+by Gauss-Newton, starting from the JDMS orientation. At the target the displacement is that of the
+instrument's tip, beyond the end of the guide.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
-STEP_RAD = 1e-4  # of a derivative
+STEP_RAD = 1e-4  # of a numerical derivative
 LARGEST_STEP_RAD = 0.2  # beyond it the errors are no longer linear in the rotation
 SETTLED_RAD = 1e-3  # changes the error at the target by less than a micrometre
-MOST_STEPS = 8  # four or five are usual
+MOST_STEPS = 8  # four or five is usual
 
 
 @dataclass(frozen=True)
 class ImprovedDisplacementMinimization(JointDisplacementMinimization):
-    """The strategy `improved`; turns about the axis are ranked as by JDMS."""
+    """The strategy `improved`; turns about the axis are ranked as in JDMS."""
 
     name: str = "improved"
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm; raises as JDMS does."""
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm; raises like JDMS."""
         at_target, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
         wanted = _errors(arm, [at_target], robot_from_ct.apply(along.target_mm))[0]
         return tuple(arm.stereo_pose(_nearest(arm, start, wanted)) for start in at_fiducials)
 
 
 def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
-    """Joints with the tool where `start_rad` brings it, in the orientation whose errors are as wanted."""
+    """Joints that keep the tool origin of `start_rad`, in the orientation with errors nearest `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:
@@ -85,7 +85,7 @@ def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
 
 
 def _errors(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
-    """What each error of one standard deviation makes of a point (3,) mm that the tool holds, (p, 3 k) mm."""
+    """Displacement of a point (3,) mm in the tool by one standard deviation of each error, (p, 3 k) mm."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)

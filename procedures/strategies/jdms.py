@@ -1,11 +1,11 @@
 """JDMS, joint displacement minimization strategy: the least joint motion from each fiducial to the target.
 
-Every fiducial has an orientation of its own: that in which the joints differ least from those at the target
-while the tool origin is at the fiducial. Errors of the joints and links are then nearly the same at both and
-cancel. The price: the orientations differ a little, so an error of the tool frame does not cancel entirely.
+Every fiducial has its own orientation: the one whose joints differ least from those at the target while the
+tool origin is at the fiducial. Joint and link errors are then nearly equal at both and cancel. The cost: the
+orientations differ slightly, so a tool frame error does not cancel entirely.
 
-The thesis states neither norm nor weights. Ours: the Euclidean norm of the six angles, and the free angle for
-which the root mean square of it over the fiducials is least.
+The thesis states neither norm nor weights. We use the Euclidean norm of the six angles, and the free angle
+that minimises its root mean square over the fiducials.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class JointDisplacementMinimization:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, joints nearest to those at the target.
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with joints nearest to those at the target.
 
-        Raises ARM-001 to ARM-003 when the branch does not reach the target, STR-004 when no joints near it
-        reach a fiducial.
+        Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
+        joints reach a fiducial.
         """
         _, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
         return tuple(arm.stereo_pose(joints) for joints in at_fiducials)
@@ -55,7 +55,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Least displacement first; turns in which the branch does not reach all are left out."""
+        """Least displacement first; turns with a pose out of reach in this branch are left out."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -70,7 +70,7 @@ class JointDisplacementMinimization:
 def joints_of(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
-    """Joints at the target, and at each fiducial."""
+    """Joints at the target and at each fiducial."""
     at_target = arm.guide_at(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
     return at_target, tuple(

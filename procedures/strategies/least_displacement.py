@@ -1,8 +1,8 @@
-"""Joint angles nearest to given ones that bring the tool origin to a point, in whatever orientation.
+"""Joint angles nearest to given ones that bring the tool origin to a point, in any orientation.
 
 Minimise |q - q0| subject to p(q) = point, by sequential linearization: with the Jacobian J of the tool
-origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a fixed point q - q0 lies in the row space of J,
-which is the condition of Lagrange.
+origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a fixed point q - q0 is in the row space of J, which
+is the Lagrange condition.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ronna_hw.arm.kinematics import Kinematics
 Array = NDArray[np.float64]
 
 CONVERGED_RAD = 1e-10  # change of a step; 0.1 nm at 1 m
-MOST_STEPS = 60  # 6 to 15 are usual; more is no convergence
+MOST_STEPS = 60  # 6 to 15 are usual; more means no convergence
 
 
 def least_displacement(
@@ -25,7 +25,7 @@ def least_displacement(
 ) -> Joints:
     """Joint angles nearest to `start_rad` with the tool origin (3,) mm in the flange at a point (3,) mm.
 
-    Ranges are not looked at. Raises STR-004 when no such joints are found near the start.
+    Joint ranges are not checked. Raises STR-004 when no such joints are found near the start.
     """
     tool, point = np.asarray(tool_origin_mm, dtype=float), np.asarray(point_mm, dtype=float)
     start = np.asarray(start_rad)
@@ -41,7 +41,7 @@ def least_displacement(
         joints = following
         if step < CONVERGED_RAD:
             return _six(joints)
-        if not step < np.pi:  # also when it is not a number
+        if not step < np.pi:  # also catches NaN
             break
     where = ", ".join(f"{value:.0f}" for value in point)
     raise NoNearbyJoints(f"no joint angles near those at the target bring the tool to ({where}) mm")

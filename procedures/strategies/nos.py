@@ -1,10 +1,10 @@
 """NOS, neutral orientation strategy: localize every fiducial once, with the tool pointing straight down.
 
-One set of localizations and one registration serve all targets. The price: between the neutral orientation
-and that of a target, an error of the tool frame turns with the tool and does not cancel.
+One set of localizations and one registration serve all targets. The cost: a tool frame error rotates with the
+tool between the neutral orientation and a target's, and does not cancel.
 
-The thesis does not state its neutral angles. Ours: tool z down, tool x radially away from the robot's base,
-as at free angle 0 of every trajectory.
+The thesis does not state its neutral angles. We use tool z down and tool x radially away from the robot's
+base, as at free angle 0 of every trajectory.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from procedures.strategies.target import poses_along
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.frames import Frame, Transform
 
-NEUTRAL = "neutral orientation"  # has a space, so no planned trajectory can be called so
-LENGTH_MM = 100.0  # of the axis that stands for the orientation; any will do
+NEUTRAL = "neutral orientation"  # contains a space, so no planned trajectory can have this name
+LENGTH_MM = 100.0  # of the axis that represents the orientation; any length will do
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class NeutralOrientation:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """The vertical through the middle of the fiducials (n, 3) in CT mm; nothing where there are none.
+        """The vertical through the centroid of the fiducials (n, 3) in CT mm; empty if there are none.
 
         Raises FRM-001 on other frames.
         """

@@ -1,10 +1,10 @@
 """OCS, orientation correction strategy: localize every fiducial in the orientation of the target pose.
 
-A constant error of the tool frame then shifts all localizations and the target alike and cancels.
-The price: the localizations are repeated for every trajectory, and all must be reachable in its orientation.
+A constant tool frame error then shifts all localizations and the target alike and cancels. The cost: the
+localizations are repeated for every trajectory, and all must be reachable in its orientation.
 
-The thesis leaves open from which side each joint arrives, and names the backlash that remains. Ours controls
-it (`ocs`); without that control it is the thesis' own (`thesis-ocs`).
+The thesis leaves open from which side each joint arrives, and mentions the backlash that remains. `ocs`
+controls it; without that control it is the thesis' own (`thesis-ocs`).
 """
 
 from __future__ import annotations
@@ -44,5 +44,5 @@ class OrientationCorrection:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """From the planned angle outwards: any will do as well."""
+        """From the planned angle outwards: all serve equally well."""
         return OUTWARDS_RAD

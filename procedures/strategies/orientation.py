@@ -1,8 +1,8 @@
 """Tool orientations in the robot frame: z along the trajectory, x at the free angle from a stated direction.
 
-At free angle 0, tool x points as nearly as possible radially away from the z axis of the robot's base,
-horizontally. So the arm reaches over the patient with the mount turned outwards, whatever side it stands
-on. The free angle turns about tool z, right-handed.
+At free angle 0, tool x points horizontally and as nearly as possible radially away from the z axis of the
+robot's base, so the arm reaches over the patient with the mount turned outwards from either side. The free
+angle turns about tool z, right-handed.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from ronna_hw.frames import Frame, FrameMismatch, Transform, rigid_of
 
 Array = NDArray[np.float64]
 
-# A trajectory so near to the radial direction leaves "radially away" undefined; robot z takes its place.
+# For a trajectory this close to the radial direction, "radially away" is undefined; robot z replaces it.
 PARALLEL_SINE = math.sin(math.radians(5.0))
-ON_AXIS_MM = 1.0  # so near to the base's z axis no radial direction exists
+ON_AXIS_MM = 1.0  # this close to the base's z axis, no radial direction exists
 UP = np.array([0.0, 0.0, 1.0])
 AHEAD = np.array([1.0, 0.0, 0.0])
 
@@ -48,9 +48,9 @@ def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotati
 
 
 def turned_onto(orientation: Rotation, axis: Array) -> Rotation:
-    """The orientation robot <- tool turned by the smallest rotation that lays tool z along a unit axis (3,).
+    """The orientation robot <- tool turned by the smallest rotation that aligns tool z with a unit axis (3,).
 
-    For a refined registration: the small change of the axis is followed without any turn about it.
+    For a refined registration: follows the small change of the axis without any turn about it.
     """
     present = np.asarray(orientation.as_matrix(), dtype=float)[:, 2]
     turn_axis = np.cross(present, axis)
@@ -76,7 +76,7 @@ def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
 
 
 def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
-    """Raises FRM-001 when a transform maps between other frames than these."""
+    """Raises FRM-001 unless the transform is target <- source."""
     if (transform.target, transform.source) != (target, source):
         raise FrameMismatch(
             f"a transform {target} <- {source} is needed", got=f"{transform.target} <- {transform.source}"

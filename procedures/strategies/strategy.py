@@ -1,7 +1,7 @@
-"""What a localization strategy answers: how often fiducials are localized, and in which tool orientations.
+"""What a localization strategy decides: how often fiducials are localized, and in which tool orientations.
 
-At a target the tool is held alike in all of them, see `target_pose`: its axis is the trajectory's, and only
-the free angle about it is a choice.
+All strategies hold the tool the same way at a target, see `target_pose`: its axis is the trajectory's, and
+only the free angle about it is chosen.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from ronna_hw.frames import Transform
 
 
 class Strategy(Protocol):
-    """Chooses tool orientations. All poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
+    """Chooses tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
 
     @property
     def name(self) -> str:
-        """The name on the command line."""
+        """The name used on the command line."""
         ...
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """Whether every trajectory has localizations and a registration of its own, or one serves all."""
+        """Whether every trajectory has its own localizations and registration, or one set serves all."""
         ...
 
     @property
     def controls_approach(self) -> bool:
-        """Whether each joint arrives at a fiducial turning as it will at the target, see `arrival_signs`.
+        """Whether each joint arrives at a fiducial as it will at the target, see `arrival_signs`.
 
-        Backlash is then the same at both. Only for strategies that localize per trajectory.
+        Backlash is then equal at both. Only for strategies that localize per trajectory.
         """
         ...
 
@@ -42,7 +42,7 @@ class Strategy(Protocol):
     ) -> tuple[Trajectory, ...]:
         """The axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
 
-        The trajectories themselves, or one axis that belongs to none of them.
+        The trajectories themselves, or one axis that is independent of them.
         """
         ...
 
@@ -51,12 +51,13 @@ class Strategy(Protocol):
     ) -> tuple[Transform, ...]:
         """One pose per fiducial (n, 3) in CT mm, tool origin at the fiducial.
 
-        Raises FRM-001 on other frames; a strategy that looks at the joints also ARM-001 to ARM-003, STR-004.
+        Raises FRM-001 on other frames; a strategy that considers joints also raises ARM-001
+        to ARM-003, STR-004.
         """
         ...
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Turns about the axis, the best first, to be added to the trajectory's free angle."""
+        """Turns about the axis, best first, to add to the trajectory's free angle."""
         ...

@@ -1,4 +1,4 @@
-"""The tool at a target: its origin where it comes to rest, z along the trajectory, x by the free angle."""
+"""The tool at a target: its origin at rest, z along the trajectory, x set by the free angle."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
 
 
 def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """The pose at the target by a finer transform, where `planned` is the one by the coarse transform.
+    """The pose at the target for a finer transform, given the `planned` pose of the coarse one.
 
-    The orientation is turned onto the finer axis by the smallest rotation, so that no angle about the axis
-    creeps in between localization and target. Raises FRM-001 on other frames.
+    The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in
+    between localization and target. Raises FRM-001 on other frames.
     """
     require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
     require_frames(planned, Frame.ROBOT, Frame.TOOL)
@@ -31,7 +31,7 @@ def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_c
 def poses_along(
     trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
 ) -> tuple[Transform, ...]:
-    """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of a trajectory."""
+    """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in a trajectory's orientation."""
     orientation = orientation_along(trajectory, robot_from_ct)
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)

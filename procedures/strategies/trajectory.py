@@ -1,4 +1,4 @@
-"""A planned straight way into the head: five numbers fixed by the surgeon, one angle free."""
+"""A planned straight path into the head: five numbers set by the surgeon, one angle free."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ SHORTEST_MM = 1e-3  # below a micrometre the direction is rounding noise
 class Trajectory:
     """Entry and target in CT coordinates (LPS, mm) and the free angle about the axis (rad).
 
-    `beyond_mm` is how far beyond the target, along the axis, the origin of the tool comes to rest: a guide is
-    held outside the head, and its tip frame is where its mandrel would end. Raises STR-003 when entry and
-    target are one point or a number is not finite.
+    `beyond_mm` is how far beyond the target, along the axis, the tool origin comes to rest: a guide is held
+    outside the head, and its tip frame is at the end of its mandrel. Raises STR-003 when entry and target
+    coincide or a number is not finite.
     """
 
     identifier: str
@@ -40,12 +40,12 @@ class Trajectory:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def held(self, beyond_mm: float) -> Trajectory:
-        """The same with the tool at rest so far beyond the target."""
+        """The same trajectory, with the tool at rest this far beyond the target."""
         return replace(self, beyond_mm=beyond_mm)
 
     @property
     def rest_mm(self) -> Array:
-        """Where the origin of the tool comes to rest (3,), CT coordinates."""
+        """Rest position of the tool origin (3,), CT coordinates."""
         return np.asarray(np.add(self.target_mm, self.beyond_mm * self.axis_ct))
 
     @property
