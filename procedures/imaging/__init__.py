@@ -1,6 +1,6 @@
 """DICOM volumes and the localization of spheres in them. Pure numerics: no engine, no devices.
 
-The names load on first use: the process that decodes a compressed slice needs none of the numerics.
+Names load on first use: the process that decodes compressed slices needs none of the numerics.
 """
 
 from __future__ import annotations

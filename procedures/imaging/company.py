@@ -1,7 +1,7 @@
-"""What the other bodies of a scan say about one: overlaps, rows of beads, spheres of another size.
+"""What neighbouring bodies in a scan imply about one: overlaps, rows of beads, spheres of another size.
 
-Two whole spheres do not overlap, markers do not stand in rows like beads, and those of one scan are one
-product: each is as large as the others.
+Two whole spheres do not overlap, markers are not lined up like beads, and the markers of one scan are the
+same product, all of one size.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from procedures.imaging.doubts import Doubt
 Array = NDArray[np.float64]
 
 OVERLAP = 0.95  # of the diameter: the centres of two spheres cannot be closer
-IN_A_ROW = 1.5  # of the diameter: bodies further apart are no row
-STRAIGHT_COSINE = -np.cos(np.radians(15.0))  # between the ways to both neighbours
+IN_A_ROW = 1.5  # of the diameter: bodies farther apart do not form a row
+STRAIGHT_COSINE = -np.cos(np.radians(15.0))  # between the directions to the two neighbours
 EVEN_SPACING = 0.15  # of the spacing
-FEWEST_ALIKE = 3  # markers that tell the usual size
-RADIUS_DIFFERENCE = 0.035  # of the radius, where odds are even: 0.2 mm
-CERTAIN = 3.0  # excess of what cannot be
+FEWEST_ALIKE = 3  # markers needed to establish the usual size
+RADIUS_DIFFERENCE = 0.035  # of the radius, at even odds: 0.2 mm
+CERTAIN = 3.0  # excess of an impossibility
 
 
 def company_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
-    """For each sphere at `centres_mm` (n, 3), among bodies of their size at `others_mm` (m, 3)."""
+    """Doubts about each sphere at `centres_mm` (n, 3), from bodies of similar size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     ways = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(ways, axis=2)
@@ -43,7 +43,7 @@ def company_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> l
 
 
 def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
-    """How far each radius (n,) is from the usual one of those that are clear."""
+    """How far each radius (n,) is from the usual one among those that are clear."""
     if clear.sum() < FEWEST_ALIKE:
         return [Doubt("", 0.0)] * len(radii_mm)
     usual_mm = float(np.median(radii_mm[clear]))
@@ -57,7 +57,7 @@ def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
 
 
 def _in_rows(ways: Array, distances: Array, diameter_mm: float) -> set[int]:
-    """Bodies that belong to three in a line, evenly spaced and close."""
+    """Bodies that belong to three in a line, close together and evenly spaced."""
     near = distances < IN_A_ROW * diameter_mm
     beads: set[int] = set()
     for middle in np.flatnonzero(near.sum(axis=1) >= 2).tolist():

@@ -1,8 +1,8 @@
-"""Detects possible spheres in a whole volume: a matched filter on a coarse grid.
+"""Detects candidate spheres in a whole volume: a matched filter on a coarse grid.
 
 The volume is resampled to about a millimetre, clipped so that bone and metal do not outshine a polymer
-sphere, and correlated with a kernel that compares the mean inside a ball with the mean of a shell around
-it. The response is therefore a contrast in HU.
+sphere, and correlated with a kernel that compares the mean inside a ball with the mean of a surrounding
+shell. The response is therefore a contrast in HU.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from procedures.imaging.volume import Volume
 
 Array = NDArray[np.float64]
 
-VOXELS_PER_RADIUS = 5.75  # a grid of 1 mm for the usual sphere of 11.5 mm
+VOXELS_PER_RADIUS = 5.75  # a 1 mm grid for the usual 11.5 mm sphere
 CLIP_HU = (-1000.0, 300.0)  # air to dense polymer
-BALL_TO = 0.90  # of the radius: safely inside in spite of blur
+BALL_TO = 0.90  # of the radius: safely inside despite blur
 SHELL_FROM, SHELL_TO = 1.15, 1.53  # of the radius
-MIN_CONTRAST_HU = 450.0  # a polymer sphere in air shows about 1000, one that touches skin half of it
+MIN_CONTRAST_HU = 450.0  # a polymer sphere in air shows about 1000, one touching skin half of that
 SEPARATION = 1.2  # of the radius: weaker peaks closer to a stronger one are the same object
 MAX_PEAKS = 200
 
@@ -49,7 +49,7 @@ def find_peaks(volume: Volume, radius_mm: float) -> tuple[Peak, ...]:
     free = np.ones(len(places_mm), dtype=bool)
     while free.any() and len(peaks) < MAX_PEAKS:
         best = int(np.argmax(free))
-        # voxel centres of the coarse grid against those of the volume
+        # offset between voxel centres of the coarse grid and of the volume
         offset_mm = 0.5 * (step_mm - volume.geometry.spacing_mm)
         peaks.append(Peak(places_mm[best] + offset_mm, float(strengths[best])))
         free &= np.linalg.norm(places_mm - places_mm[best], axis=1) > SEPARATION * radius_mm
@@ -108,10 +108,10 @@ def _kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
 
 
 def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-    # outside the volume counts as air; the kernel is symmetric, so convolution is correlation
+    # outside the volume counts as air; the kernel is symmetric, so convolution equals correlation
     middle = [k // 2 for k in kernel.shape]
     shape = [fft.next_fast_len(n + k, real=True) for n, k in zip(values.shape, middle, strict=True)]
-    # axis by axis: lines that hold nothing of the small kernel yet are not transformed
+    # axis by axis: lines on which the small kernel is still zero are not transformed
     spectrum = fft.rfft(kernel, n=shape[2], axis=2)
     for axis in (1, 0):
         spectrum = fft.fft(spectrum, n=shape[axis], axis=axis, overwrite_x=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures.imaging.markers import Candidate, likeliest_first
 from ronna_hw.errors import EXIT_REFUSED, DataError
 
-LISTED_CANDIDATES = 8  # in the message; all of them are in the error
+LISTED_CANDIDATES = 8  # in the message; the error carries all of them
 
 
 class SeriesNotFound(DataError):
@@ -37,7 +37,7 @@ class WrongModality(DataError):
 
 
 class FileDamaged(DataError):
-    """A file is truncated or is not readable as DICOM."""
+    """A file is truncated or not readable as DICOM."""
 
     code = "CT-005"
     action = "Copy or export the file again."
@@ -107,14 +107,14 @@ class PixelsUnusable(DataError):
 
 
 class SeriesTooShort(DataError):
-    """Too few slices to make a volume."""
+    """Too few slices to form a volume."""
 
     code = "CT-015"
     action = "Export the whole series."
 
 
 class MarkerCountWrong(DataError):
-    """The number of markers is not the expected one; `candidates` holds everything that was examined."""
+    """The number of markers is not as expected; `candidates` contains everything that was examined."""
 
     code = "CT-016"
     action = "Compare the candidates with the images; scan again, correct the expected count, or --pick."
@@ -167,7 +167,7 @@ class ScoutView(DataError):
 
 
 class VolumeMalformed(DataError):
-    """A volume not read from a series has voxels or geometry that are not those of a CT."""
+    """A volume not read from a series has voxels or geometry that no CT has."""
 
     code = "CT-022"
     action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."

@@ -1,4 +1,4 @@
-"""Decides whether a candidate is a marker: finds its surface, compares its size, runs both estimators."""
+"""Decides whether a candidate is a marker: finds its surface, checks its size, runs both estimators."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ IS_MARKER = "is a marker"
 OVERLAPS = "overlaps a marker, as two spheres cannot"
 REGION_REACH = 2.2  # of the radius
 MIN_SURFACE_SHARE = 0.5
-COVERED_SURFACE_SHARE = 0.35  # enough, if what covers the rest shows a border there
+COVERED_SURFACE_SHARE = 0.35  # enough if what covers the rest shows an edge there
 COVERED_COHERENCE = 0.85
 COVERED_STEP_HU = 30.0  # a moist bandage is 50 to 100 HU below the polymer
 RADIUS_TOLERANCE = 0.061  # of the radius: 0.35 mm for the usual sphere
 
-CUT_FLAG = 0.005  # share of rays that leave it before the sphere's edge: two of 400
+CUT_FLAG = 0.005  # share of rays that leave the field before the sphere's edge: two of 400
 METAL_FLAG = 0.17  # share of the surface near metal; a post takes 0.10 to 0.13
 RADIUS_FLAG = 0.045  # of the radius: 0.26 mm
-NEAR_ANOTHER_FLAG = 1.6  # centre distance in diameters
+NEAR_ANOTHER_FLAG = 1.6  # distance between centres, in diameters
 
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A sphere that was fitted, in grid mm (slice, row, column), and what speaks against a marker."""
+    """A fitted sphere, in grid mm (slice, row, column), and the doubts that it is a marker."""
 
     candidate: Candidate
     measured: Measured
@@ -62,11 +62,11 @@ class Sphere:
 
     @property
     def combined(self) -> CombinedCentre:
-        """Its centre."""
+        """The combined centre of both estimators."""
         return self.measured.combined
 
     def doubted(self, doubts: Iterable[Doubt]) -> Sphere:
-        """The same with further doubts, which may make the odds worse than even."""
+        """The same with further doubts, which may push the odds below even."""
         together = (*self.doubts, *doubts)
         left = odds(together)
         accepted = left >= EVEN
@@ -83,7 +83,7 @@ def examine(
     *,
     min_surface_share: float = MIN_SURFACE_SHARE,
 ) -> Sphere | Candidate:
-    """A sphere, or the candidate with the reason why it is none."""
+    """A sphere, or the candidate with the reason why it is not one."""
     region = cut_region(volume, peak.position_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, peak.position_mm, radius_mm)
     if edge is None:
@@ -113,9 +113,10 @@ def examine(
 
 
 def with_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
-    """The sphere with what its shape makes doubtful.
+    """The sphere with doubts about its shape.
 
-    Streaks bend a shape: one that is doubtful is judged again without them, and believed if that clears it.
+    Streaks distort a shape: a doubtful one is judged again with the streaks removed, and
+    accepted if that clears it.
     """
     edge = sphere.measured.edge
     region = cut_region(volume, sphere.combined.centre_mm, REGION_REACH * edge.radius_mm)
@@ -150,10 +151,10 @@ def _sphere(volume: Volume, measured: Measured, contrast_hu: float) -> Sphere:
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:
-    """Does less than half of the surface show, but all that could, with a border under the rest?
+    """Does less than half of the surface show, but all that can, with an edge under the rest?
 
-    A cylinder or a bone shows open sides that lie on no sphere; the end of a rounded rod goes on where the
-    sphere should end.
+    A cylinder or a bone has open sides that are on no sphere; the end of a rounded rod continues where
+    the sphere should end.
     """
     return (
         edge.surface_share > COVERED_SURFACE_SHARE

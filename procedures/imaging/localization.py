@@ -1,9 +1,9 @@
 """Finds every marker sphere in a volume, with its centre and covariance.
 
-Detection looks over the whole volume; each candidate must then show the surface of a sphere of the right
-size, and be a whole sphere. What may be none is listed apart, with its reasons and odds. Two estimators that
-fail differently measure the centre. They are combined, and a marker on which they differ by more than 0.06 mm
-is flagged and made less certain rather than believed.
+Detection scans the whole volume; each candidate must then show the surface of a sphere of the right size, and
+be a whole sphere. Doubtful ones are listed separately, with reasons and odds. Two estimators with different
+failure modes measure the centre. Their results are combined; a marker on which they differ by more than 0.06
+mm is flagged, and its covariance enlarged.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Progress = Callable[[float], None]
 
 DIAMETER_MM = 11.5  # the usual passive sphere
 DETECTION_SHARE = 0.7  # of the work
-CLEAR, UNCLEAR = 0.9, 0.8  # odds between which those that are expected stand out
+CLEAR, UNCLEAR = 0.9, 0.8  # odds that separate an expected number of markers from the rest
 NOT_EXPECTED = Doubt("is less marker-like than the expected number of others", 2.0)
-MIN_VOXELS_ACROSS = 3.0  # of the diameter, along the coarsest axis
+MIN_VOXELS_ACROSS = 3.0  # per diameter, along the coarsest axis
 
 
 def localize(
@@ -39,10 +39,10 @@ def localize(
 ) -> Localization:
     """Localize all marker spheres of `diameter_mm` in a volume.
 
-    Returns markers in LPS mm from superior to inferior, and every candidate with the reason why it is one
-    or not. With `expected`, the clear ones are taken if just so many stand out; another count raises CT-016,
-    which carries the candidates; without it, no marker at all raises it. `progress` is called with the share
-    done. CT-017 for impossible requests.
+    Returns markers in LPS mm from superior to inferior, and every candidate with the reason for accepting or
+    rejecting it. With `expected`, the clear ones are taken if exactly that many stand out; any other count
+    raises CT-016, which carries the candidates; without it, only a count of zero does. `progress` is called
+    with the fraction done. Raises CT-017 for invalid arguments.
     """
     check_request(volume, diameter_mm, expected)
     report = progress if progress is not None else _silent
@@ -83,7 +83,7 @@ def localize(
 def _judged_together(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
-    """The spheres with what the others make doubtful about each."""
+    """The spheres with the doubts that the others raise about each."""
     if not found:
         return []
     centres_mm = np.array([one.combined.centre_mm for one in found])
@@ -99,7 +99,7 @@ def _judged_together(
 
 
 def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
-    """With more markers than expected, the clear ones if just so many stand out; else all as they were."""
+    """If more markers than expected: the clear ones if exactly that many stand out; else all, unchanged."""
     accepted = sorted((one for one in judged if one.candidate.accepted), key=lambda one: -one.candidate.odds)
     if not 0 < expected < len(accepted):
         return list(judged)
@@ -111,7 +111,7 @@ def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
-    """Raise CT-016 for another count than expected, or for none when nothing was said."""
+    """Raise CT-016 if the count is not as expected, or is zero with no expectation given."""
     if expected is None and found == 0:
         raise MarkerCountWrong("no marker found", candidates=candidates)
     if expected is not None and found != expected:
@@ -121,7 +121,7 @@ def require_count(found: int, expected: int | None, candidates: tuple[Candidate,
 
 
 def check_request(volume: object, diameter_mm: float, expected: int | None) -> None:
-    """Raise CT-017 for no volume, or a diameter or a count that makes no sense in it."""
+    """Raise CT-017 unless volume, diameter and count make sense together."""
     if not isinstance(volume, Volume):
         raise LocalizationMisused(
             "spheres are localized in a Volume, which carries its geometry in mm",
@@ -141,7 +141,7 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
 
 
 def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm: float) -> Marker:
-    """The marker, flagged when something that was refused overlaps it."""
+    """The marker, flagged if something rejected overlaps it."""
     close = any(float(np.linalg.norm(marker.centre_mm - other)) < diameter_mm for other in overlaps)
     if not close or NEAR_ANOTHER in marker.flags:
         return marker

@@ -1,4 +1,4 @@
-"""Results of the localizer: markers, and the candidates it examined."""
+"""Results of the localizer: markers and the candidates examined."""
 
 from __future__ import annotations
 
@@ -11,26 +11,26 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are further apart than 0.06 mm
-CUT_BY_FIELD = "cut_by_field"  # part of the surface lies outside the scanned volume
+ESTIMATORS_DISAGREE = "estimators_disagree"  # the two centres are more than 0.06 mm apart
+CUT_BY_FIELD = "cut_by_field"  # part of the surface is outside the scanned volume
 NEAR_METAL = "near_metal"  # metal hides more of the surface than a post does
 SURFACE_HIDDEN = "surface_hidden"  # skin, bandage or a neighbour hides much of the surface
-RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from the nominal one
+RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from nominal
 NEAR_ANOTHER = "near_another"  # the surface of another marker is close
 STREAKED = (
-    "streaked"  # streaks of metal bend the image so much that they were fitted together with the sphere
+    "streaked"  # metal streaks distort the image so much that they were fitted together with the sphere
 )
-PICKED = "picked"  # a person said where to look
+PICKED = "picked"  # a person indicated where to search
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A place that looked like a marker at first sight, and what became of it.
+    """A place that looked like a marker at first sight, and the verdict on it.
 
-    `centre_mm` is LPS. `accepted` candidates are the markers; for the others `reason` says in words why
-    not. `surface_share` [0..1] is the part of the sphere's surface that was found where it should be,
-    `radius_mm` its fitted radius; both None when no surface was found. `odds` [0..1] of a marker are 0 where
-    no sphere of the size was found, and below even where it may be no whole one.
+    `centre_mm` is LPS. `accepted` candidates are the markers; for the others `reason` says why not.
+    `surface_share` [0..1] is the part of the sphere's surface found where it should be, `radius_mm` the
+    fitted radius; both are None if no surface was found. `odds` [0..1] of a marker are 0 if no sphere of the
+    size was found, and below even if it may not be a whole one.
     """
 
     centre_mm: tuple[float, float, float]
@@ -43,18 +43,18 @@ class Candidate:
 
     @property
     def doubtful(self) -> bool:
-        """Was a sphere of the right size fitted to it, and yet it is no marker?"""
+        """Whether a sphere of the right size was fitted but not accepted as a marker."""
         return not self.accepted and self.odds > 0.0
 
     def describe(self) -> str:
-        """One phrase for messages: centre in LPS mm, reason, and the odds of what is doubtful."""
+        """One phrase for messages: centre in LPS mm, reason, and the odds if doubtful."""
         x, y, z = self.centre_mm
         odds = f" (odds {self.odds:.2f})" if self.doubtful else ""
         return f"({x:z.1f}, {y:z.1f}, {z:z.1f}) {self.reason}{odds}"
 
 
 def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Accepted ones, then the doubtful by their odds, then by the surface that was found."""
+    """Accepted ones, then doubtful ones by odds, then the rest by the surface found."""
     return sorted(candidates, key=lambda one: (not one.accepted, -one.odds, -(one.surface_share or 0.0)))
 
 
@@ -62,14 +62,14 @@ def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
 class Marker:
     """One localized sphere.
 
-    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from the noise,
-    the streaks of metal and the disagreement of the two estimators, without errors common to a whole scan
-    such as table feed; `agreement_mm` the distance between the two estimates of the centre; `quality` [0..1]
-    the share of the surface used, lowered by disagreement.
+    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from noise, metal
+    streaks and disagreement of the two estimators, excluding errors common to a whole scan such as table
+    feed; `agreement_mm` the distance between the two estimates of the centre; `quality` [0..1] the share of
+    the surface used, lowered by disagreement.
 
-    `radius_mm` is that of an even ball of the inner intensity that attenuates as much. The model takes the
-    blur out; a retro-reflective film stays in: too thin to be resolved, a film of thickness t adds about
-    t (film - out) / (in - out), which is 0.14 mm for 0.1 mm at 600 HU on a polymer of 125 HU in air.
+    `radius_mm` is that of a uniform ball with the inner intensity and the same total attenuation. The model
+    removes blur; a retro-reflective film remains: too thin to be resolved, a film of thickness t adds about t
+    (film - out) / (in - out), which is 0.14 mm for 0.1 mm at 600 HU on a polymer of 125 HU in air.
     """
 
     centre_mm: Array
@@ -102,7 +102,7 @@ class Localization:
 
     @property
     def doubtful(self) -> tuple[Candidate, ...]:
-        """Spheres of the right size that may be no whole spheres, likeliest first."""
+        """Spheres of the right size that may not be whole spheres, likeliest first."""
         return tuple(likeliest_first(one for one in self.candidates if one.doubtful))
 
     @property

@@ -1,4 +1,4 @@
-"""Measures a sphere whose surface has been found: by two estimators, or together with its streaks."""
+"""Measures a sphere whose surface has been found: with two estimators, or jointly with its streaks."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from procedures.imaging.sphere_centre.stretch import Stretch
 
 UNSCANNED_FLAG = 0.02  # share of rays that leave the field
 SURFACE_FLAG = 0.70  # share of the surface seen
-STREAKED_AT_SIGHT = 0.12  # of the contrast, that a robust fit finds uneven: noise and posts are below 0.08
+STREAKED_AT_SIGHT = 0.12  # of the contrast: unevenness found by a robust fit; noise and posts stay below 0.08
 MORE_SEEN = 0.1  # of the surface
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """A sphere in grid mm; `metal_share` of its surface is too near metal to be used.
+    """A sphere in grid mm; `metal_share` is the part of its surface too close to metal to be used.
 
-    `cleaned` is the region without its streaks where these had to be taken away, and `edge` the edge in it.
-    `evident` tells that the streaks are seen elsewhere too than at the edge, and may excuse its shape.
-    `stretch` is None where too little of the surface shows to tell it by the voxels.
+    `cleaned` is the region with the streaks removed, where that was necessary, and `edge` the edge in it.
+    `evident` means that the streaks also show away from the edge and may excuse its shape. `stretch` is None
+    if too little of the surface shows to determine it from the voxels.
     """
 
     edge: RadialEdge
@@ -37,7 +37,7 @@ class Measured:
 
 
 def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
-    """The sphere to whose surface `edge` was fitted; None when no ball fits."""
+    """The sphere whose surface `edge` was fitted to; None if no ball fits."""
     hidden = edge.surface_share < SURFACE_FLAG and edge.unscanned_share < UNSCANNED_FLAG
     unseen = ray_directions()[~edge.seen]
     rough = fit_rough_ball(
@@ -74,9 +74,10 @@ def _by_both(
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Measured | None:
-    """The same together with the streaks in each slice.
+    """The same, fitted together with the streaks in each slice.
 
-    Streaks hide directions from the rays: what shows without them takes part when the ball is fitted again.
+    Streaks hide directions from the rays: what shows once they are removed is used when the
+    ball is fitted again.
     """
     first = _without_streaks(region, edge, nominal_radius_mm)
     if first is None or first.edge.surface_share < edge.surface_share + MORE_SEEN:

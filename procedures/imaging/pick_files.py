@@ -1,4 +1,4 @@
-"""Read points: CSV rows, a JSON list, what `ronna-ct` wrote, or a point list of 3D Slicer (`.mrk.json`)."""
+"""Reads points: CSV rows, a JSON list, output of `ronna-ct`, or a 3D Slicer point list (`.mrk.json`)."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 
 Array = NDArray[np.float64]
 
-LARGEST_FILE_BYTES = 1_000_000  # a point list of 3D Slicer takes a kilobyte per point
+LARGEST_FILE_BYTES = 1_000_000  # a 3D Slicer point list takes a kilobyte per point
 COLUMNS = ("L_mm", "P_mm", "S_mm")  # as `--write FILE.csv` names them
 OWN_LISTS = ("spheres", "markers", "candidates")  # as `--write FILE.json` and `--json` name them
-LONGEST_QUOTE = 60  # characters of a line that is refused
+LONGEST_QUOTE = 60  # characters quoted from a rejected line
 LPS_FROM_RAS = np.array([-1.0, -1.0, 1.0])
 
 
@@ -33,7 +33,7 @@ def read_picks(path: Path) -> Array:
 
 
 def parse_points(content: bytes, name: str) -> Array:
-    """Points (n, 3) LPS mm, n > 0, of the content of a file of that name; raises CT-018."""
+    """Points (n, 3) LPS mm, n > 0, from the content of a file with this name; raises CT-018."""
     try:
         is_json = name.lower().endswith(".json")
         rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), name)
@@ -52,9 +52,9 @@ def parse_points(content: bytes, name: str) -> Array:
 
 
 def _from_csv(text: str, name: str) -> list[list[float]]:
-    """Three columns, or those named L_mm, P_mm, S_mm when there is a header; between them , or ;
+    """Three columns, or those named L_mm, P_mm, S_mm if there is a header, separated by , or ;
 
-    Another header is refused: it may mean other axes.
+    Any other header is refused: it may mean other axes.
     """
     lines = text.splitlines()
     first = next((line for line in lines if line and not line.startswith("#")), "")

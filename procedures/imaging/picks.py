@@ -1,7 +1,7 @@
 """Manual fallback: a person picks the spheres roughly, the estimators measure them.
 
-A pick replaces the detection, and a marker on it may show less of its surface than one that was detected.
-It never replaces the measurement: where no sphere shows, the pick is refused with the reason.
+A pick replaces detection, and a marker at a pick may show less of its surface than a detected one. It never
+replaces the measurement: where no sphere shows, the pick is refused with the reason.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ IN_RAS = (
     "or give its .mrk.json, which states its coordinate system."
 )
 IN_METRES = "It would be on a sphere in metres: give millimetres."
-START_STEP = 0.4  # of the radius, between the starts around a pick that shows no contrast
+START_STEP = 0.4  # of the radius, between starts around a pick without contrast
 
 
 def localize_picks(
@@ -45,7 +45,7 @@ def localize_picks(
     """Localize one sphere of `diameter_mm` at each pick (n, 3) LPS mm; every marker is flagged `picked`.
 
     Raises CT-019 for a pick without a sphere, outside the volume or on a sphere picked before; CT-016 and
-    CT-017 as `localize` does.
+    CT-017 as in `localize`.
     """
     picks = np.asarray(picks_mm, dtype=float)
     check_request(volume, diameter_mm, expected)
@@ -71,7 +71,7 @@ def localize_picks(
 
 
 def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
-    """The sphere at a pick. One that shows none, and would in RAS or metres, is refused with that hint."""
+    """The sphere at a pick; refused if there is none, with a hint if there would be one in RAS or metres."""
     try:
         return _measured(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
@@ -115,7 +115,7 @@ def _measured(volume: Volume, number: int, pick_mm: Array, radius_mm: float, kno
 
 
 def _extent(geometry: VoxelGeometry) -> str:
-    """From where to where it was scanned, along the patient's axes."""
+    """The scanned range along the patient's axes."""
     corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
     places_mm = geometry.to_patient_mm(corners)
     ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
@@ -123,7 +123,7 @@ def _extent(geometry: VoxelGeometry) -> str:
 
 
 def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[Peak]:
-    """Where to look: what the sphere filter sees near the pick, then the pick and places around it."""
+    """Starting points: peaks of the sphere filter near the pick, then the pick and points around it."""
     part, offset_mm = _crop(volume, grid_mm, CROP * radius_mm)
     peaks = [
         Peak(peak.position_mm + offset_mm, peak.contrast_hu)

@@ -1,4 +1,4 @@
-"""Pictures of a marker: three planes through its centre with the fitted sphere drawn in."""
+"""Images of a marker: three planes through its centre with the fitted sphere drawn in."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 Array = NDArray[np.float64]
 
 HALF_WIDTH_MM = 14.0
-STEP_MM = 0.25  # of the interpolated picture
+STEP_MM = 0.25  # of the interpolated image
 WINDOW_HU = (-1000.0, 600.0)
 DOTS_PER_INCH = 100
 SIZE_IN = (9.6, 4.8)
-MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.13, "top": 0.74, "wspace": 0.32}  # shares of the picture
-# A page shows the picture at a third to a half of its size: these letters can be read there.
+MARGINS = {"left": 0.08, "right": 0.99, "bottom": 0.13, "top": 0.74, "wspace": 0.32}  # shares of the image
+# A page shows the image at a third to a half of its size; these sizes stay legible.
 HEADING_POINTS, PLANE_POINTS, TICK_POINTS = 17, 15, 12
-HEADING_LETTERS = 64  # on a line
+HEADING_LETTERS = 64  # per line
 
-UNSCANNED_COLOUR = "#1f2f5f"  # not the black of air
-STRAIGHT_DEG = 10.0  # a plane turned further is called oblique
+UNSCANNED_COLOUR = "#1f2f5f"  # unlike the black of air
+STRAIGHT_DEG = 10.0  # a plane tilted by more is called oblique
 
-# planes of the voxel grid: axis across (picture left to right), axis down, axis through
+# planes of the voxel grid: axis across (left to right), axis down, axis through
 _PLANES = ((2, 1, 0), (2, 0, 1), (1, 0, 2))
 _NAMES = {"L": "sagittal", "R": "sagittal", "P": "coronal", "A": "coronal", "S": "axial", "I": "axial"}
 _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
@@ -37,8 +37,8 @@ _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
     """A PNG for every marker, in the order of `localization.markers`.
 
-    Each shows the three planes of the voxel grid through the centre with the fitted sphere. Letters name
-    the patient's sides; blue was not scanned.
+    Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
+    patient's sides; blue is outside the scan.
     """
     return tuple(
         marker_picture(volume, marker, f"marker {number}")
@@ -59,7 +59,7 @@ def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
 
 
 def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
-    """The same for candidates, in their order, with what became of each; a ring where a surface was found."""
+    """The same for candidates, in order, with the verdict on each; a ring where a surface was found."""
     return tuple(
         _picture(
             volume,
@@ -86,12 +86,12 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
     planes = _planes_through(volume, centre_mm)
     sides = geometry.orientation[::-1]  # along slices, rows, columns
     figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
-    figure.subplots_adjust(**MARGINS)  # computing them anew for each picture would double its time
+    figure.subplots_adjust(**MARGINS)  # computing them for each image would double its time
     canvas = FigureCanvasAgg(figure)
     colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
     for place, ((across, down, through), picture) in enumerate(zip(_PLANES, planes, strict=True)):
         axes = figure.add_subplot(1, 3, place + 1)
-        # index grows downwards in every picture; the slice axis is drawn upwards, head on top
+        # the index increases downwards in every image; the slice axis is drawn upwards, head on top
         upwards = down == 0
         extent = (-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM)
         axes.imshow(
@@ -120,7 +120,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
 def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
     """HU of the three planes, (n, n) each: rows along the down axis, columns along the across axis.
 
-    NaN where nothing was scanned.
+    NaN outside the scan.
     """
     region = cut_region(volume, centre_mm, HALF_WIDTH_MM + float(volume.geometry.spacing_mm.max()))
     offsets_mm = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM + STEP_MM / 2, STEP_MM)
@@ -134,7 +134,7 @@ def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
 
 
 def _plane_name(geometry: VoxelGeometry, through: int) -> str:
-    """What the plane across a grid axis is called in the patient."""
+    """The clinical name of the plane across a grid axis."""
     name = _NAMES[geometry.orientation[2 - through]]
     along = float(np.abs(geometry.axes[:, through]).max())
     oblique = along < np.cos(np.radians(STRAIGHT_DEG))

@@ -1,7 +1,7 @@
 """A small piece of a volume around a point, in grid millimetres.
 
-Grid millimetres are voxel indices (slice, row, column) times their spacing: a Cartesian frame that is only
-turned and shifted against the patient's.
+Grid millimetres are voxel indices (slice, row, column) times their spacing: a Cartesian frame that differs
+from the patient's only by rotation and translation.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ OUTSIDE_FIELD_HU = -1500  # scanners pad outside their round field with values f
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Voxels (slices, rows, columns) in HU, NaN where nothing was scanned; `start` is the first index."""
+    """Voxels (slices, rows, columns) in HU, NaN outside the scan; `start` is the first index."""
 
     values: Array
     start: NDArray[np.int64]
@@ -38,10 +38,10 @@ class Region:
         return z[:, None, None], y[None, :, None], x[None, None, :]
 
     def sample(self, points_mm: Array, *, smooth: bool = False) -> Array:
-        """HU at grid positions (..., 3) mm; NaN outside the region and next to what was not scanned.
+        """HU at grid positions (..., 3) mm; NaN outside the region and next to unscanned voxels.
 
-        Linear interpolation, or with `smooth` cubic splines: five times the work, but no bias between
-        thick slices.
+        Linear interpolation, or cubic splines with `smooth`: five times the work, but no bias
+        between thick slices.
         """
         indices = np.moveaxis(points_mm / self.spacing_mm - self.start, -1, 0)
         if not smooth:

@@ -1,4 +1,4 @@
-"""Reads a DICOM CT series from a folder and checks all of its geometry."""
+"""Reads a DICOM CT series from a folder and validates its geometry."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from procedures.imaging.slice_motion import motion_warnings
 from procedures.imaging.volume import Volume
 
 HEADER_SHARE = 0.4  # of the reading time
-AIR_BELOW_HU = -500  # every head stands in air
+AIR_BELOW_HU = -500  # every head is surrounded by air
 
 
 def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     """Read the CT series whose files lie directly in `directory`.
 
-    Returns voxels in HU with their place in patient coordinates (LPS, mm). `progress` is called with the
-    share done. Raises CT-001 to CT-015, CT-020, CT-021 for a series that cannot be trusted; nothing is
-    guessed.
+    Returns voxels in HU with their position in patient coordinates (LPS, mm). `progress` is called
+    with the fraction done. Raises CT-001 to CT-015, CT-020, CT-021 for a series that cannot be
+    trusted; nothing is guessed.
     """
     directory = Path(directory)
     headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))

@@ -1,7 +1,7 @@
-"""Did the patient move while the scan ran? Then everything jumps sideways from one slice to the next.
+"""Detects patient motion during the scan: everything jumps sideways from one slice to the next.
 
-A head changes its outline smoothly from slice to slice. By what one change differs from those before and
-after it is compared with what a shift would make of these slices, on profiles along rows and columns.
+A head's outline changes smoothly from slice to slice. The deviation of each change from those before and
+after it is compared with the effect of a shift on these slices, using profiles along rows and columns.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from procedures.imaging.volume import VoxelGeometry
 
 Array = NDArray[np.float64]
 
-BODY_HU = (-700, 300)  # from air to dense matter: skin counts, metal and its streaks hardly more
+BODY_HU = (-700, 300)  # from air to dense tissue: skin counts, metal and its streaks hardly more
 JUMP_MM = 0.4
 THICKEST_MM = 3.0  # between thicker slices a head changes too much
-LIKE_A_SHIFT = 0.55  # of the square of a change that a shift explains; up to 0.26 where nothing moves
+LIKE_A_SHIFT = 0.55  # share of a change's square that a shift explains; up to 0.26 without motion
 
 
 def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """A sentence when one slice lies sideways of what its neighbours let expect; else none."""
+    """A sentence if one slice is shifted sideways against its neighbours; else nothing."""
     if len(voxels) < 4 or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
     jumps_mm = np.zeros(len(voxels) - 3)
@@ -47,9 +47,9 @@ def _profiles(voxels: NDArray[np.int16]) -> tuple[Array, Array]:
 
 
 def _jumps(profiles: Array) -> Array:
-    """Samples by which each slice but the outer ones is shifted against the one before, (slices - 3,).
+    """Shift in samples of each inner slice relative to the one before, (slices - 3,).
 
-    0 where something else changes. A move along the table at the same time hides one to the side.
+    0 where the change is not a shift. Simultaneous motion along the table masks a sideways one.
     """
     changes = np.diff(profiles, axis=0)
     sudden = changes[1:-1] - 0.5 * (changes[:-2] + changes[2:])

@@ -1,4 +1,4 @@
-"""Three cuts of the CT through a target, with the planned ways: for whoever confirms, reports or operates."""
+"""Three CT planes through a target, with the planned trajectories: for confirmation, report and operation."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from procedures.imaging.volume import Volume
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
 
-HALF_WIDTH_MM = 120.0  # of a picture: a head with what stands on it
+HALF_WIDTH_MM = 120.0  # of an image: a head and what is mounted on it
 STEP_MM = 0.9
 WINDOW_HU = (-300.0, 1300.0)
 UNSCANNED_HU = -1000
-DEPTH_MM = 12.0  # from the plane at which a way has faded to a third
-FAINTEST = 0.12  # of a way's ink, however far it is from the plane
-PIECES = 40  # of a drawn way
+DEPTH_MM = 12.0  # from the plane, at which a trajectory has faded to a third
+FAINTEST = 0.12  # of a trajectory's opacity, at any distance from the plane
+PIECES = 40  # per drawn trajectory
 OWN_BGR, OTHER_BGR, TARGET_BGR, LETTER_BGR = (162, 95, 255), (255, 166, 88), (60, 220, 255), (255, 255, 255)
 GAP_PX = 6
-# As radiologists look: name, direction to the right and down in LPS, letters left, right, top, bottom.
+# Radiological convention: name, direction to the right and down in LPS, letters left, right, top, bottom.
 PLANES = (
     ("axial", (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), ("R", "L", "A", "P")),
     ("coronal", (1.0, 0.0, 0.0), (0.0, 0.0, -1.0), ("R", "L", "S", "I")),
@@ -32,7 +32,7 @@ Way = tuple[Array, Array]  # entry and target, LPS mm
 
 
 def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes:
-    """PNG of the axial, coronal and sagittal plane through the target of that way.
+    """PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
 
     `ways` are entry and target, LPS mm, by name; each fades with its distance from the plane.
     """
@@ -42,7 +42,7 @@ def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes
     parts: list[Picture] = []
     for title, right, down, letters in PLANES:
         picture = _plane(volume, ways[name][1], np.array(right), np.array(down))
-        for other, way in sorted(ways.items(), key=lambda one: one[0] == name):  # the own one on top
+        for other, way in sorted(ways.items(), key=lambda one: one[0] == name):  # own trajectory on top
             _draw_way(picture, way, ways[name][1], np.array([right, down]), own=other == name)
         _write(picture, f"{name} {title}", letters)
         parts += [gap, picture]
@@ -51,7 +51,7 @@ def trajectory_cuts(volume: Volume, ways: Mapping[str, Way], name: str) -> bytes
 
 
 def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
-    """Grey values (n, n, 3) around a place."""
+    """Grey values (n, n, 3) around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
     index = np.moveaxis(volume.geometry.to_index(places), -1, 0)
@@ -62,7 +62,7 @@ def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Pictu
 
 
 def _draw_way(picture: Picture, way: Way, middle_mm: Array, axes: Array, *, own: bool) -> None:
-    """A way from its entry to its target, piece by piece."""
+    """Draw a trajectory from entry to target, piece by piece."""
     import cv2
 
     entry, target = way
@@ -89,7 +89,7 @@ def _inside(picture: Picture, pixel: float) -> int:
 
 
 def _write(picture: Picture, title: str, letters: tuple[str, str, str, str]) -> None:
-    """The plane's name, and the patient's sides at the edges."""
+    """Write the plane's name, and the patient's sides at the edges."""
     import cv2
 
     size = picture.shape[0]

@@ -1,4 +1,4 @@
-"""A CT as numbers: voxels in HU and the geometry that ties them to the patient."""
+"""A CT as numbers: voxels in HU and the geometry that relates them to the patient."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from procedures.imaging.errors import VolumeMalformed
 
 Array = NDArray[np.float64]
 
-AXES_TOLERANCE = 1e-6  # of the scalar products of the axes
+AXES_TOLERANCE = 1e-6  # on the scalar products of the axes
 
 _LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))  # negative and positive end of the LPS axes
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGeometry:
-    """Where voxels are, in patient coordinates (DICOM LPS, mm).
+    """Position of voxels in patient coordinates (DICOM LPS, mm).
 
-    Voxel indices are (slice, row, column); whole numbers name voxel CENTRES, so the volume begins half a
-    voxel before index 0. `axes` (3, 3) holds, as its columns, the unit directions in which the slice,
-    row and column index grow; they are orthonormal and right- or left-handed. `spacing_mm` has the same
-    order. `origin_mm` is the centre of voxel (0, 0, 0). Raises CT-022 for anything else.
+    Voxel indices are (slice, row, column); integers are voxel CENTRES, so the volume begins half a voxel
+    before index 0. The columns of `axes` (3, 3) are the unit directions in which the slice, row and column
+    index increase; they are orthonormal, right- or left-handed. `spacing_mm` has the same order. `origin_mm`
+    is the centre of voxel (0, 0, 0). Raises CT-022 for anything else.
     """
 
     shape: tuple[int, int, int]
@@ -44,11 +44,11 @@ class VoxelGeometry:
             raise VolumeMalformed("the axes are not perpendicular unit vectors")
 
     def to_patient_mm(self, indices: ArrayLike) -> Array:
-        """Patient positions (..., 3) mm of voxel indices (..., 3), fractions allowed."""
+        """Patient positions (..., 3) mm of voxel indices (..., 3), which may be fractional."""
         return self.origin_mm + self.directions_to_patient(np.asarray(indices, dtype=float) * self.spacing_mm)
 
     def to_index(self, points_mm: ArrayLike) -> Array:
-        """Voxel indices (..., 3), with fractions, of patient positions (..., 3) mm."""
+        """Fractional voxel indices (..., 3) of patient positions (..., 3) mm."""
         offsets = np.asarray(points_mm, dtype=float) - self.origin_mm
         return np.asarray(offsets @ self.axes / self.spacing_mm)
 
@@ -61,22 +61,22 @@ class VoxelGeometry:
         return np.asarray(np.asarray(vectors, dtype=float) @ self.axes.T)
 
     def covariance_to_patient(self, covariance: ArrayLike) -> Array:
-        """A covariance (3, 3) in (slice, row, column) axes turned to L, P, S."""
+        """A covariance (3, 3) in (slice, row, column) axes, rotated to L, P, S."""
         return np.asarray(self.axes @ np.asarray(covariance, dtype=float) @ self.axes.T)
 
     @property
     def orientation(self) -> str:
-        """The patient side towards which columns, rows and slices grow, e.g. `LPS`."""
+        """The patient side towards which columns, rows and slices increase, e.g. `LPS`."""
         return "".join(_side(self.axes[:, axis]) for axis in (2, 1, 0))
 
 
 @dataclass(frozen=True, eq=False)
 class Volume:
-    """One CT series. Holds no patient identity.
+    """One CT series, without patient identity.
 
-    `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the word of the
-    scanner for how the patient lay (`HFS` is head first, supine), empty when it does not say.
-    `warnings` are sentences for the reader about what limits the accuracy. Raises CT-022 for other voxels.
+    `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the scanner's code
+    for the patient's position (`HFS` is head first, supine), empty if not stated. `warnings` are sentences
+    for the user on what limits the accuracy. Raises CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]
@@ -87,7 +87,7 @@ class Volume:
     warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        # whole numbers: NaN cannot hide among the voxels
+        # integers: NaN cannot hide among the voxels
         if self.voxels.dtype != np.int16 or self.voxels.shape != self.geometry.shape:
             raise VolumeMalformed(
                 f"voxels of {self.voxels.dtype} and shape {self.voxels.shape}",

@@ -1,9 +1,9 @@
-"""Is it a whole sphere? Its extent along every axis, its core, its surface, and what is joined to it.
+"""Is it a whole sphere? Its extent along every axis, its core, its surface, and what is attached to it.
 
-A fitted sphere rests on the part of a surface that fits: an egg, a rod with a round end or a cap has such a
-part. Here every ray counts. Rays into metal tell nothing. Rays that end in something denser than the
-surroundings must cross a border at the sphere's radius, as under skin or a bandage; a post is too narrow to
-matter. All other rays must leave the sphere where it ends.
+A fitted sphere rests on the part of a surface that fits: an egg, a rod with a round end or a cap also have
+such a part. Here every ray counts. Rays into metal carry no information. Rays that end in something denser
+than the surroundings must cross an edge at the sphere's radius, as under skin or a bandage; a post is too
+narrow to matter. All other rays must leave the sphere where it ends.
 """
 
 from __future__ import annotations
@@ -31,32 +31,32 @@ Array = NDArray[np.float64]
 Rays = NDArray[np.bool_]
 Span = tuple[float, float]
 
-# radii in units of the fitted one
+# radii as multiples of the fitted one
 REACH, STEPS = 1.6, 65
 CORE, INNER_CORE = 0.72, 0.5  # a post ends at 0.74
 MIDDLE, BEFORE_SURFACE = (0.2, 0.5), (0.65, 0.85)
 METAL_FROM = 0.6
 
-NEIGHBOURS = 16  # rays, as many as a rod of 2.8 mm radius meets: fewer than half of them meet a post
-RIM_COSINE = np.cos(0.3)  # rays so close to a cover or to metal tell its rim
-EXTENT_CLIP = 0.2  # of the radius: an edge further away tells no extent
-EXTENT_PRIOR = 2.0  # rays by which the extents are drawn to be alike where few are seen
+NEIGHBOURS = 16  # rays, as many as hit a rod of 2.8 mm radius: fewer than half of them hit a post
+RIM_COSINE = np.cos(0.3)  # rays this close to a cover or to metal show its rim
+EXTENT_CLIP = 0.2  # of the radius: an edge farther away does not count towards the extent
+EXTENT_PRIOR = 2.0  # rays by which the extents are shrunk towards equality when few are visible
 
-# Where odds are even. Markers of the tuning families stay below a half of each, objects of `rounded` and
-# `joined` are above at least one by a half.
-AMISS_SHARE = 0.04  # of the surface, that lies off the sphere
+# Limits at even odds. Markers of the tuning families stay below half of each; objects of `rounded` and
+# `joined` exceed at least one by half.
+AMISS_SHARE = 0.04  # of the surface, that is off the sphere
 AMISS_UNDER_STREAKS = 0.06  # chosen on three to six bands of 200 to 500 HU across `bands`
-BORDER_HU = 20.0  # fall at the surface, where it falls least; to a moist bandage it is 40 HU
-NARROW_SHARE = 0.15  # of the surface: air around a narrow cover raises the fall beside it
+BORDER_HU = 20.0  # fall at the surface, where it is smallest; to a moist bandage it is 40 HU
+NARROW_SHARE = 0.15  # of the surface: air around a narrow cover increases the fall next to it
 NARROW_BORDER_HU = 50.0
 LEAST_BORDER_HU = 5.0  # stands for none
-EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest half-axis, told by rays
-STRETCH = 0.023  # the same, told by the voxels: 0.13 mm; a capsule that is 0.28 mm longer than wide has it
-STRETCH_DEVIATIONS = 5.0  # and by what noise makes of it, together
-MOST_SHIFTED = 0.15  # of the contrast, is the level of a ray by streaks: what is joined on lifts it by half
-NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something joined on, an end under a cover
+EXTENT_DIFFERENCE = 0.06  # of the radius: between the longest and the shortest semi-axis, measured by rays
+STRETCH = 0.023  # the same, measured by voxels: 0.13 mm; a capsule 0.28 mm longer than wide reaches it
+STRETCH_DEVIATIONS = 5.0  # plus this many standard deviations of the noise
+MOST_SHIFTED = 0.15  # of the contrast: shift of a ray's level by streaks; anything attached raises it by half
+NOT_BY_STREAKS = (1, 2)  # doubts that streaks do not raise: something attached, an end under a cover
 HOLLOW_SHARE = 0.20  # of the core
-METAL_CORE_SHARE = 0.015  # of the rays' way through the inner core
+METAL_CORE_SHARE = 0.015  # of the rays' length through the inner core
 EARLY_FALL_HU = 25.0  # under a cover, before the surface: domes on skin show 50 and more, film less than none
 
 
@@ -68,11 +68,12 @@ def shape_doubts(
     *,
     cleaned: Region | None = None,
 ) -> tuple[Doubt, ...]:
-    """Every way in which a body could fail to be a whole sphere, and how far it does.
+    """Every way in which a body could fail to be a whole sphere, and by how much it does.
 
-    `edge` is a sphere that was fitted to its surface; `centre_mm` grid mm. `stretch` is that of the voxels,
-    where they tell it; else rays do, which streaks and covers disturb more. `cleaned` is the region without
-    its streaks: they bend a surface and darken a core, but neither join something to a sphere nor cut it off.
+    `edge` is a sphere fitted to its surface; `centre_mm` grid mm. `stretch` is from the voxels if they
+    determine it; otherwise rays do, which streaks and covers disturb more. `cleaned` is the region
+    with the streaks removed: they bend a surface and darken a core, but neither attach anything to a
+    sphere nor cut it off.
     """
     if cleaned is None:
         return _doubts(region, centre_mm, edge, stretch)
@@ -84,7 +85,7 @@ def shape_doubts(
 def _doubts(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
-    """What is left of streaks shifts the levels of a ray: the edge is half-way between its own."""
+    """With `streaked`, remaining streaks shift a ray's levels: the edge is halfway between its own."""
     shares = np.linspace(0.0, REACH, STEPS)
     ways = ray_directions()
     profiles = region.sample(
@@ -106,7 +107,7 @@ def _doubts(
         early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
     limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
     joined = covered & (border_hu < limit_hu)
-    # at the rim of a cover or of metal the edge is theirs as well
+    # at the rim of a cover or of metal the edge belongs to that
     clear = opens & ~_beside(ways, (covered & ~joined) | metal)
     amiss = clear & (np.abs(place - 1.0) > INLIER)
     if stretch is None:
@@ -135,7 +136,7 @@ def _doubts(
 
 
 def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
-    """How far each ray (rays,) lies above the usual levels on both sides of the edge, within limits."""
+    """How far each ray (rays,) is above the usual levels on both sides of the edge, within limits."""
     near, far = (
         profiles[:, (shares > low) & (shares < high)].mean(axis=1)
         for low, high in (STEP_INSIDE, STEP_OUTSIDE)
@@ -145,9 +146,9 @@ def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
 
 
 def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array, Rays]:
-    """Where each ray first falls below its level, in radii, and whether it is below it anywhere.
+    """Where each ray first falls below its level, in radii, and whether it does at all.
 
-    A ray that is below it all the way has its edge at the core.
+    A ray that is below it all along has its edge at the core.
     """
     looked = (shares >= CORE) & (shares <= OUTSIDE_FROM)
     values, places = profiles[:, looked], shares[looked]
@@ -161,35 +162,35 @@ def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array
 
 
 def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
-    """How far the intensity of each ray falls from one span to another, in radii."""
+    """Fall of the intensity of each ray from one span of radii to another."""
     near, far = (profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in (inner, outer))
     return np.asarray(near - far)
 
 
 def _around(values: Array, told: Rays) -> Array:
-    """The median over the rays around each, (rays,); infinite where half of those tell nothing."""
+    """The median over the rays around each, (rays,); infinite where half of those are uninformative."""
     return np.asarray(np.median(np.where(told, values, np.inf)[_neighbours()], axis=1))
 
 
 @cache
 def _neighbours() -> NDArray[np.intp]:
-    """The nearest rays to each, itself included, (rays, NEIGHBOURS)."""
+    """The nearest rays to each, including itself, (rays, NEIGHBOURS)."""
     ways = ray_directions()
     return np.argpartition(-(ways @ ways.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
 
 def _beside(ways: Array, rays: Rays) -> Rays:
-    """Rays that are neighbours of these."""
+    """Rays adjacent to these."""
     if not rays.any():
         return np.zeros(len(ways), dtype=bool)
     return np.asarray((ways @ ways[rays].T > RIM_COSINE).any(axis=1))
 
 
 def _extent_difference(ways: Array, offsets: Array) -> float:
-    """Longest less shortest half-axis of the surface, in radii, from offsets (n,) along rays (n, 3).
+    """Longest minus shortest semi-axis of the surface, in radii, from offsets (n,) along rays (n, 3).
 
-    The offsets are taken for those of a shifted, scaled and stretched sphere. Where few rays are seen the
-    stretch is drawn towards none.
+    The offsets are modelled as those of a shifted, scaled and stretched sphere. If few rays are visible the
+    stretch is shrunk towards zero.
     """
     usable = np.abs(offsets) < EXTENT_CLIP
     x, y, z = ways[usable].T

@@ -1,4 +1,4 @@
-"""Attributes of DICOM files, checked where they are read; errors name the file."""
+"""Attributes of DICOM files, validated as they are read; errors name the file."""
 
 from __future__ import annotations
 
@@ -18,19 +18,21 @@ from procedures.imaging.dicom.bounded_stream import (
 from procedures.imaging.errors import AttributeMissing, FileDamaged
 from ronna_hw.bounded_input import InputRefused, inflate, read_bounded
 
-LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels with room for what else a scanner tells
+LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
 
 if TYPE_CHECKING:
     from pydicom.dataset import Dataset, FileDataset
 
 
 def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
-    """One file as a data set; with `only`, those attributes and no pixels. Raises CT-005 with the name."""
+    """One file as a data set; with `only`, just those attributes, no pixels. Raises
+    CT-005, naming the file.
+    """
     import pydicom
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # oddities in attributes that are not used here
+            warnings.simplefilter("ignore")  # oddities in attributes that are not used
             content = read_bounded(path, LARGEST_SLICE_BYTES)
             longest = LARGEST_SLICE_BYTES if only is None else LONGEST_VALUE
             read = partial(
@@ -53,16 +55,16 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
 
 
 def _inflated(content: bytes, begin: int) -> bytes:
-    """The same file with its data set inflated, which pydicom would do without a limit."""
+    """The same file with its data set inflated; pydicom would do that without a size limit."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
 
 
 def value(path: Path, header: Dataset, keyword: str) -> Any:
-    """The decoded value; pydicom decodes only now, so a bad one shows here."""
+    """The decoded value; pydicom decodes lazily, so a bad value fails here."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what matters of the value is checked by whoever asks
+            warnings.simplefilter("ignore")  # the caller checks what matters about the value
             return header.get(keyword)
     except Exception as problem:  # a damaged value can break the decoder in any way
         raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem

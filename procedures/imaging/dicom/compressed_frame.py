@@ -1,6 +1,6 @@
-"""What a compressed frame says of its own size, before a decoder believes it.
+"""The size that a compressed frame declares, checked before a decoder trusts it.
 
-Decoders allocate what the frame itself announces; one of them ends the whole program when that is too much.
+Decoders allocate whatever the frame declares; one of them aborts the whole program if that is too much.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ RLE = "1.2.840.10008.1.2.5"
 JPEG_2000 = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (90, 91, 201, 202, 203))
 JPEG = tuple(f"1.2.840.10008.1.2.4.{number}" for number in (50, 51, 57, 70, 80, 81))  # and JPEG-LS
 
-MOST_TILES = 1024  # of JPEG 2000; each costs kilobytes
+MOST_TILES = 1024  # in JPEG 2000; each costs kilobytes
 RLE_SLACK_BYTES = 1024  # a segment may be padded
 
 _START = b"\xff\xd8"
-_SIZES = frozenset({*range(0xC0, 0xD0), 0xF7}) - {0xC4, 0xC8, 0xCC}  # frame headers; F7 of JPEG-LS
+_SIZES = frozenset({*range(0xC0, 0xD0), 0xF7}) - {0xC4, 0xC8, 0xCC}  # frame headers; F7 is JPEG-LS
 _J2K_START = b"\xff\x4f\xff\x51"
 _J2K_SIZE = struct.Struct(">2H8IH")  # length, capabilities, image, its offset, tile, its offset, components
 _RLE_HEADER = struct.Struct("<16I")
 
 
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:
-    """Raise InputRefused unless the frame decodes to that shape (rows, columns) of one component.
+    """Raise InputRefused unless the frame decodes to this shape (rows, columns) with one component.
 
-    Frames of other syntaxes pass: no decoder takes them.
+    Frames of other syntaxes pass: no decoder accepts them.
     """
     try:
         if syntax == RLE:
@@ -74,7 +74,7 @@ def _j2k_size(frame: bytes) -> tuple[int, int, int]:
 
 
 def _check_runs(frame: bytes, limit_bytes: int) -> None:
-    """What the runs of an RLE frame (PS3.5 annex G) make together."""
+    """Check the total length of the runs of an RLE frame (PS3.5 annex G)."""
     count, *offsets = _RLE_HEADER.unpack_from(frame)
     limits = [*offsets[:count], len(frame)]
     made = sum(_run_bytes(frame[begin:end]) for begin, end in pairwise(limits))
@@ -86,10 +86,10 @@ def _run_bytes(segment: bytes) -> int:
     place = made = 0
     while place < len(segment):
         head = segment[place]
-        if head < 128:  # so many bytes and one follow
+        if head < 128:  # this many bytes plus one follow literally
             made += head + 1
             place += head + 2
-        else:  # the next byte so many times; 128 is nothing
+        else:  # repeat the next byte; 128 is a no-op
             made += 257 - head if head > 128 else 0
             place += 2 if head > 128 else 1
     return made

@@ -1,7 +1,7 @@
-"""Decodes compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, started by us only.
+"""Decodes compressed slices: `python -P -m procedures.imaging.dicom.decoder_process FD`, internal use only.
 
-The decoders are C++: damaged frames make some of them end the whole program. One line on standard input is
-one file; the answer on FD is a line of JSON, and the pixels. It ends with its input.
+The decoders are C++, and damaged frames make some of them abort the whole program. Each line on standard
+input names one file; the answer on FD is a line of JSON followed by the pixels. Exits at end of input.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import warnings
 from pathlib import Path
 from typing import BinaryIO
 
-MEMORY_BYTES = 300 << 20  # above what the libraries take; the largest slice takes eight
+MEMORY_BYTES = 300 << 20  # beyond what the libraries use; the largest slice takes eight
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until the input ends."""
+    """Serve until end of input."""
     import numpy as np
     import pydicom.pixels  # noqa: F401 - imported before memory is bounded
 
@@ -28,14 +28,14 @@ def main(arguments: list[str]) -> int:
     bound = pages * resource.getpagesize() + MEMORY_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (bound, bound))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    warnings.simplefilter("ignore")  # nobody reads them here: what is wrong is the answer's problem
+    warnings.simplefilter("ignore")  # nobody reads them here; actual errors are in the answer
     with os.fdopen(int(arguments[0]), "wb") as answers:
         for line in sys.stdin:
             try:
                 stored = np.ascontiguousarray(read_dicom(Path(json.loads(line))).pixel_array)
             except (
                 Exception
-            ) as problem:  # whatever a decoder raises on foreign bytes: its words are the answer
+            ) as problem:  # decoders raise anything on foreign bytes; the message is the answer
                 _answer(answers, {"problem": str(problem)[:500]})
             else:
                 _answer(answers, {"type": stored.dtype.str, "shape": stored.shape}, stored.tobytes())

@@ -1,4 +1,4 @@
-"""Compressed slices by way of a process of their own: a decoder that ends its program ends no case."""
+"""Decodes compressed slices in a process of its own, so that a crashing decoder does not end the case."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 PROCESS = "procedures.imaging.dicom.decoder_process"
-LIMIT_S = 30.0  # host time for one slice; a large one takes a tenth of a second, the first the imports
+LIMIT_S = 30.0  # host time for one slice; a large one takes a tenth of a second, the first also the imports
 PIPE_BYTES = 1 << 16
 
 
 class NotDecoded(Exception):
-    """With the decoder's words, or how its process ended."""
+    """Carries the decoder's message, or how its process ended."""
 
 
 class FrameDecoder:
-    """For one series; its process is started with the first slice that needs it."""
+    """Decoder for one series; its process starts with the first slice that needs it."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -66,7 +66,7 @@ class FrameDecoder:
                     [sys.executable, "-P", "-m", PROCESS, str(theirs)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.DEVNULL,
-                    stderr=subprocess.DEVNULL,  # decoders complain there about damaged frames
+                    stderr=subprocess.DEVNULL,  # decoders report damaged frames there
                     pass_fds=(theirs,),
                     start_new_session=True,
                 )

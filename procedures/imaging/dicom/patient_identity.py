@@ -1,4 +1,4 @@
-"""Patient identity of a series, read only on request: volumes, markers, logs and reports hold none."""
+"""Patient identity of a series, read only on request: volumes, markers, logs and reports contain none."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from procedures.imaging.dicom.slice_headers import images_of, read_images
 _TAGS = ("PatientName", "PatientID", "PatientBirthDate", "PatientSex")
 
 
-@dataclass(frozen=True, repr=False)  # no log shows it by accident
+@dataclass(frozen=True, repr=False)  # keeps it out of logs
 class PatientIdentity:
-    """What a series says about its patient, as it says it; empty where it says nothing."""
+    """What a series states about its patient, verbatim; empty where it states nothing."""
 
     name: str
     identifier: str
@@ -25,7 +25,7 @@ class PatientIdentity:
         return asdict(self)
 
     def describe(self) -> str:
-        """One line for a person."""
+        """One line for display."""
         told = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
         if self.birth_date:
             told.append(f"born {self.birth_date}")
@@ -35,13 +35,13 @@ class PatientIdentity:
 
 
 def patient_identifier(directory: Path) -> str:
-    """The identifier that the slices in `directory` bear; empty when none does. Raises CT-001, CT-005."""
+    """The patient ID of the slices in `directory`; empty if they have none. Raises CT-001, CT-005."""
     borne = (text(path, header, "PatientID") for path, header in images_of(directory, ("PatientID",)))
     return next(filter(None, borne), "")
 
 
 def read_identity(directory: Path) -> PatientIdentity:
-    """The patient whom the first slice in `directory` names; reading the series checks that all name one.
+    """The patient named by the first slice in `directory`; reading the series checks that all slices agree.
 
     Raises CT-001, CT-002, CT-005, CT-012.
     """

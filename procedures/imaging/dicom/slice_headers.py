@@ -1,4 +1,4 @@
-"""Headers of the slices in a folder, checked to be one CT series."""
+"""Headers of the slices in a folder, checked to form one CT series."""
 
 from __future__ import annotations
 
@@ -40,23 +40,23 @@ _DIRECTORY_STORAGE = "1.2.840.10008.1.3.10"
 _CT_IMAGE_STORAGE = "1.2.840.10008.5.1.4.1.1.2"
 _ENHANCED_CT_STORAGES = frozenset({"1.2.840.10008.5.1.4.1.1.2.1", "1.2.840.10008.5.1.4.1.1.2.2"})
 
-_STANDARD_ROOT = "1.2.840"  # classes of the standard; those of makers begin otherwise
-_PRIVATE_DOTS = 5  # fewer: the identifier itself is cut off
+_STANDARD_ROOT = "1.2.840"  # SOP classes of the standard; private ones begin otherwise
+_PRIVATE_DOTS = 5  # with fewer, the identifier itself is truncated
 
 _SCOUT_WORDS = frozenset(
     {"LOCALIZER", "SCOUT", "TOPOGRAM"}
-)  # the first is the standard's (PS3.3 C.8.2.1.1.1)
+)  # the first is from the standard (PS3.3 C.8.2.1.1.1)
 _DERIVED = "DERIVED"
 _LOSSY = "01"
 _HOUNSFIELD = frozenset({"", "HU"})
-_UNSPECIFIED = frozenset({"US", "HU_MOD"})  # perhaps HU: the reader is warned
-SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits hold 4096 HU; steps no coarser than half the noise of a good scan
-SPACING_LIMITS_MM = (0.01, 10.0)  # between a scanner for teeth of mice and no picture at all
-LARGEST_SIDE = 2048  # pixels; the finest scanner for patients makes as many
+_UNSPECIFIED = frozenset({"US", "HU_MOD"})  # possibly HU: the user is warned
+SLOPE_LIMITS = (0.0625, 10.0)  # 16 bits cover 4096 HU; steps no coarser than half the noise of a good scan
+SPACING_LIMITS_MM = (0.01, 10.0)  # between a dental micro-CT for mice and no image at all
+LARGEST_SIDE = 2048  # pixels; the finest clinical scanners reach this
 FARTHEST_MM = 1e5  # from the frame's origin: no hospital is larger
-INTERCEPT_LIMIT = 65536.0  # 16 bits, whichever sign
+INTERCEPT_LIMIT = 65536.0  # 16 bits, either sign
 
-_IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # by these an image is told from other objects
+_IMAGE_TAGS = ("SOPClassUID", "Rows", "Columns")  # these distinguish an image from other objects
 _TAGS = (
     "ImageType",
     "LossyImageCompression",
@@ -72,13 +72,13 @@ _TAGS = (
     "RescaleSlope",
     "RescaleIntercept",
     "RescaleType",
-    "PatientID",  # compared, and forgotten
+    "PatientID",  # compared, then discarded
 )
 
 
 @dataclass(frozen=True)
 class SliceHeader:
-    """What one file says about its slice. Lengths mm, directions and positions LPS."""
+    """What one file states about its slice. Lengths in mm, directions and positions in LPS."""
 
     path: Path
     series_instance_uid: str
@@ -94,14 +94,14 @@ class SliceHeader:
     columns: int
     slope: float
     intercept: float
-    oddities: tuple[str, ...] = ()  # of its origin: what should make the reader doubt it
+    oddities: tuple[str, ...] = ()  # of its origin: reasons to doubt it
 
 
 def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
-    """Headers of all CT slices directly in `directory`, in order of file name.
+    """Headers of all CT slices directly in `directory`, ordered by file name.
 
-    Files that are not DICOM and DICOM objects without an image are left out. Raises CT-001 to CT-006 and
-    CT-012, CT-020, CT-021; the message names the file, the series or the frame at fault.
+    Non-DICOM files and DICOM objects without an image are skipped. Raises CT-001 to CT-006 and CT-012,
+    CT-020, CT-021; the message names the offending file, series or frame of reference.
     """
     images = read_images(directory, _TAGS, progress)
     _refuse_scouts(images)
@@ -118,7 +118,7 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
 def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
-    """Those attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
+    """The given attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
     images = list(images_of(directory, tags, progress))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
@@ -128,7 +128,7 @@ def read_images(
 def images_of(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> Iterator[tuple[Path, FileDataset]]:
-    """As `read_images`, one after the other; none is no error."""
+    """Like `read_images`, but lazily; finding none is not an error."""
     files = _files_in(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
@@ -183,7 +183,7 @@ def _refuse_several(error: type[SeriesMixed | FramesMixed], noun: str, values: I
 
 def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:
     count = len({text(path, header, "PatientID") for path, header in images} - {""})
-    if count > 1:  # who they are is not for messages
+    if count > 1:  # messages must not identify patients
         raise SeriesMixed(f"the slices of one series name {count} patients")
 
 
@@ -240,7 +240,7 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
 
 
 def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
-    """Slope and intercept that can be those of a CT; raises CT-012, CT-020."""
+    """Slope and intercept if plausible for a CT; raises CT-012, CT-020."""
     slope = numbers(path, header, "RescaleSlope", 1)[0]
     intercept = numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS

@@ -1,4 +1,4 @@
-"""Pixels of one slice as HU, fast for uncompressed files."""
+"""Pixels of one slice in HU, with a fast path for uncompressed files."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _LITTLE_ENDIAN_UNCOMPRESSED = frozenset(
 def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
     """Fill `target` (rows, columns) with the HU of one slice.
 
-    Raises CT-005 (truncated), CT-013 (compressed beyond our means), CT-014 (not a CT slice).
+    Raises CT-005 (truncated), CT-013 (unsupported compression), CT-014 (not a CT slice).
     """
     data = read_dicom(header.path)
     name = header.path.name
@@ -77,7 +77,7 @@ def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
         raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
     if bits == 16:
         return stored
-    # bits above the highest are not part of the value; shifting back extends the sign
+    # bits above the high bit are not part of the value; shifting back extends the sign
     return (stored << (15 - high)) >> (16 - bits)
 
 
@@ -114,7 +114,7 @@ def _can_decode(syntax: UID) -> bool:
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of an identifier that is none
+            warnings.simplefilter("ignore")  # about an invalid identifier
             return bool(get_decoder(syntax).is_available)
     except NotImplementedError:
         return False
@@ -125,7 +125,7 @@ def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header
     if header.slope == 1 and header.intercept == offset:
         low, high = int(stored.min()) + offset, int(stored.max()) + offset
         if low >= HU_LIMITS[0] and high <= HU_LIMITS[1] and abs(offset) <= HU_LIMITS[1]:
-            # wraps modulo 2^16 on the way, yet ends right because the result fits
+            # may wrap modulo 2^16 in between, but the result fits and is correct
             np.add(stored.astype(np.int16, copy=False), np.int16(offset), out=target)
             return
     values = stored * header.slope + header.intercept

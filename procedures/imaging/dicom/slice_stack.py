@@ -1,6 +1,6 @@
 """Order and geometry of a series from slice positions alone; refuses anything but a straight, even stack.
 
-Slice thickness and instance numbers are never used for the geometry: positions and orientations are
+Slice thickness and instance numbers are never used for geometry, only positions and orientations
 (DICOM PS3.3 C.7.6.2.1.1).
 """
 
@@ -28,19 +28,19 @@ Array = NDArray[np.float64]
 MIN_SLICES = 3  # fewer cannot show that the spacing is even
 UNIT_TOLERANCE = 1e-3  # direction cosines are often written with few decimals
 SAME_DIRECTION_TOLERANCE = 1e-4
-SAME_PLACE_MM = 0.01  # closer slices are copies
+SAME_PLACE_MM = 0.01  # closer slices are duplicates
 POSITION_TOLERANCE_MM = 0.05  # positions are often written with few decimals
 SHEAR_LIMIT = 5e-4  # sideways drift per mm of stack: 0.1 mm over a head of 200 mm
 TILT_LIMIT_DEG = 0.1  # what the scanner states about its gantry
-COARSE_SLICE_MM = 2.0  # above this the accuracy of localization suffers
+COARSE_SLICE_MM = 2.0  # above this, localization accuracy suffers
 COARSE_PIXEL_MM = 1.0
 _ROUNDING_MM = 1e-3
 
 
 def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ...], VoxelGeometry]:
-    """Slices sorted along their normal, and the geometry of the volume they make.
+    """Slices sorted along their normal, and the geometry of the resulting volume.
 
-    Raises CT-007 (tilt), CT-008 (orientation), CT-009 (copies), CT-010 (gaps), CT-011 (sizes), CT-015.
+    Raises CT-007 (tilt), CT-008 (orientation), CT-009 (duplicates), CT-010 (gaps), CT-011 (sizes), CT-015.
     """
     if len(slices) < MIN_SLICES:
         raise SeriesTooShort(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
@@ -57,7 +57,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
     geometry = VoxelGeometry(
         shape=(len(ordered), first.rows, first.columns),
         origin_mm=positions[0],
-        # the row index grows along the columns of the image, the column index along its rows
+        # the row index increases along the image's columns, the column index along its rows
         axes=np.column_stack([normal, column_direction, row_direction]),
         spacing_mm=np.array([spacing_mm, first.row_spacing_mm, first.column_spacing_mm]),
     )
@@ -65,7 +65,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
 
 
 def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """Sentences about what will limit the accuracy of localization, none for a good protocol."""
+    """Sentences about what limits the accuracy of localization; empty for a good protocol."""
     sentences = []
     spacing_mm = float(geometry.spacing_mm[0])
     thickness_mm = max((one.thickness_mm or 0.0 for one in slices), default=0.0)

@@ -1,1 +1,1 @@
-"""A CT as one page to look at in a browser."""
+"""A CT as a single page for a browser."""

@@ -1,4 +1,4 @@
-"""A CT as one self-contained HTML page: three planes to scroll, what was found, a click for coordinates."""
+"""A CT as one self-contained HTML page: three scrollable planes, what was found, coordinates on click."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TEMPLATE = "ct.html.j2"
 def ct_page(
     volume: Volume, name: str, markers: Sequence[Marker], candidates: Sequence[Candidate], outcome: str
 ) -> str:
-    """The page. `name` is the heading, `outcome` one sentence on the search; it names no patient.
+    """The page. `name` is the heading, `outcome` one sentence on the search; neither names a patient.
 
     Positions are LPS mm. Rejected candidates are shown with their reasons.
     """

@@ -5,7 +5,7 @@ Near the surface of a ball of radius R, blurred by a Gaussian of covariance S = 
     I(x) = out + b(x) + (in - out) / 2 · erfc( (r + t / 2r - R) / (√2 s) ),   r = |x - c|,
     s² = nᵀ S n along the radial direction n,   t = trace(S) - s²  (the curvature of the surface),
 
-with a polynomial b, which stands for what streaks of metal lay across the neighbourhood.
+with a polynomial b that represents metal streaks across the neighbourhood.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from scipy.special import erfc
 
 Array = NDArray[np.float64]
 
-# order of the unknowns: the centre (slice, row, column), then these, then the coefficients of the background
+# order of the parameters: the centre (slice, row, column), then these, then the background coefficients
 OUT, IN, SZ, SXY, RADIUS = 3, 4, 5, 6, 7
 BALL = 8
 SLOPE = slice(BALL, BALL + 3)
 
 
 def polynomial(places: Array, degrees: Iterable[int]) -> Array:
-    """All products (n, m) of so many coordinates of `places` (n, 3), degree after degree."""
+    """All products (n, m) of `degrees` coordinates of `places` (n, 3), degree by degree."""
     chosen = [one for degree in degrees for one in combinations_with_replacement(range(3), degree)]
     columns = np.empty((len(places), len(chosen)))
     for number, axes in enumerate(chosen):
@@ -37,11 +37,11 @@ def polynomial(places: Array, degrees: Iterable[int]) -> Array:
 
 
 def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[Array, Array]:
-    """Intensities (n,) HU at points (n, 3) grid mm, and their derivatives (n, 8 + m) by the unknowns.
+    """Intensities (n,) HU at points (n, 3) grid mm, and their derivatives (n, 8 + m) by the parameters.
 
-    `background` (n, m) are the terms of the polynomial at the points. The derivatives leave out that the
-    blur turns with the direction from the centre, and that it bends the edge: small, and a fit settles
-    without them.
+    `background` (n, m) are the polynomial's terms at the points. The derivatives neglect that the blur
+    varies with the direction from the centre and shifts the edge: both effects are small, and fits
+    converge without them.
     """
     offsets = points_mm - unknowns[:3]
     r = np.maximum(np.linalg.norm(offsets, axis=1), 1e-6)

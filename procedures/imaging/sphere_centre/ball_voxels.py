@@ -1,4 +1,4 @@
-"""The voxels that a blurred ball is fitted to, and the robust fit to them."""
+"""The voxels that a blurred ball is fitted to, and the robust fit."""
 
 from __future__ import annotations
 
@@ -36,29 +36,29 @@ Array = NDArray[np.float64]
 BLUR_LIMITS_MM = (0.15, 2.0)
 MIN_VOXELS = 200
 SHAPE_STEPS = 3
-CORRELATED = 5.0  # variance against that of as many independent voxels: noise is alike within a few
-OUTLIER = 5.0  # deviations: noise alone reaches it in one sphere of a hundred
-OUTLIER_REACH_MM = 1.2  # and at least a voxel: the blur of something else is felt so far
+CORRELATED = 5.0  # variance relative to that of independent voxels: noise is correlated over a few
+OUTLIER = 5.0  # deviations: noise alone reaches this in one sphere of a hundred
+OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
 
 
 @dataclass(frozen=True, eq=False)
 class BallVoxels:
-    """The voxels that take part: indices and grid mm (n, 3), HU (n,), terms of the background (n, m)."""
+    """The voxels used: indices and grid mm (n, 3), HU (n,), background terms (n, m)."""
 
     where: NDArray[np.int64]
     points_mm: Array
     values: Array
-    places: Array  # (n, 3) in radii from their middle
+    places: Array  # (n, 3) in radii from their centroid
     background: Array
     spacing_mm: Array
-    farthest_mm: float  # from the start: further away is another object
+    farthest_mm: float  # from the start; farther away is another object
     covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
 
     @classmethod
     def of(
         cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
     ) -> Self:
-        """The usable voxels of a region around a ball of about that radius."""
+        """The usable voxels of a region around a ball of about this radius."""
         where = np.argwhere(usable)
         points_mm = (where + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
@@ -67,9 +67,9 @@ class BallVoxels:
         return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
 
     def robust_fit(self, ball: Array) -> Array | None:
-        """All unknowns from those of the ball alone; None when nothing settles nearby.
+        """All parameters, given those of the ball alone; None if the fit does not converge nearby.
 
-        First with a sloping background, which settles from further away, then with the bent one.
+        First with a linear background, which converges from farther away, then with the full polynomial.
         """
         sloping = np.zeros(SLOPE.stop)
         sloping[:BALL] = ball
@@ -93,7 +93,7 @@ class BallVoxels:
         return settled
 
     def without_outliers(self, unknowns: Array) -> BallVoxels:
-        """Without what does not belong to the fitted ball, such as its post, and what its blur reaches."""
+        """Without voxels that do not belong to the fitted ball, such as its post, and their blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         strange = np.abs(residuals) > OUTLIER * scale(residuals)
@@ -114,11 +114,11 @@ class BallVoxels:
         )
 
     def beyond_mm(self, unknowns: Array) -> Array:
-        """How far each voxel (n,) is outside a ball."""
+        """Distance of each voxel (n,) outside a ball."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
     def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
-        """Of a fitted ball, from those of its voxels (n,) that are clear of other things."""
+        """Stretch of a fitted ball, from the voxels (n,) that are clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
         derivatives = stretched_ball(places, unknowns, derivatives)
@@ -133,7 +133,7 @@ class BallVoxels:
         return Stretch.of_last_terms(step, CORRELATED * scale(left) ** 2 * np.asarray(answer))
 
     def at(self, unknowns: Array) -> tuple[Array, Array, Array, float]:
-        """Derivatives (n, m), pull w·r (n,) of the residuals, weights (n,), and the noise in HU."""
+        """Derivatives (n, m), weighted residuals w·r (n,), weights (n,), and the noise in HU."""
         modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         noise_hu = scale(residuals)
@@ -141,7 +141,7 @@ class BallVoxels:
         return derivatives, weights * residuals, weights, noise_hu
 
     def growth(self, weights: Array) -> float:
-        """How fast the pull grows with the residual, over its weight, on average."""
+        """Mean growth of the weighted residual with the residual, relative to its weight."""
         return (cauchy_growth if self.covered else flat_growth)(weights)
 
 

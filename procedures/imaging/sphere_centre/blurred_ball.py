@@ -1,8 +1,8 @@
 """Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
 
-Unknown are the centre, both intensities, both blurs, the radius and the background. Voxels near metal are
-left out. A robust fit, which outliers (post, skin) cannot pull, finds what does not belong to the ball; from
-the rest a fit that knows its noise and its streaks takes all they hold.
+The parameters are the centre, both intensities, both blurs, the radius and the background. Voxels near metal
+are excluded. A robust fit, insensitive to outliers (post, skin), finds what does not belong to the ball; a
+fit with a model of noise and streaks then makes full use of the rest.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from procedures.imaging.sphere_centre.whitened_ball import fit_whitened
 Array = NDArray[np.float64]
 
 METAL_HU = 900.0
-METAL_REACH_MM = 2.2  # blur of metal is felt this far
-FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere take part
-HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; deeper the blur brings nothing of it
-HIDDEN_REACH = 0.14  # rad, a ray stands for its surroundings; neighbours are 0.18 apart
-START_BLUR_MM = 0.42  # sigma of a usual reconstruction kernel
+METAL_REACH_MM = 2.2  # reach of blur from metal
+FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
+HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
+START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +38,15 @@ class BlurredBall:
     covariance_mm2: Array
     radius_mm: float
     noise_hu: float
-    metal_share: float  # of the sphere's surface, too near metal to be used
-    streak_hu: float  # usual size of the terms by which streaks bend the background, at the surface
+    metal_share: float  # part of the sphere's surface too close to metal to be used
+    streak_hu: float  # typical size, at the surface, of the terms by which streaks bend the background
     contrast_hu: float
-    stretch: Stretch  # where its surface borders on the outside
+    stretch: Stretch  # where the surface borders on the outside
 
 
 @dataclass(frozen=True, eq=False)
 class RoughBall:
-    """A ball as the robust fit leaves it: which voxels took part, and all unknowns."""
+    """Result of the robust fit: the voxels used, and all parameters."""
 
     voxels: BallVoxels
     unknowns: Array
@@ -54,18 +54,18 @@ class RoughBall:
 
     @property
     def contrast_hu(self) -> float:
-        """Between ball and surroundings."""
+        """Contrast between ball and surroundings."""
         return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
 
     @property
     def uneven(self) -> float:
-        """By how much the background slopes and bends over a radius, of the contrast."""
+        """Slope and bend of the background over a radius, as a share of the contrast."""
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """The best fit near it; None if there is none, or if streaks bend more than that of the contrast.
+        """The best fit nearby; None without one, or if streaks bend more than that part of the contrast.
 
-        `hidden_ways` (n, 3): directions in which nothing is to be told of its shape.
+        `hidden_ways` (n, 3): directions without information about the shape.
         """
         fitted = fit_whitened(
             self.voxels.without_outliers(self.unknowns),
@@ -98,10 +98,10 @@ def fit_rough_ball(
     *,
     hidden_ways: Array | None = None,
 ) -> RoughBall | None:
-    """Fit from a centre within about 0.3 mm; None when too few voxels are usable or nothing converges.
+    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
 
-    `hidden_ways` (n, 3): directions from the centre in which the surface borders on something else than the
-    outside; voxels near and beyond the surface there are left out.
+    `hidden_ways` (n, 3): directions from the centre in which the surface borders on something other than the
+    outside; voxels near and beyond the surface there are excluded.
     """
     taking = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
     if taking.usable.sum() < MIN_VOXELS:
@@ -115,7 +115,7 @@ def fit_rough_ball(
 
 @dataclass(frozen=True, eq=False)
 class TakingPart:
-    """Which voxels of a region a fit may use, and how much of the surface is too near metal to be used."""
+    """The voxels of a region that a fit may use, and the part of the surface too close to metal."""
 
     usable: NDArray[np.bool_]
     metal_share: float
@@ -124,7 +124,7 @@ class TakingPart:
 def voxels_of_ball(
     region: Region, centre_mm: Array, radius_mm: float, hidden_ways: Array | None
 ) -> TakingPart:
-    """Those around a ball that are clear of metal and of hidden directions (n, 3)."""
+    """Voxels around a ball that are clear of metal and of hidden directions (n, 3)."""
     z, y, x = region.axes_mm()
     distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
     clean = _far_from_metal(region)
@@ -141,7 +141,7 @@ def voxels_of_ball(
 def first_guess(
     region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
 ) -> Array:
-    """The eight unknowns of a ball of which only the surface is known."""
+    """The eight parameters of a ball, given only its surface."""
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
     return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
@@ -154,7 +154,7 @@ def _far_from_metal(region: Region) -> NDArray[np.bool_]:
 
 
 def in_directions(offsets_mm: Array, ways: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which voxels (n, 3) from the centre, of those asked about (n,), lie in one of these directions."""
+    """Which of the `asked` voxels (n, 3), relative to the centre, are in one of these directions."""
     found = np.zeros(len(asked), dtype=bool)
     if len(ways) == 0:
         return found

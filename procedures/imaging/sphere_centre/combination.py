@@ -1,9 +1,9 @@
 """Combines two estimates of one centre, with a realistic covariance.
 
-The estimators see the same noise, so their errors are correlated; where they differ by more than their
-noise explains, something in the image fits neither model, and the covariance grows by that difference.
-A band of a streak across the ball can pull radius and intensities of the model far away, and its centre with
-them. The edges that rays find cannot go so far: then they alone tell centre and radius.
+The estimators see the same noise, so their errors are correlated; where they differ by more than their noise
+explains, something in the image fits neither model, and the difference is added to the covariance. A streak
+band across the ball can pull the model's radius and intensities far off, and its centre with them. Edges
+found by rays cannot move that far, so they alone then determine centre and radius.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from procedures.imaging.sphere_centre.radial_edge import RadialEdge
 
 Array = NDArray[np.float64]
 
-# measured on painted spheres, noise 20 and 50 HU, voxels of 0.5 x 0.5 x 1 and 0.7 x 0.7 x 2 mm
-RAY_CORRELATION = 2.0  # neighbouring rays share voxels: variance against independent rays
-INTERPOLATION_ERROR_PER_MM = 0.004  # mm of error per mm² of voxel size, left by interpolating between voxels
-SLICE_PROFILE_ERROR_PER_MM = 0.0003  # mm per mm²: a voxel is a box, the model blurs with a Gaussian
+# measured on synthetic spheres, noise 20 and 50 HU, voxels of 0.5 x 0.5 x 1 and 0.7 x 0.7 x 2 mm
+RAY_CORRELATION = 2.0  # neighbouring rays share voxels: variance relative to independent rays
+INTERPOLATION_ERROR_PER_MM = 0.004  # mm of error per mm² of voxel size, from interpolation between voxels
+SLICE_PROFILE_ERROR_PER_MM = 0.0003  # mm per mm²: a voxel is a box, the model's blur a Gaussian
 ERROR_CORRELATION = 0.6  # between the errors of the two estimators
-# Streaks move the edges that rays find: 3-D error for bent terms as large as the contrast. From the tuning
+# Streaks move the edges found by rays: 3-D error for bend terms as large as the contrast. From the tuning
 # families and synthetic bands and lobes on `plain`.
 EDGE_STREAK_ERROR_MM = 2.0
-# By how much of it the ball's radius is above that of the edges, with film and blur, where nothing spoils the
-# fit: 0.03 to 0.13 mm on the tuning families. Bands make it -0.16 to 1.8 mm.
+# By how much of it the ball's radius exceeds that of the edges, with film and blur, in an undisturbed fit:
+# 0.03 to 0.13 mm on the tuning families. Bands make it -0.16 to 1.8 mm.
 RADIUS_ABOVE_EDGES = (-0.005, 0.026)
 AGREEMENT_MM = 0.06  # beyond this the two estimators contradict each other
-STREAKED = 0.0075  # bent terms, of the contrast: up to 0.004 without streaks
-ENOUGH_SURFACE = 0.7  # for the edges to stand alone
+STREAKED = 0.0075  # bend terms relative to the contrast: up to 0.004 without streaks
+ENOUGH_SURFACE = 0.7  # for the edges to be used alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +45,12 @@ class CombinedCentre:
 
 
 def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedCentre:
-    """The minimum-variance mean of both estimates (generalized least squares, cross-covariance included)."""
+    """The minimum-variance mean of both estimates (generalized least squares with cross-covariance)."""
     if _is_spoiled(edge, ball):
         return _by_edges(edge, ball, spacing_mm)
     first = _edge_covariance(edge, spacing_mm, ball.streak_hu / abs(ball.contrast_hu))
     second = ball.covariance_mm2 + np.diag((SLICE_PROFILE_ERROR_PER_MM * spacing_mm**2) ** 2)
-    # one that knows nothing which the other does not know better gets no weight, rather than a negative one
+    # an estimate that adds no information gets zero weight rather than a negative one
     correlation = min(ERROR_CORRELATION, float(np.sqrt(np.trace(second) / np.trace(first))))
     cross = correlation * _root(first) @ _root(second)
     difference = edge.centre_mm - ball.centre_mm
@@ -71,7 +71,7 @@ def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> CombinedC
 
 
 def is_streaked(edge: RadialEdge, ball: BlurredBall) -> bool:
-    """Do streaks bend the background so much that neither fit can be trusted with its covariance?"""
+    """Whether streaks bend the background so much that neither fit's covariance can be trusted."""
     apart_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
     bent = ball.streak_hu > STREAKED * abs(ball.contrast_hu)
     return bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)
@@ -91,7 +91,7 @@ def _by_edges(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Combine
 
 
 def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Array:
-    """With bent terms of streaks so large, of the contrast."""
+    """Covariance with streak bend terms this large relative to the contrast."""
     interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
     streaks_mm = EDGE_STREAK_ERROR_MM * streaks
     return RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)

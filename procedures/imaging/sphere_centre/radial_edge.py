@@ -1,9 +1,9 @@
 """First estimator of a sphere's centre: where rays from the centre cross the edge.
 
-Rays go out in many directions. On each the edge is where the intensity falls through the middle between
-polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that
-a post, skin or a neighbour costs rays but does not pull the centre. A free radius matters: film and blur
-move the apparent edge, and a fixed radius would turn that into an error of the centre.
+Rays are cast in many directions. On each, the edge is where the intensity falls through the midpoint between
+polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that a
+post, skin or a neighbour costs rays but does not pull the centre. The radius must be free: film and blur move
+the apparent edge, and a fixed radius would turn that into an error of the centre.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 RAYS = 400
 SCAN_FROM, SCAN_TO = 0.52, 1.57  # of the nominal radius: 3 to 9 mm for the usual sphere
 SCAN_STEPS = 61
-INSIDE_TO = 0.75  # of the nominal radius: certainly inside
-OUTSIDE_FROM = 1.40  # of the nominal radius: certainly outside
+INSIDE_TO = 0.75  # of the nominal radius: definitely inside
+OUTSIDE_FROM = 1.40  # of the nominal radius: definitely outside
 POLYMER_HU = (-300.0, 500.0)
 MIN_CONTRAST_HU = 100.0
-SAME_LEVEL = 0.25  # of the contrast: a ray whose ends differ more from the usual levels is not used
-INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this near the sphere lies on it
+SAME_LEVEL = 0.25  # of the contrast: a ray whose end levels differ more from the usual ones is not used
+INLIER = 0.061  # of the nominal radius (0.35 mm): an edge point this close to the sphere is on it
 STEP_INSIDE, STEP_OUTSIDE = (0.70, 0.88), (1.15, 1.35)  # of the fitted radius, clear of the blur
-EDGE_TO = 1.10  # of the fitted radius: here the edge has been seen
+EDGE_TO = 1.10  # of the fitted radius: beyond this the edge has been passed
 PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
@@ -42,12 +42,12 @@ MIN_RAYS = 24
 class RadialEdge:
     """A sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
 
-    `surface_share` is the part of all rays whose edge lies on the sphere, `unscanned_share` the part that
-    leaves the scanned volume somewhere, `cut_share` the part that does so before it has left the sphere's
-    edge behind, `coherence` the part of the rays that end in the open (air, as a rule) whose
-    edge lies on the sphere. `covered_step_hu` is the usual fall of intensity at the sphere's radius along
-    rays that end in something else, such as a bandage; 0 where there are none. `seen` (RAYS,) tells the rays
-    on whose edge the sphere rests. `covariance_mm2` treats the rays as independent.
+    `surface_share` is the fraction of all rays with their edge on the sphere, `unscanned_share` the fraction
+    that leave the scanned volume somewhere, `cut_share` the fraction that do so before passing the sphere's
+    edge, `coherence` the fraction of rays ending in the open (usually air) with their edge on the sphere.
+    `covered_step_hu` is the typical fall in intensity at the sphere's radius along rays that end in something
+    else, such as a bandage; 0 if there are none. `seen` (RAYS,) marks the rays that support the sphere.
+    `covariance_mm2` treats the rays as independent.
     """
 
     centre_mm: Array
@@ -66,7 +66,7 @@ class RadialEdge:
 def fit_radial_edge(
     region: Region, start_mm: Array, nominal_radius_mm: float, *, refine: bool = False
 ) -> RadialEdge | None:
-    """Fit from a rough centre (within a third of the radius); None when there is no such surface.
+    """Fit from a rough centre (within a third of the radius); None if there is no such surface.
 
     With `refine` the start is already good, and the volume is interpolated smoothly.
     """
@@ -139,7 +139,7 @@ def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     share = radii_mm / radius_mm
     within = rays[:, (share > STEP_INSIDE[0]) & (share < STEP_INSIDE[1])]
     beyond = rays[:, (share > STEP_OUTSIDE[0]) & (share < STEP_OUTSIDE[1])]
-    if within.size == 0 or beyond.size == 0:  # nothing covers it, or a radius beyond what is scanned
+    if within.size == 0 or beyond.size == 0:  # uncovered, or a radius beyond the scanned range
         return 0.0
     return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
 
@@ -150,7 +150,7 @@ def ray_directions() -> Array:
 
 
 def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
-    """The middle level of each ray: a constant plus a slope, since streaks add a slope across the sphere."""
+    """The midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
     design = np.column_stack([np.ones(len(ways)), ways])
     solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solved)
@@ -193,7 +193,7 @@ def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array,
 
 @cache
 def _directions(count: int) -> Array:
-    """Nearly uniform unit directions (count, 3) on a spiral by the golden angle."""
+    """Nearly uniform unit directions (count, 3) on a golden-angle spiral."""
     number = np.arange(count) + 0.5
     height = 1.0 - 2.0 * number / count
     angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))

@@ -8,23 +8,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Model = Callable[[Array], tuple[Array, Array]]  # unknowns (m,) to values (n,) and derivatives (n, m)
+Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,) and derivatives (n, m)
 
 STEPS = 25
 DONE_MM = 5e-5
 CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
-FLAT_TO = 6.0  # deviations: weights have fallen to a half
+FLAT_TO = 6.0  # standard deviations, at which the weight is a half
 MAD_TO_SIGMA = 1.4826
-MIN_NOISE_HU = 0.5  # rounding to whole HU alone gives 0.3
+MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
 MIN_GROWTH = 0.1
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
-BLOCK = 512  # rows; BLAS starts threads for larger products, whose waiting costs more than they bring
+BLOCK = 512  # rows; for larger products BLAS starts threads that cost more than they save
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
-    """The unknowns that fit `values` (n,) best, the first three being a place in mm; None if nothing settles.
+    """The parameters that best fit `values` (n,), the first three a position in mm; None without convergence.
 
-    `limits` keeps unknowns in their range.
+    `limits` keeps the parameters in range.
     """
     unknowns = start
     damping = START_DAMPING
@@ -58,26 +58,26 @@ def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array]
 
 
 def scale(residuals: Array) -> float:
-    """Standard deviation of the bulk of the residuals."""
+    """Robust standard deviation of the residuals."""
     return max(MAD_TO_SIGMA * float(np.median(np.abs(residuals))), MIN_NOISE_HU)
 
 
 def cauchy_weights(residuals: Array, noise: float) -> Array:
-    """Weights (n,) from 1 down to almost nothing for outliers."""
+    """Weights (n,) from 1 down to almost zero for outliers."""
     return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * noise)) ** 2))
 
 
 def flat_weights(residuals: Array, noise: float) -> Array:
-    """Weights (n,) of 1 for whatever noise explains, and of almost nothing for outliers.
+    """Weights (n,) of 1 for whatever noise explains, and almost zero for outliers.
 
-    Cauchy weights bend the noise itself, which fills the fine detail of its spectrum: half of what whitening
-    gains would be lost again.
+    Cauchy weights distort the noise itself, which raises the high end of its spectrum: half the gain from
+    whitening would be lost.
     """
     return np.asarray(1.0 / (1.0 + (residuals / (FLAT_TO * noise)) ** 4))
 
 
 def cauchy_growth(weights: Array) -> float:
-    """How fast the pull w·r grows with the residual r, over its weight, on average, for Cauchy weights."""
+    """Mean growth of the weighted residual w·r with r, relative to the weight, for Cauchy weights."""
     return _growth(2.0 * weights**2 - weights, weights)
 
 

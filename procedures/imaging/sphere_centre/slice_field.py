@@ -1,8 +1,8 @@
-"""What streaks of metal lay over the slices of a ball: in each an unknown smooth field of unknown size.
+"""Metal streaks over the slices of a ball: in each slice a smooth random field of unknown size.
 
-A streak runs within a slice and ends with the slices of its metal, so that the slices beside tell nothing of
-it. Within a slice it is a Gaussian process, slow against the ball's edge and hence hardly confused with it,
-written as a sum of cosines with a few coefficients per slice.
+A streak is confined to the slices of its metal, so neighbouring slices say nothing about it. Within a slice
+it is a Gaussian process, slow compared with the ball's edge and thus hardly confused with it, written as a
+sum of cosines with a few coefficients per slice.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from procedures.imaging.region import Region
 
 Array = NDArray[np.float64]
 
-# chosen on straight bands with standard deviations of 1.2 to 3 mm across `plain`: shorter follows the edge,
-# which doubled the error; a ball's edge is 0.5 mm wide
+# chosen on straight bands with standard deviations of 1.2 to 3 mm across `plain`: anything shorter follows
+# the edge, which doubled the error; a ball's edge is 0.5 mm wide
 LENGTH_MM = 3.0
-HIGHEST = 0.2  # cycles per mm: beyond, such a process has a thousandth of its power
-NOISE_BAND = (0.1, 0.3)  # cycles per mm that tell the noise by which the edge is blurred
-FEWEST_VOXELS = 40  # of a slice, to tell its noise
-CLEAR_SHARE = 0.05  # of the largest eigenvalue: patterns of which the voxels see less are left out
+HIGHEST = 0.2  # cycles per mm: above this, such a process has a thousandth of its power
+NOISE_BAND = (0.1, 0.3)  # cycles per mm: the band used to estimate the noise, in which the edge is blurred
+FEWEST_VOXELS = 40  # of a slice, to estimate its noise
+CLEAR_SHARE = 0.05  # of the largest eigenvalue: patterns that the voxels see less of are dropped
 ROOM_MM = 2.0  # from the voxels to the end of the cosines' period
 
 
@@ -37,7 +37,7 @@ class Waves:
 
     @classmethod
     def between(cls, middle_mm: Array, side_mm: float, lowest: float, highest: float) -> Self:
-        """All of so many cycles per mm."""
+        """All waves from `lowest` to `highest` cycles per mm."""
         count = int(2.0 * side_mm * highest) + 1
         numbers = np.array([(row, column) for row in range(count) for column in range(count)])
         cycles = np.hypot(*numbers.T) / (2.0 * side_mm)
@@ -49,7 +49,7 @@ class Waves:
         return np.asarray(np.hypot(*self.numbers.T) / (2.0 * self.side_mm))
 
     def at(self, rows_mm: Array, columns_mm: Array) -> Array:
-        """Their values (n, m) at places in the slice (n,)."""
+        """Their values (n, m) at positions (n,) in the slice."""
         row, column = self._along(rows_mm, 0), self._along(columns_mm, 1)
         return np.asarray(row[:, self.numbers[:, 0]] * column[:, self.numbers[:, 1]])
 
@@ -71,7 +71,7 @@ class Waves:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModes:
-    """Patterns (k, m) over k voxels of a slice, whose places among all voxels are `rows` (k,)."""
+    """Patterns (k, m) over k voxels of a slice, whose indices among all voxels are `rows` (k,)."""
 
     rows: NDArray[np.intp]
     patterns: Array
@@ -85,9 +85,9 @@ def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class SliceField:
-    """The field over the voxels of a fit: which of them each slice holds, and its waves there (n, m).
+    """The field over the voxels of a fit: which of them are in each slice, and its waves there (n, m).
 
-    A coefficient has the variance of the slice's field.
+    The variance of a coefficient is that of the slice's field.
     """
 
     waves: Waves
@@ -99,7 +99,7 @@ class SliceField:
 
     @classmethod
     def around(cls, points_mm: Array, reach_mm: float) -> Self:
-        """For voxels (n, 3) grid mm within that reach of their middle."""
+        """For voxels (n, 3) grid mm within this reach of their centroid."""
         middle_mm = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))[1:]
         side_mm = 2.0 * (reach_mm + ROOM_MM)
         waves = Waves.between(middle_mm, side_mm, 0.0, HIGHEST)
@@ -114,7 +114,7 @@ class SliceField:
         return cls(waves, scales, slices, heights_mm, terms, tuple(noisy.at(*place) for place in places))
 
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
-        """Combinations of waves in the band of the noise, orthonormal over a slice's clear voxels (n,)."""
+        """Combinations of waves in the noise band, orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for one, waves in zip(self.slices, self.noise_terms, strict=True):
             seen = clear[one]

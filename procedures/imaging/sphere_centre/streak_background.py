@@ -1,8 +1,8 @@
 """How much metal streaks bend the background of a ball, estimated from the image itself.
 
-Terms up to the third degree are drawn towards 0 as strongly as the image allows (empirical Bayes, a ridge):
-without streaks they cost no accuracy, with them they take most of the error away. What terms beyond the third
-degree may still hide is stated: they are taken to be as large.
+Terms up to the third degree are shrunk towards 0 as strongly as the image permits (empirical Bayes, a ridge):
+without streaks they cost no accuracy, with them they remove most of the error. The error hidden in terms
+beyond the third degree is included: they are assumed to be as large.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ Array = NDArray[np.float64]
 
 FITTED_DEGREES = (1, 2, 3)
 HIDDEN_DEGREES = (5,)  # even terms do not move the centre of a ball
-HIDDEN_SHARE = 1.2  # of the bent terms' size; from tuning families and synthetic bands and lobes on `plain`
-LEAST_SLOPE = 2.0  # of the bent terms' size: streaks fade with the distance, and slope more than they bend
+HIDDEN_SHARE = 1.2  # of the bend terms' size; from tuning families and synthetic bands and lobes on `plain`
+LEAST_SLOPE = 2.0  # of the bend terms' size: streaks fade with distance, and slope more than they bend
 LEAST_VARIANCE_HU2 = 1e-3  # stands for no streaks
-BENT = slice(SLOPE.stop, None)  # the unknowns of the second and third degree
+BENT = slice(SLOPE.stop, None)  # the parameters of the second and third degree
 
 
 @dataclass(frozen=True)
 class StreakPrior:
-    """How large the terms of the background are usually, HU² at a radius from the middle.
+    """Typical size of the background terms, HU² at a radius from the centre.
 
-    By `bent_hu2` and `slope_hu2` (None: not known yet) the terms are drawn; the bent ones may be larger by
-    `unsure_hu2`, which is the standard error of that estimate.
+    The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
+    larger by `unsure_hu2`, the standard error of the estimate.
     """
 
     bent_hu2: float
@@ -40,26 +40,26 @@ class StreakPrior:
 
     @classmethod
     def of_bends(cls, found: Array, covariance: Array) -> Self:
-        """From how far bent terms (k,) were found from 0, with that `covariance` of noise.
+        """From bend terms (k,) found with a noise `covariance`.
 
-        The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
-        scatters by √(2 k).
+        The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average,
+        and scatters by √(2 k).
         """
         square, trace = _square_over(found, covariance)
         return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
 
     def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
-        """With the size of slopes (3,), found likewise. Their noise stays in: so few can be 0 by chance."""
+        """With the size of slopes (3,), found likewise. Their noise is kept: so few can be 0 by chance."""
         square, trace = _square_over(found, covariance)
         return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
 
     @property
     def streak_hu(self) -> float:
-        """Usual size of a bent term, a radius away from the middle."""
+        """Typical size of a bend term, a radius from the centre."""
         return float(np.sqrt(self.bent_hu2))
 
     def stiffness(self, unknowns: int) -> Array:
-        """By how much each of so many unknowns is drawn towards 0: 1 over its variance, HU⁻²."""
+        """Strength with which each parameter is shrunk towards 0: 1 over its variance, HU⁻²."""
         drawn = np.zeros(unknowns)
         drawn[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
         if self.slope_hu2 is not None:
@@ -67,10 +67,10 @@ class StreakPrior:
         return drawn
 
     def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
-        """What streaks may still do to the centre, (3, 3): by drawn terms, and by those beyond them.
+        """Remaining effect of streaks on the centre, (3, 3): through shrunk terms and through higher ones.
 
-        `answer` (m, m) tells how the unknowns answer to a pull, `influence` (n, 3) how the centre answers
-        to one of each voxel; `places` (n, 3) are in radii from the middle.
+        `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
+        the centre to each voxel; `places` (n, 3) are in radii from the centre.
         """
         bent_hu2 = self.bent_hu2 + self.unsure_hu2
         sizes_hu2 = np.zeros(len(answer))

@@ -1,9 +1,9 @@
-"""A ball under strong streaks: fitted together with what the streaks lay over each slice.
+"""A ball under strong streaks: fitted together with the streaks over each slice.
 
-Two things spoil a ball under streaks for other fits. A band across it bends more than a polynomial follows;
-here each slice has a field of its own, whose size is estimated from the image (empirical Bayes). And dark
+Two things defeat other fits of a ball under streaks. A band across it bends more than a polynomial can
+follow; here each slice has its own field, whose size is estimated from the image (empirical Bayes). And dark
 streaks in air stop at the lowest value that a scanner stores: there the image is no longer the sum of ball
-and streak. Such voxels only tell that the sum is no brighter than that (censored regression, Tobin 1958).
+and streak. Such voxels only say that the sum is no brighter than that (censored regression, Tobin 1958).
 """
 
 from __future__ import annotations
@@ -28,54 +28,54 @@ Array = NDArray[np.float64]
 STEPS, LEAST_STEPS = 14, 5
 DONE_MM, SETTLED_MM = 5e-4, 5e-3
 MOST_STEP_MM = 0.3
-FARTHEST_MM = 0.6  # from the start: streaks move the edges that rays find by less
+FARTHEST_MM = 0.6  # from the start: streaks move the edges found by rays by less
 START_NOISE_HU, START_FIELD_HU = 30.0, 150.0
 FIELD_LIMITS_HU = (1.0, 1600.0)
 AWAY_MM = 1.3  # from the edge, where its blur ends
-EVIDENT = 0.75  # deviations of the noise: without streaks their field explains up to 0.4
-MOST_ODD = 0.008  # of the voxels, that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
+EVIDENT = 0.75  # standard deviations of the noise: without streaks their field explains up to 0.4
+MOST_ODD = 0.008  # share of voxels that fit neither ball nor field: 0.0024 under bands, 0.012 in hollow balls
 LEAST_NOISE_HU = 1.0
-NOISE_FROM_STEP = 2  # the first steps have the ball itself in their residuals
-FLOOR_SHARE = 0.005  # of the voxels, at the lowest value: noise alone leaves one or two there
-# What the model leaves out: neighbouring slices share streaks, which are narrower than its field in places.
-# Chosen so that chi-square is 1 on bands of 150 to 450 HU across `plain`, seed 100.
+NOISE_FROM_STEP = 2  # in the first steps, residuals still contain the ball itself
+FLOOR_SHARE = 0.005  # share of voxels at the lowest value: noise alone leaves one or two there
+# Not in the model: neighbouring slices share streaks, which are narrower than its field in places. Chosen so
+# that chi-square is 1 on bands of 150 to 450 HU across `plain`, seed 100.
 COVARIANCE_FACTOR = 1.7
 NOISE_FACTOR = 1.5
-MOST_PULL = 30.0  # deviations: beyond, the tail of the normal distribution is its limit
+MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its limit
 
 
 @dataclass(frozen=True, eq=False)
 class StreakedBall:
-    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region without its streaks."""
+    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region with the streaks removed."""
 
     centre_mm: Array
     covariance_mm2: Array
     radius_mm: float
     inside_hu: float
     outside_hu: float
-    metal_share: float  # of the sphere's surface, too near metal to be used
-    streak_hu: float  # of the slice that has most
+    metal_share: float  # part of the sphere's surface too close to metal to be used
+    streak_hu: float  # of the slice with the most
     cleaned: Region
     stretch: Stretch
-    evident: bool  # its streaks show where the sphere's edge is not
+    evident: bool  # its streaks also show away from the sphere's edge
 
 
 @dataclass(frozen=True, eq=False)
 class _Solved:
-    """One step: by how much the unknowns move, their covariance, and what each slice's field is."""
+    """One step: the update of the parameters, their covariance, and each slice's field."""
 
     step: Array
     covariance: Array
     coefficients: tuple[Array, ...]
     field: Array  # (n,) HU
     field_hu2: Array  # (slices,)
-    degrees: float  # of freedom that the fields took
+    degrees: float  # degrees of freedom absorbed by the fields
 
 
 def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
-    """Fit from a sphere of edge points; None when too few voxels are usable or it does not settle nearby.
+    """Fit from a sphere of edge points; None if too few voxels are usable or it does not converge nearby.
 
-    Directions in which the edge does not lie on that sphere are left out.
+    Directions in which the edge is not on that sphere are excluded.
     """
     taking = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
     if taking.usable.sum() < MIN_VOXELS:
@@ -118,7 +118,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     if moved_mm > SETTLED_MM or float(np.linalg.norm(unknowns[:3] - start[:3])) > FARTHEST_MM:
         return None
     if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
-        return None  # what is in the image besides the ball is no streak
+        return None  # what is in the image besides the ball is not a streak
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
     working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
     stretched = stretched_ball(points_mm, unknowns, derivatives)
@@ -150,9 +150,9 @@ def _is_evident(
     streaks_hu: Array,
     noise_hu: float,
 ) -> bool:
-    """Do the streaks explain what is left of the image in the core and in the open, away from the edge?
+    """Whether the streaks explain the residual image in the core and in the open, away from the edge.
 
-    What only looks like a streak is a surface that is not where that of a ball would be.
+    What merely looks like a streak is a surface that is not where a ball's would be.
     """
     offsets_mm = points_mm - unknowns[:3]
     away = np.abs(np.linalg.norm(offsets_mm, axis=1) - unknowns[RADIUS]) > AWAY_MM
@@ -164,7 +164,7 @@ def _is_evident(
 
 
 def _floor_hu(region: Region) -> float | None:
-    """The lowest value that the scanner stores, if it stopped values there."""
+    """The lowest value that the scanner stores, if values were clipped there."""
     known = region.values[np.isfinite(region.values)]
     lowest = float(known.min())
     return lowest if float((known == lowest).mean()) > FLOOR_SHARE else None
@@ -173,7 +173,7 @@ def _floor_hu(region: Region) -> float | None:
 def _as_if_known(
     values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
-    """Values and weights (n,) by which least squares pull as censored ones do (Fisher scoring)."""
+    """Values and weights (n,) that make least squares equivalent to censored regression (Fisher scoring)."""
     working, known = values.copy(), np.ones(len(values))
     if floor_hu is None or not censored.any():
         return working, known
@@ -192,7 +192,7 @@ def _solve(
     field_hu2: Array,
     noise_hu2: float,
 ) -> _Solved:
-    """Generalized least squares with noise and a random field in each slice (Woodbury's identity)."""
+    """Generalized least squares with noise and a random field in each slice (Woodbury identity)."""
     unknowns = derivatives.shape[1]
     normal, pull = np.zeros((unknowns, unknowns)), np.zeros(unknowns)
     found, sizes_hu2 = [], np.empty(len(field.slices))
@@ -225,7 +225,7 @@ def _solve(
 
 
 def _cleaned(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
-    """The region without its streaks; what is as dark as can be counts as the surroundings."""
+    """The region with the streaks removed; voxels at the floor count as surroundings."""
     values = region.values - streaks
     if floor_hu is not None:
         values[region.values <= floor_hu] = outside_hu

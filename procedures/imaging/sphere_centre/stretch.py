@@ -1,8 +1,8 @@
-"""By how much a body is longer one way than another: what the edge of a ball has not.
+"""Difference in a body's extent between directions; that of a ball is zero.
 
-A surface at the distance R + q(n) along each direction n, with q of second degree and no mean, is that of an
-ellipsoid to first order. A short rod with round ends differs from a ball mainly in this. Fitted together with
-ball and background, it is told to a few hundredths of a millimetre.
+A surface at distance R + q(n) along each direction n, with q of second degree and zero mean, is an ellipsoid
+to first order. This is the main difference between a short rod with round ends and a ball. Fitted together
+with ball and background, it is determined to a few hundredths of a millimetre.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ TERMS = 5
 
 @dataclass(frozen=True)
 class Stretch:
-    """Longest less shortest half-axis of a body, and the standard deviation of a term of it, in mm."""
+    """Longest minus shortest semi-axis of a body, and the standard deviation of a term of it, in mm."""
 
     difference_mm: float
     deviation_mm: float
 
     @classmethod
     def of_last_terms(cls, found: Array, covariance: Array) -> Self:
-        """From the unknowns of a stretched ball and their covariance."""
+        """From the parameters of a stretched ball and their covariance."""
         a, b, c, d, e = found[-TERMS:].tolist()
         matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
@@ -37,7 +37,7 @@ class Stretch:
 
 
 def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
-    """Derivatives (n, m + 5): those of a ball (n, m) at points (n, 3), then by the terms of its stretch."""
+    """Derivatives (n, m + 5): those of a ball (n, m) at points (n, 3), then by its stretch terms."""
     ways = points_mm - unknowns[:3]
     ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
     x, y, z = ways.T

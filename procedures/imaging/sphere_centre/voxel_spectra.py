@@ -15,14 +15,14 @@ Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 
-SAME_SPACE = 1e-10  # columns whose remainder is smaller than this share lie in the space of the others
+SAME_SPACE = 1e-10  # columns with a smaller remainder are in the space of the others
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels at `index` of a grid of the shape `padded`, which leaves room for lags up to a reach.
+    """Voxels at `index` of a grid of shape `padded`, which leaves room for lags up to a reach.
 
-    Spectra are half spectra; `share` is what each coefficient adds to a sum over the grid.
+    Spectra are half spectra; `share` is the contribution of each coefficient to a sum over the grid.
     """
 
     index: tuple[NDArray[np.int64], ...]
@@ -32,7 +32,7 @@ class VoxelGrid:
 
     @classmethod
     def around(cls, where: NDArray[np.int64], reach_mm: float, spacing_mm: Array) -> Self:
-        """For voxel indices (n, 3) with that spacing."""
+        """For voxel indices (n, 3) with this spacing."""
         index = tuple((where - where.min(axis=0)).T)
         lags = np.ceil(reach_mm / spacing_mm).astype(int)
         padded = tuple(
@@ -59,7 +59,7 @@ class VoxelGrid:
         return products(_parts(one).T, _parts(other * (filtered * self.share)).T)
 
     def projected(self, spectra: Spectrum) -> Array:
-        """What of white noise of power 1 lies in the space of the values behind spectra (k, ...)."""
+        """The part of white noise of power 1 in the space of the values behind spectra (k, ...)."""
         values, vectors = np.linalg.eigh(self.products(spectra, spectra))
         kept = values > SAME_SPACE * values[-1]
         modes = (vectors[:, kept] / np.sqrt(values[kept])).T @ _parts(spectra)
@@ -81,7 +81,7 @@ def _parts(spectra: Spectrum) -> Array:
 
 
 def _multiplicity(shape: tuple[int, ...]) -> Array:
-    """How many coefficients of the full spectrum each one of the half spectrum stands for."""
+    """How many coefficients of the full spectrum each one of the half spectrum represents."""
     counts = np.full(shape[2] // 2 + 1, 2.0)
     counts[0] = 1.0
     if shape[2] % 2 == 0:

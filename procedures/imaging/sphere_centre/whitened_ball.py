@@ -1,8 +1,8 @@
 """Refines the robust ball fit: noise and streaks are estimated from the image and accounted for.
 
-The noise's spectrum is measured on the residuals of a fit whose background is free to bend. How much it does
-bend tells how strong streaks of metal are; bends are then drawn towards 0 as far as that allows, and slopes
-likewise. What streaks of unknown shape leave counts as further noise of all details.
+The noise spectrum is measured on the residuals of a fit with an unconstrained background bend. The size of
+the bend shows how strong metal streaks are; bends are then shrunk towards 0 accordingly, and slopes likewise.
+What streaks of unknown shape leave behind counts as additional white noise.
 """
 
 from __future__ import annotations
@@ -21,20 +21,20 @@ from procedures.imaging.sphere_centre.whitened_step import WhitenedStep
 
 Array = NDArray[np.float64]
 
-EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # unknowns of the ball's edge; the others are smooth where voxels end
-# Of the variance: no detail counts as freer of noise than this, since no window measures and no model fits
-# closer; 0.03 would gain 1 % on the phantom's noise. Where much of a ball is covered, its cover is what
-# limits, not noise: there all details count nearly alike, chosen on balls half buried in 20 to 60 HU.
+EDGE = [0, 1, 2, IN, SZ, SXY, RADIUS]  # parameters of the ball's edge; the others are smooth where voxels end
+# Share of the variance: no frequency counts as less noisy than this, since no window measures and no model
+# fits more finely; 0.03 would gain 1 % on the phantom's noise. If much of a ball is covered, the cover is the
+# limit, not noise: then all frequencies count nearly alike, chosen on balls half buried in 20 to 60 HU.
 LEAST_POWER, LEAST_POWER_COVERED = 0.1, 3.0
-# power (HU² per voxel) of what bent terms of 1 HU² leave, chosen on streaks of one, two and six lobes around
-# a post: without it whitening takes their remains for signal, and errors grow by a half
+# power (HU² per voxel) that bend terms of 1 HU² leave, chosen on streaks of one, two and six lobes around a
+# post: without it whitening takes their remains for signal, and errors grow by half
 STREAK_POWER = 8.0
 MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-free data
 
 
 @dataclass(frozen=True, eq=False)
 class WhitenedBall:
-    """The unknowns, the covariance of the centre in grid mm; noise and usual bend of the background in HU."""
+    """The parameters, the covariance of the centre in grid mm; noise and typical background bend in HU."""
 
     unknowns: Array
     covariance_mm2: Array
@@ -43,7 +43,7 @@ class WhitenedBall:
 
 
 def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
-    """The best fit near a robust one; None if that was none, or if streaks bend more than that."""
+    """The best fit near a robust one; None without one, or if streaks bend more than `most_streak_hu`."""
     derivatives, pull, weights, noise_hu = voxels.at(start)
     derivatives *= weights[:, None]
     smooth = np.ones(len(start), dtype=bool)

@@ -1,9 +1,9 @@
 """The last step of the fit: every spatial frequency of the residuals is weighted by its noise.
 
-CT noise is slow: its spectrum falls where that of a sharp edge still has something to say. Least squares that
-counts all voxels alike therefore loses accuracy to it. Generalized least squares weighs the residuals by the
-inverse of the noise's spectrum, as measured (Aitken 1935; in imaging, the prewhitening observer). Where the
-voxels end, a filter would take the end of a smooth term for detail: those are left as they are.
+CT noise has low frequencies: its spectrum falls off where that of a sharp edge still carries information.
+Least squares with equal weight for all voxels therefore loses accuracy. Generalized least squares weights the
+residuals by the inverse of the measured noise spectrum (Aitken 1935; in imaging, the prewhitening observer).
+Where the voxels end, a filter would take the end of a smooth term for detail: those terms are not filtered.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from procedures.imaging.sphere_centre.robust_fit import products
 from procedures.imaging.sphere_centre.voxel_spectra import Spectrum
 
 Array = NDArray[np.float64]
-Pull = Callable[[Array], Array]  # unknowns (m,) to the pull w·r (n,) of the residuals there
+Pull = Callable[[Array], Array]  # parameters (m,) to weighted residuals w·r (n,)
 
 STEPS = 2
-MOST_MOVED_MM = 0.5  # by this the fit before cannot have been wrong
+MOST_MOVED_MM = 0.5  # the previous fit cannot have been off by more
 
 
 @dataclass(frozen=True, eq=False)
 class WhitenedStep:
-    """Equations that say when unknowns (m,), the first three a place in mm, fit n voxels.
+    """Estimating equations for parameters (m,), the first three a position in mm, from n voxels.
 
-    Each of the `instruments` (n, m) times the pull of the residuals has to vanish, or to be what its unknown,
-    drawn towards 0 with `stiffness` (m,), pulls back. `response` (m, m) is how much these sums answer to the
-    unknowns, `noise` (m, m) how uncertain they are.
+    Each of the `instruments` (n, m) times the weighted residuals must vanish or, for a parameter shrunk
+    towards 0 with `stiffness` (m,), equal the restoring term. `response` (m, m) is the derivative of these
+    sums with respect to the parameters, `noise` (m, m) their uncertainty.
     """
 
     instruments: Array
@@ -50,10 +50,10 @@ class WhitenedStep:
         growth: float,
         smooth: NDArray[np.bool_],
     ) -> Self:
-        """From weighted derivatives (n, m) at a robust fit and their spectra; nothing is drawn.
+        """From weighted derivatives (n, m) at a robust fit and their spectra; nothing is shrunk.
 
-        `growth` is how fast the pull grows with the residual, over its weight; `smooth` (m,) tells the
-        derivatives that are smooth where the voxels end.
+        `growth` is the growth of the weighted residual with the residual, relative to its weight; `smooth`
+        (m,) marks the derivatives that are smooth where the voxels end.
         """
         instruments = derivatives / noise.slow_power
         instruments[:, ~smooth] = noise.grid.values(spectra[~smooth] / noise.power)
@@ -67,26 +67,26 @@ class WhitenedStep:
         )
 
     def drawn(self, stiffness: Array) -> WhitenedStep:
-        """The same with unknowns that are drawn towards 0."""
+        """The same with parameters shrunk towards 0."""
         return replace(self, stiffness=stiffness)
 
     @cached_property
     def answer(self) -> Array:
-        """How the unknowns answer to the sums, (m, m)."""
+        """Response of the parameters to the sums, (m, m)."""
         return np.asarray(np.linalg.pinv(self.response + np.diag(self.stiffness)))
 
     @property
     def covariance(self) -> Array:
-        """What the noise makes of the unknowns, (m, m)."""
+        """Covariance of the parameters due to noise, (m, m)."""
         return np.asarray(self.answer @ self.noise @ self.answer.T)
 
     @property
     def influence(self) -> Array:
-        """What one HU of pull at each voxel moves of the centre, (n, 3) mm."""
+        """Shift of the centre per HU of weighted residual at each voxel, (n, 3) mm."""
         return np.asarray(self.instruments @ self.answer[:3].T)
 
     def settle(self, unknowns: Array, pull: Pull) -> Array | None:
-        """Where the equations hold, from unknowns near it; None if that is somewhere else."""
+        """The solution of the equations near given parameters; None if it is somewhere else."""
         settled = unknowns
         for _ in range(STEPS):
             sums = self.instruments.T @ pull(settled)

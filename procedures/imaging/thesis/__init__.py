@@ -1,1 +1,1 @@
-"""The thesis' localizer, to be measured beside ours on the same data. Not for patients."""
+"""The thesis' localizer, for comparison with ours on the same data. Not for patients."""

@@ -1,7 +1,7 @@
-"""The thesis' pipeline, steps 1 to 3: HU filter, regions, circles in the axial and the sagittal stack.
+"""The thesis' pipeline, steps 1 to 3: HU filter, regions, circles in the axial and sagittal stacks.
 
-Šuligoj, Spatial patient registration in robotic neurosurgery, Zagreb 2018, section 5.1. The text names the
-steps but no parameters: every constant here is an estimate of ours.
+Šuligoj, Spatial patient registration in robotic neurosurgery, Zagreb 2018, section 5.1. The thesis names the
+steps but no parameters: every constant here is our estimate.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from procedures.imaging.volume import Volume
 Array = NDArray[np.float64]
 Box = tuple[slice, slice, slice]  # voxels (slices, rows, columns)
 
-BODY_HU = -500  # above it there is something
+BODY_HU = -500  # anything above is not air
 POLYMER_HU = (-500.0, 400.0)  # the filter's window
-REGION_STEP_MM = 1.0  # regions are looked for on a coarse grid
-HEAD_OPENING_MM = 21.0  # whatever is thinner in a slice is not the head
+REGION_STEP_MM = 1.0  # regions are found on a coarse grid
+HEAD_OPENING_MM = 21.0  # anything thinner in a slice is not the head
 HEAD_MARGIN_MM = 1.0
-REGION_MARGIN_MM = 8.0  # around a region, so that whole circles are seen
+REGION_MARGIN_MM = 8.0  # around a region, so that whole circles are visible
 REGION_VOLUME_MM3 = 100.0  # at least; a sphere has 800
 REGION_EXTENT_MM = 150.0  # at most: the frame has 115, a headrest and a cable are longer
 
@@ -33,7 +33,7 @@ CIRCLE_DISTANCE_MM = 5.0
 SMOOTHING_PX = 1.0
 EDGE_THRESHOLD, VOTES = 100.0, 14.0
 
-AXIAL, SAGITTAL = 0, 2  # the axis across which a stack is cut: slices, columns
+AXIAL, SAGITTAL = 0, 2  # the axis perpendicular to a stack's planes: slices, columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Circles:
 
 
 def find_regions(volume: Volume) -> list[Box]:
-    """Boxes around what is neither air nor head."""
+    """Boxes around everything that is neither air nor head."""
     spacing_mm = volume.geometry.spacing_mm
     skip = np.maximum(np.rint(REGION_STEP_MM / spacing_mm).astype(int), 1)
     body = volume.voxels[:: skip[0], :: skip[1], :: skip[2]] > BODY_HU
@@ -76,7 +76,7 @@ def find_regions(volume: Volume) -> list[Box]:
 
 
 def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
-    """Circles in every plane of a box, cut across `axis`."""
+    """Circles in every plane of a box perpendicular to `axis`."""
     spacing_mm = volume.geometry.spacing_mm
     start = np.array([part.start for part in box])
     planes = np.moveaxis(volume.voxels[box], axis, 0)
@@ -87,7 +87,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
         for column_px, row_px, radius_px in found:
             index = np.empty(3)
             index[axis] = number
-            # a pixel's centre in the finer picture against the voxels' centres
+            # pixel centres of the finer image relative to voxel centres
             index[across] = (np.array([row_px, column_px]) + 0.5) * scale / spacing_mm[across] - 0.5
             centres.append((index + start) * spacing_mm)
             radii.append(radius_px * PIXEL_MM)
@@ -95,7 +95,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
 
 
 def _hough(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
-    """Circles (column, row, radius) of a plane in fine pixels, and a pixel's exact size in mm."""
+    """Circles (column, row, radius) of a plane in fine pixels, and the exact pixel size in mm."""
     low, high = POLYMER_HU
     grey = np.clip((plane.astype(np.float32) - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
     size = np.maximum(np.rint(np.array(plane.shape) * spacing_mm / PIXEL_MM).astype(int), 1)

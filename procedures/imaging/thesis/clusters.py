@@ -1,4 +1,4 @@
-"""The thesis' pipeline, steps 4 and 5: circles of neighbouring planes become clusters, which are filtered."""
+"""The thesis' pipeline, steps 4 and 5: clusters circles of neighbouring planes, and filters the clusters."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from procedures.imaging.thesis.circles import Circles
 
 Array = NDArray[np.float64]
 
-IN_PLANE_MM = 1.0  # centres of circles of one sphere lie above each other
+IN_PLANE_MM = 1.0  # centres of one sphere's circles are stacked
 GAP_MM = 2.1  # a plane or two without a circle
 HEIGHT_SHARE = (0.35, 1.10)  # of the diameter: planes in which a sphere shows circles
 MIN_CIRCLES = 4
-SPHERE_TOLERANCE_MM = 0.6  # a circle's radius against the sphere's cut at that height
-MEETING_MM = 2.0  # centres of the axial and the sagittal cluster of one sphere
+SPHERE_TOLERANCE_MM = 0.6  # between a circle's radius and the sphere's section at that height
+MEETING_MM = 2.0  # between the centres of one sphere's axial and sagittal clusters
 
 
 @dataclass(frozen=True, eq=False)
 class Cluster:
-    """Circles of one stack above each other, and where the sphere's centre would be."""
+    """Stacked circles of one plane direction, and the sphere centre they imply."""
 
     centres_mm: Array
     radii_mm: Array
@@ -30,7 +30,7 @@ class Cluster:
 
 
 def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
-    """Clusters whose circles grow and shrink as those of a sphere of `radius_mm` do."""
+    """Clusters whose circles grow and shrink like those of a sphere of `radius_mm`."""
     order = np.argsort(circles.centres_mm[:, circles.axis], kind="stable")
     across = [other for other in range(3) if other != circles.axis]
     open_chains: list[list[int]] = []
@@ -39,7 +39,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
         for chain in open_chains:
             centres = circles.centres_mm[chain]
             step_mm = centre[circles.axis] - centres[-1, circles.axis]
-            # Beside most of them: one circle found askew must not part those above it from those below.
+            # Compared with the median: one misplaced circle must not split those above from those below it.
             beside_mm = float(np.linalg.norm(centre[across] - np.median(centres[:, across], axis=0)))
             if 0.0 < step_mm <= GAP_MM and beside_mm <= IN_PLANE_MM:
                 chain.append(index)
@@ -51,7 +51,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
 
 
 def meeting_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tuple[Cluster, Cluster]]:
-    """Pairs of one cluster of each stack around the same point, the nearest first; none is used twice."""
+    """Pairs of one cluster from each stack around the same point, nearest first; each is used once."""
     pairs = sorted(
         (float(np.linalg.norm(one.middle_mm - other.middle_mm)), i, j)
         for i, one in enumerate(axial)
@@ -70,7 +70,7 @@ def meeting_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tupl
 def _as_cluster(circles: Circles, chain: list[int], radius_mm: float) -> Cluster | None:
     centres_mm, radii_mm = circles.centres_mm[chain], circles.radii_mm[chain]
     height_mm = centres_mm[:, circles.axis]
-    # the height of the centre at which the circles fit a sphere best: r² = R² - (h - h0)²
+    # the height of the centre that makes the circles fit a sphere best: r² = R² - (h - h0)²
     halves = np.sqrt(np.maximum(radius_mm**2 - radii_mm**2, 0.0))
     candidates = np.concatenate([height_mm - halves, height_mm + halves])
     cuts = np.sqrt(np.maximum(radius_mm**2 - (height_mm[None, :] - candidates[:, None]) ** 2, 0.0))

@@ -1,7 +1,7 @@
 """The thesis' pipeline, step 6: a centre from two lines, or from a sphere, both by RANSAC.
 
-LineFit: one line through the circles' centres of each stack; the centre is the point nearest to both.
-SphereFit: a sphere through points of all circles. Trials are drawn from a fixed seed.
+LineFit: one line through the circle centres of each stack; the centre is the point nearest to both.
+SphereFit: a sphere through points of all circles. Samples are drawn with a fixed seed.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
 
 
 def _fit_line(points: Array) -> tuple[Array, Array]:
-    """A point of the line and its unit direction."""
+    """A point on the line and its unit direction."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)
     for _ in range(TRIALS):
@@ -74,7 +74,7 @@ def _circle_points(cluster: Cluster) -> Array:
 
 
 def _algebraic_sphere(points: Array) -> tuple[Array, float]:
-    """|x|² = 2 c·x + (R² - |c|²), by least squares, about the mean of the points."""
+    """|x|² = 2 c·x + (R² - |c|²), by least squares, relative to the mean of the points."""
     middle = points.mean(axis=0)
     offsets = points - middle
     design = np.column_stack([2.0 * offsets, np.ones(len(points))])

@@ -1,6 +1,6 @@
-"""The complete localizer of the thesis, for comparison with ours on the same data. Not for patients.
+"""The thesis' complete localizer, for comparison with ours on the same data. Not for patients.
 
-It has no estimate of its own error: its covariance is the FLE that the thesis reports, shared out evenly.
+It does not estimate its own error: its covariance is the FLE reported in the thesis, equal on all axes.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ COVARIANCE_ASSUMED = "covariance_assumed"
 
 
 class ThesisFit(StrEnum):
-    """Which of the thesis' two fits gives the centre."""
+    """Which of the thesis' two fits determines the centre."""
 
     LINE = "thesis-line"
     SPHERE = "thesis-sphere"
@@ -42,7 +42,7 @@ def localize_as_thesis(
     expected: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Localization:
-    """Localize spheres with the thesis' pipeline; arguments and errors as of `localize`."""
+    """Localize spheres with the thesis' pipeline; arguments and errors as for `localize`."""
     check_request(volume, diameter_mm, expected)
     radius_mm = 0.5 * diameter_mm
     candidates: list[Candidate] = []
