@@ -36,7 +36,7 @@ QUARTILES = (25.0, 75.0)
 
 @dataclass(frozen=True)
 class ApplicationErrorStudy:
-    """`arms` random arms, each at all places."""
+    """`arms` random arms, each at all positions."""
 
     arms: int = 200
     seed: int = 0
@@ -47,7 +47,7 @@ class ApplicationErrorStudy:
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
-        """A cell per depth, markers and place."""
+        """A cell per depth, marker type and position."""
         cells = [f"{depth}|{kind}|{place}" for depth in DEPTHS_MM for kind in Markers for place in PLACES]
         return [unit for cell in cells for unit in blocks(cell, self.arms, BLOCK_ARMS)]
 
@@ -62,7 +62,7 @@ class ApplicationErrorStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Ours beside the paper."""
+    """Our figures next to the paper's."""
     rows: list[list[Cell]] = []
     for (depth, markers, strategy, count), errors in _errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
@@ -127,5 +127,5 @@ def _errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
 
 def _order(series: Series) -> tuple[int, int, int, int]:
     depth, markers, strategy, count = series
-    # The frame first: it is what the paper used.
+    # the frame first, as used in the paper
     return list(DEPTHS_MM).index(depth), markers == Markers.FREE, STRATEGIES.index(strategy), count

@@ -78,7 +78,7 @@ class NoRunToTime(ConfigurationError):
 
 
 class PhantomOutOfReach(DataError):
-    """The arm does not reach the phantom at one of its positions."""
+    """The phantom is out of the arm's reach at one of its positions."""
 
     code = "STU-010"
     action = "The positions are fixed: report the strategy and the trajectory."

@@ -1,7 +1,7 @@
 """Heads with fiducials for the correspondence studies, after the thesis' protocol (5.3.1).
 
 The thesis used eight adhesive markers on each of three patients, with unpublished coordinates. Here they are
-placed on the upper side of three ellipsoids of different sizes, the same in every run.
+on the upper side of three ellipsoids of different sizes, the same in every run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ HALF_AXES_MM = {1: (72.0, 92.0, 66.0), 2: (76.0, 97.0, 71.0), 3: (80.0, 102.0, 7
 SITES = 8
 SITES_SEED = 2018
 APART_MM = 25.0
-LOWEST_SITE = -0.1  # fraction of the half axis: no screw below the ear
+LOWEST_SITE = -0.1  # fraction of the semi-axis: no screw below the ear
 DISPLACED_MM = 10.0  # radius of the ball within which each site is displaced
 OUTLIER_BALL_MM = 300.0
 AWAY_MM = 500.0
@@ -28,7 +28,7 @@ PHYSICAL_SIGMA_MM = 0.56
 
 
 class NoiseReading(StrEnum):
-    """The two possible meanings of a standard deviation in the thesis, which does not say."""
+    """The two possible meanings of a standard deviation in the thesis, which does not specify it."""
 
     PER_AXIS = "per axis"
     NORM = "norm"
@@ -71,7 +71,7 @@ def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
 
 
 def stated_variance_mm2(noise: NoiseReading) -> float:
-    """Variance per axis of both sets together, as the thesis states their errors."""
+    """Variance per axis of both sets together, from the errors stated in the thesis."""
     return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
 
 

@@ -1,7 +1,8 @@
 """Do the error formulas of rigid registration hold? FRE against FLE, TRE against eq. 39, gate, weighting.
 
-Head markers, a target 10 mm below their centre, FLE of 0.3 mm as in the reference experiment. Isotropic
-errors are split evenly between both spaces, as between two scans; the others are in the physical space.
+Head markers, a target 10 mm below their centre, and an FLE of 0.3 mm as in the reference
+experiment. Isotropic errors are split evenly between both spaces, as between two scans; the others
+are in the physical space.
 """
 
 from __future__ import annotations
@@ -31,15 +32,15 @@ FLE_MM = 0.3  # 3-D rms, both spaces together
 TARGET_BELOW_MM = 10.0
 FIDUCIALS = (3, 4, 5, 6, 8)
 GATE_CONFIDENCE = 0.95
-DEPTH_RATIO = 3.0  # depth noise to lateral noise of a camera
-NOISY_RATIO = 5.0  # one bad fiducial to the others
+DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
+NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
-SUMS = "squares and fourth powers"  # an older campaign lacks what the bounds need
+SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
 PLAIN, WEIGHTED, OWN = (
     "tre",
     "weighted",
     "own ",
-)  # errors at the target: ours without and with covariances, own ones
+)  # errors at the target: ours without and with covariances, user methods
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
 
 
 def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
-    """(n, 3, 3) in the physical frame, mm2; the 3-D rms of an ordinary fiducial is FLE.
+    """(n, 3, 3) in the physical frame, mm2; the 3-D rms of a normal fiducial is FLE.
 
     Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
     """
@@ -138,7 +139,7 @@ def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Formulas against simulation, and the gain by weighting."""
+    """Formulas against simulation, and the gain from weighting."""
     formulas: list[Sequence[Cell]] = []
     gains: list[Sequence[Cell]] = []
     for cell, total in sums.items():
@@ -200,7 +201,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _own_table(sums: Mapping[str, Sums]) -> Table:
-    """Own registrations beside ours, on the same points."""
+    """User registrations next to ours, on the same points."""
     rows: list[Sequence[Cell]] = []
     for cell, total in sums.items():
         kind, count = cell.split("|")

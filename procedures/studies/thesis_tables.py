@@ -1,6 +1,6 @@
 """Tables 2, 3 and 4 of F. Šuligoj's thesis (Zagreb 2018), row by row, in mm, as printed.
 
-Table 2 holds the localization errors against the truth, table 3 the residuals of ten registrations between
+Table 2 contains the localization errors against the truth, table 3 the residuals of ten registrations between
 scans of four fiducials, table 4 the mean errors at the target over eight positions of the phantom.
 """
 
@@ -17,7 +17,7 @@ FIDUCIALS_OF_TABLE_3 = 4
 
 @dataclass(frozen=True)
 class Column:
-    """What one person or method reached in each row, and the figure printed below."""
+    """What one person or method achieved in each row, and the figure printed below."""
 
     rows_mm: tuple[float, ...]
     printed_mm: float
@@ -25,7 +25,7 @@ class Column:
 
 @dataclass(frozen=True)
 class StrategyRow:
-    """Mean error of a strategy in each trajectory, and what is printed over all of them."""
+    """Mean error of a strategy in each trajectory, and the figure printed over all of them."""
 
     trajectories_mm: tuple[float, ...]
     mean_mm: float
@@ -40,9 +40,9 @@ TABLE_2: Mapping[str, Column] = {  # FLE in five image sets of the phantom; thei
     SPHERE_FIT: Column((0.1030, 0.0799, 0.1042, 0.2307, 0.2907), 0.1617),
 }
 
-# FRE of ten registrations; the FLE. Two printed figures do not follow from their rows: operator 3 is
-# truncated, and the average operator's is the mean of the four FLE, while its rows (the means of the
-# four, in another order) give 0.4601.
+# FRE of ten registrations; the FLE. Two printed figures do not follow from their rows: operator 3's is
+# truncated, and the average operator's is the mean of the four FLE, while its rows (the means of the four, in
+# another order) give 0.4601.
 TABLE_3: Mapping[str, Column] = {
     "operator 1": Column(
         (0.3471, 0.5055, 0.504, 0.413, 0.7072, 0.5486, 0.3625, 0.3085, 0.459, 0.2483), 0.4583

@@ -1,4 +1,4 @@
-"""Where the time of runs went, on average, beside what the thesis timed."""
+"""Where the time of runs was spent, on average, next to the times in the thesis."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from procedures.reporting.minutes import PHASE, STEP, TimeTaken, times_taken
 from procedures.studies.campaign.table import Table
 from procedures.studies.errors import NoRunToTime
 
-# Thesis 5.1: markers found in a CT by an operator, and by the algorithm.
+# Thesis 5.1: time to find the markers in a CT, by an operator and by the algorithm.
 OPERATOR_S, ALGORITHM_S = 191.5, 28.8
 LOCALIZATION = "fiducial_localization"
 
 
 def times_of(runs: Sequence[Path]) -> tuple[Table, Table]:
-    """Two tables: mean times of these run folders, and the localization in the CT beside the thesis.
+    """Two tables: mean times of these run folders, and localization in the CT next to the thesis.
 
-    Raises what a journal that cannot be read raises.
+    Raises the errors of an unreadable journal.
     """
     each = [times_taken(tuple(read_journal(run / JOURNAL_FILE))) for run in runs if _is_run(run)]
     keys = dict.fromkeys((one.kind, one.name) for times in each for one in times)

@@ -1,1 +1,1 @@
-"""Random arms at a phantom, many at once: how far from the target each strategy ends."""
+"""Random arms at a phantom, many at once: the target error of each strategy."""

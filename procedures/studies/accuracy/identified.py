@@ -1,8 +1,8 @@
-"""An arm as `ronna-arm calibrate` identifies it, and where strategies end that go by what was found.
+"""An arm as `ronna-arm calibrate` identifies it, and the target errors of strategies that use the result.
 
-Looks at the phantom's own spheres by the simulator's true arm, with the procedure's choice of poses and its
-identification, in this process: without wires and pictures. Then the controller takes the identified arm for
-the true one, with the side of its backlash on which each joint rests.
+Measures the phantom's own spheres with the simulator's true arm, the procedure's choice of poses and its
+identification, all in this process: without protocols or images. The controller then uses the identified arm
+in place of the true one, including the side of its backlash on which each joint rests.
 """
 
 from __future__ import annotations
@@ -34,13 +34,15 @@ from sim.kuka.arm.true_arm import TrueArm
 
 Array = NDArray[np.float64]
 
-LOOKS = 90  # as `ronna-arm calibrate` takes when nothing else is asked for
-STEREO_MM = 0.005  # of a look per axis
+LOOKS = 90  # the default of `ronna-arm calibrate`
+STEREO_MM = 0.005  # of a measurement, per axis
 LOOKS_KEY = 9  # of the random numbers
 
 
 def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
-    """The arm with that number from looks at spheres (n, 3) mm, robot frame. Raises CAL-002 to CAL-004."""
+    """Arm `number` identified from measurements of spheres (n, 3) mm, robot frame. Raises
+    CAL-002 to CAL-004.
+    """
     truth, tool_error_mm = drawn_arm(seed, number)
     arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
     model = ArmModel(ARM, TOOL)
@@ -57,7 +59,7 @@ def identified(seed: int, number: int, spheres_mm: Array) -> ArmFit:
 
 
 def _candidates(spheres_mm: Array) -> LookArrays:
-    """Looks that the nominal arm reaches, not yet taken."""
+    """Measurement poses that the nominal arm reaches, not yet taken."""
     reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
     found = []
     for number, sphere in enumerate(spheres_mm):
@@ -80,13 +82,13 @@ def _candidates(spheres_mm: Array) -> LookArrays:
 
 @dataclass(frozen=True)
 class BelievedArm:
-    """What the controller goes by."""
+    """The arm model that the controller uses."""
 
     deviations: ArmDeviations
     flange_from_tool: Transform
 
     def tool(self, joints_rad: Array, flanks: Array) -> tuple[Array, Array]:
-        """Places (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
+        """Positions (p, 3) mm and orientations (p, 3, 3) of the tool, robot frame, at joints (p, 6)."""
         poses = flange_poses(ARM.chain, self.deviations, joints_rad, flanks)
         turned = poses[:, :3, :3]
         places = turned @ self.flange_from_tool.translation_mm + poses[:, :3, 3]
@@ -101,7 +103,7 @@ def identified_errors(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Error vectors (t, c, 3) mm of one arm, as `target_errors` has them of many; `numbers` is its own."""
+    """Error vectors (t, c, 3) mm of one arm, like `target_errors` for many; `numbers` is its own."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])
@@ -137,7 +139,7 @@ def _solved(
     places_at: Callable[[Array, Array], Array],
     flanks: Array,
 ) -> Array:
-    """Joints (p, 6) with `places_at` at wanted places (p, 3), the believed tool oriented as planned."""
+    """Joints (p, 6) with `places_at` at wanted positions (p, 3), the believed tool oriented as planned."""
     joints = poses.joints_rad.copy()
     for _ in range(STEPS):
         shift = wanted_mm - places_at(joints, flanks)

@@ -1,8 +1,8 @@
 """The phantom of the accuracy studies: a head with free spheres or the x-shaped frame, and trajectories.
 
-The thesis does not publish its phantom. This one is drawn once, the same in every study: targets in the
-middle of an ellipsoid head of ordinary size, tilted trajectories, and places in front of the arm as a
-phantom on a table would have. Its frame, named CT: origin in the middle of the head, z to the vertex, mm.
+The thesis does not publish its phantom. This one is drawn once and is the same in every study: targets in the
+middle of an ellipsoid head of normal size, tilted trajectories, and positions in front of the arm like those
+of a phantom on a table. Its frame, named CT: origin in the middle of the head, z to the vertex, mm.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 
-PATIENT = 2  # of the correspondence study: its head
+PATIENT = 2  # of the correspondence study, whose head this is
 FREE_SPHERES = 5
-AROUND_RAD = 2.0 * math.pi / FREE_SPHERES  # from one to the next, about the vertex: three sit on one side
+AROUND_RAD = 2.0 * math.pi / FREE_SPHERES  # from one to the next, about the vertex: three are on one side
 ABOVE_RAD = math.radians(20.0)  # seen from the middle of the head
 STANDOFF_MM = 16.0  # of a free sphere's centre from the skin
 FRAME_STANDOFF_MM = 26.0  # of the frame's plane
 FRAME_TILT_RAD = math.radians(25.0)  # of the frame's foot from the vertex
 PHANTOM_KEY, PLACE_KEY = 5, 6  # of the random numbers
 DRAWN_ONCE = 2018
-INNER_SHARE = 0.6  # usually: targets lie in the middle of the head
+INNER_SHARE = 0.6  # default: targets in the middle of the head
 PLACE_MM = (620.0, 0.0, 140.0)
 PLACE_SPREAD_MM = (60.0, 100.0, 40.0)
 PLACE_TURN_RAD = (math.radians(8.0), math.radians(8.0), math.radians(30.0))
@@ -47,7 +47,7 @@ class Markers(StrEnum):
 
 @dataclass(frozen=True)
 class Tilts:
-    """How trajectories lean from the vertical, and to which sides, about the vertical from the x axis."""
+    """How trajectories tilt from the vertical, and to which sides, about the vertical from the x axis."""
 
     tilts_deg: tuple[float, float]
     sides_deg: tuple[float, float]
@@ -59,7 +59,7 @@ ALIKE = Tilts((25.0, 30.0), (-30.0, 30.0))
 
 @dataclass(frozen=True)
 class Phantom:
-    """Spheres (n, 3) in the order in which more of them are used, and the trajectories."""
+    """Spheres (n, 3) in the order in which they are added, and the trajectories."""
 
     spheres_mm: Array
     trajectories: tuple[Trajectory, ...]
@@ -91,9 +91,9 @@ def phantom(
     inner_share: float = INNER_SHARE,
     tilts: Tilts = USUAL_TILTS,
 ) -> Phantom:
-    """The phantom with targets at depths between two limits below the skin, drawn once and for all.
+    """The phantom with targets at depths between two limits below the skin, drawn only once.
 
-    `inner_share` of the head's half axes bounds where they are.
+    `inner_share` of the head's half axes bounds their positions.
     """
     random = np.random.default_rng([DRAWN_ONCE, PHANTOM_KEY, *(round(depth) for depth in depths_mm)])
     half = np.array(HALF_AXES_MM[PATIENT])
@@ -117,7 +117,7 @@ def phantom(
 
 
 def place(number: int) -> Transform:
-    """Where the phantom stands, ROBOT <- CT, in position `number`."""
+    """Pose of the phantom, ROBOT <- CT, in position `number`."""
     random = np.random.default_rng([DRAWN_ONCE, PLACE_KEY, number])
     shift = np.array(PLACE_MM) + random.uniform(-1.0, 1.0, 3) * PLACE_SPREAD_MM
     turn = Rotation.from_rotvec(random.uniform(-1.0, 1.0, 3) * PLACE_TURN_RAD)

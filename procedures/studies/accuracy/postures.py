@@ -1,6 +1,6 @@
-"""What the nominal arm does at one place of the phantom: its joints at every sphere and every target.
+"""The nominal arm's joints at every sphere and every target, for one position of the phantom.
 
-Joint ranges, reach and the bend of the wrist are checked here, as in a case; collisions and sight are not.
+Joint ranges, reach and wrist singularity are checked as in a case; collisions and line of sight are not.
 """
 
 from __future__ import annotations
@@ -38,30 +38,30 @@ TOOL = Transform(Frame.FLANGE, Frame.TOOL, RigidTransform.from_components(TOOL_M
 
 @dataclass(frozen=True)
 class Postures:
-    """`localizations` holds `sets` times all spheres: one set for each of `t` targets, or one for all."""
+    """`localizations` are `sets` times all spheres: one set for each of `t` targets, or one for all."""
 
     sets: int
     localizations: PlannedPoses  # sets * n
     targets: PlannedPoses  # t
-    arrival: Array  # (sets * n, 6) sides of its backlash on which each joint rests at a sphere, -1 or 1
+    arrival: Array  # (sets * n, 6) side of its backlash on which each joint rests at a sphere, -1 or 1
     target_arrival: Array  # (t, 6)
 
     def set_of(self, target: int) -> int:
-        """Number of the set of localizations that serves a target."""
+        """Number of the localization set that serves a target."""
         return target if self.sets > 1 else 0
 
 
 def postures(
     strategy: Strategy, phantom: Phantom, robot_from_ct: Transform, sizes: ErrorSizes = UNCALIBRATED
 ) -> Postures:
-    """Plan all poses of a strategy; raises STU-010 when the arm cannot serve the phantom there."""
+    """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""
     arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
     served = strategy.localizes_per_trajectory
     turned = [_turned(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]
     if served:
         targets = turned
-    else:  # with the free angle of the localizations, as nearly as the arm allows
+    else:  # with the free angle of the localizations, as closely as the arm allows
         targets = [
             _reached(one, turned[0].free_angle_rad, robot_from_ct, arm) for one in phantom.trajectories
         ]
@@ -84,7 +84,7 @@ def postures(
 
 
 def _entered(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
-    """Joints (p, 6) at poses that are entered along the tool axis, and the side on which each then rests."""
+    """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
     joints = [arm.guide_at(pose) for pose in poses]
     signs = [arrival_signs(ARM, pose, at, TOOL) for pose, at in zip(poses, joints, strict=True)]
     return np.array(joints), np.array(signs, dtype=float)
@@ -99,7 +99,7 @@ def _turned(
     *,
     with_target: bool,
 ) -> Trajectory:
-    """The trajectory in the best turn in which all is reached."""
+    """The trajectory at the best turn with everything in reach."""
     for turn in strategy.turns_rad(along, phantom.spheres_mm, robot_from_ct, arm):
         turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
         try:
@@ -117,7 +117,7 @@ def _turned(
 def _reached(
     trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
 ) -> Trajectory:
-    """The trajectory at the free angle nearest to the wanted one in which the target is reached."""
+    """The trajectory at the free angle nearest to the wanted one with the target in reach."""
     for turn in OUTWARDS_RAD:
         turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
         try:

@@ -1,4 +1,4 @@
-"""What the joint-level prediction says of a strategy's targets, for what is left of parameter set S."""
+"""Joint-level prediction of a strategy's target errors, for the remaining part of parameter set S."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def predictions(
     left: ErrorSizes = UNCALIBRATED,
     ct_mm: float = CT_FLE_MM,
 ) -> list[TargetPrediction]:
-    """One for each target, with the first `count` spheres; the fit does not weight them."""
+    """One per target, with the first `count` spheres; the fit is unweighted."""
     spheres = robot_from_ct.apply(phantom.spheres_mm)
     found = []
     for number, trajectory in enumerate(phantom.trajectories):

@@ -1,7 +1,7 @@
-"""Arms of parameter set S, drawn as the simulated theatre draws its own, many at once.
+"""Arms of parameter set S, drawn like those of the simulated theatre, many at once.
 
-The formulas are those of the simulator's true arm, written a second time for arrays: a test holds them
-against it. Every arm is drawn from the seed and its own number.
+The formulas are those of the simulator's true arm, implemented a second time for arrays: a test compares the
+two. Every arm is drawn from the seed and its own number.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from sim.theatre.scene.stereo_head import TOOL_IN_FLANGE_MM, draw_mount
 
 Array = NDArray[np.float64]
 
-ARMS_KEY = 4  # of the random numbers: arms are independent of all else that a seed draws
-FLANK_SHARE = 0.5  # of the dead way, to either side
+ARMS_KEY = 4  # of the random numbers: arms are independent of everything else drawn from a seed
+FLANK_SHARE = 0.5  # of the backlash, to either side
 UPPER_ARM, FOREARM = 1, 3  # links between A2 and A3, between A4 and the wrist
 
 
 class Source(StrEnum):
-    """What a target error comes from."""
+    """A source of target error."""
 
     TOOL = "tool frame"
     LINKS = "links and joint offsets"
@@ -48,10 +48,10 @@ class RandomArms:
     link_translation_mm: Array  # (a, 6, 3)
     link_rotation: Array  # (a, 6, 3, 3)
     joint_offset_rad: Array  # (a, 6)
-    harmonics_rad: Array  # (a, 2, 6) once, twice per turn
+    harmonics_rad: Array  # (a, 2, 6) once and twice per turn
     phases_rad: Array  # (a, 2, 6)
-    sag_rad: Array  # (a, 2) of A2 and A3 when stretched out
-    backlash_rad: Array  # (a, 6) the whole dead way
+    sag_rad: Array  # (a, 2) of A2 and A3 at full stretch
+    backlash_rad: Array  # (a, 6) the full backlash
     tool_error_mm: Array  # (a, 3) in the flange frame
     repeatability_mm: float  # per axis, at rest
 
@@ -83,7 +83,7 @@ class RandomArms:
         return len(self.tool_error_mm)
 
     def only(self, source: Source) -> RandomArms:
-        """The same arms with the errors of one source alone; CT and servo are not the arm's."""
+        """The same arms with the errors of one source only; CT and servo errors are not the arm's."""
         no_turns = np.broadcast_to(np.eye(3), self.link_rotation.shape)
         return replace(
             self,
@@ -98,9 +98,9 @@ class RandomArms:
         )
 
     def tool_points_mm(self, joints_rad: Array, flanks: Array) -> Array:
-        """Where the tool really is, (a, p, 3) mm in the robot frame, without what does not repeat.
+        """True position of the tool, (a, p, 3) mm in the robot frame, without the repeatability error.
 
-        Encoder angles (a, p, 6); `flanks` (a, p, 6) say on which side of its backlash each joint rests.
+        Encoder angles (a, p, 6); `flanks` (a, p, 6) give the side of its backlash on which each joint rests.
         """
         angles = self._acting(joints_rad, flanks)
         shape = joints_rad.shape[:-1]
@@ -117,7 +117,7 @@ class RandomArms:
         return np.stack(shifted(point, self.chain.base_mm), axis=-1)
 
     def _beyond(self, link: int, point: Components) -> Components:
-        """A point beyond the error at the far end of a link, seen from before it."""
+        """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
         return shifted(
             mapped(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
@@ -138,7 +138,7 @@ class RandomArms:
 
 
 def drawn_arm(seed: int, number: int) -> tuple[ArmTruth, Array]:
-    """The true arm with that number, and its tool error (3,) mm."""
+    """The true arm with this number, and its tool error (3,) mm."""
     random = np.random.default_rng(np.random.SeedSequence([seed, ARMS_KEY, number]))
     truth, mount = draw_arm(random), draw_mount(random)
     return truth, np.subtract(mount.flange_from_tool_true.translation_mm, TOOL_IN_FLANGE_MM)

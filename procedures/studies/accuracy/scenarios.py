@@ -1,6 +1,6 @@
-"""Arms and CTs that are better than parameter set S: what calibration and a finer CT would reach.
+"""Arms and CTs better than parameter set S: what calibration and a finer CT would achieve.
 
-The levels are those assumed for a calibrated arm; harmonics and sag stay those of set S.
+The levels are those assumed for a calibrated arm; harmonics and sag are those of set S.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from sim.theatre.scene.stereo_head import TOOL_ERROR_MM
 CALIBRATED_TOOL_MM = 0.1  # per axis
 CALIBRATED_LINK_MM = 0.06  # per axis
 CALIBRATED_RAD = float(np.radians(0.008))  # links per axis, joint offsets
-# Of a joint's play, which a calibration tells: twice what `ronna-campaign strategies --identified` finds.
+# Backlash as known after calibration: twice the error that `ronna-campaign strategies --identified` finds.
 CALIBRATED_BACKLASH_RAD = float(np.radians(0.0015))
 FINE_CT_MM = 0.05  # 3-D rms
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """Which parts are calibrated, and the CT error (3-D rms)."""
+    """What is calibrated, and the CT error (3-D rms)."""
 
     name: str
     tool: bool = False
@@ -35,12 +35,12 @@ class Scenario:
 
     @property
     def sizes(self) -> Sizes:
-        """The errors that are not the arm's."""
+        """The errors outside the arm."""
         return Sizes(ct_mm=self.ct_mm)
 
     @property
     def left(self) -> ErrorSizes:
-        """What is left of the arm's errors."""
+        """The remaining errors of the arm."""
         if not self.kinematics:
             return replace(UNCALIBRATED, tool_mm=CALIBRATED_TOOL_MM if self.tool else TOOL_ERROR_MM)
         return ErrorSizes(

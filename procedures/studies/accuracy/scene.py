@@ -1,4 +1,4 @@
-"""The phantom in one place, and what all trials there share."""
+"""The phantom in one position, and what all trials there share."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from ronna_hw.frames import Transform
 Array = NDArray[np.float64]
 
 DIGITS = 6  # of an error in mm
-BEST = "best"  # chosen for each target and number of spheres among the errors of the others
+BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A phantom with its markers in place `number`; `counts` spheres are used for a registration."""
+    """A phantom with its markers in position `number`; `counts` spheres are used for a registration."""
 
     seed: int
     markers: Markers
@@ -44,11 +44,11 @@ class Scene:
     def of(
         cls, seed: int, phantom: Phantom, markers: Markers, number: int, own: tuple[Strategy, ...] = ()
     ) -> Self:
-        """With all numbers of spheres that these markers allow, and own strategies beside ours."""
+        """With all numbers of spheres that these markers allow, and user strategies besides ours."""
         return cls(seed, markers, number, phantom, place(number), counts_of(markers), own)
 
     def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
-        """The poses of a strategy here, for arms with such errors left. Raises STU-010."""
+        """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or strategy_named(strategy)
         return postures(chosen, self.phantom, self.robot_from_ct, left)
@@ -63,7 +63,7 @@ class Scene:
         ]
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
-        """What is drawn for arms with these numbers."""
+        """The random draws for arms with these numbers."""
         shape = len(self.phantom.trajectories), len(self.phantom.spheres_mm)
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 
@@ -91,7 +91,9 @@ class Scene:
         *,
         any_side: bool = False,
     ) -> dict[str, Array]:
-        """The same by strategy; `left` says what is predicted, and planned, for such arms."""
+        """The same by strategy; `left` are the arm errors assumed for planning poses and
+        predicting errors.
+        """
         best = [one.name for one in CANDIDATES] if BEST in strategies else []
         single = dict.fromkeys((*best, *(one for one in strategies if one != BEST)))
         planned = {one: self.planned(one, left) for one in single}

@@ -1,8 +1,8 @@
-"""Joint angles of many arms near planned ones: nominally at a place, or with the true tool on a sphere.
+"""Joint angles of many arms near planned ones: nominally at a position, or with the true tool on a sphere.
 
-An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves for all arms:
-each step leaves a fiftieth of the error, a tenth near a singularity. Their number is fixed: an arm's result
-must not depend on which others are run beside it.
+An arm ends within millimetres of its planned pose, so the Jacobian of the planned pose serves all arms: each
+step leaves a fiftieth of the error, a tenth near a singularity. The number of steps is fixed, so that an
+arm's result does not depend on which others are run with it.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ STEPS = 10
 class PlannedPoses:
     """Postures of the nominal arm: joints (p, 6), orientations robot <- tool (p, 3, 3).
 
-    `inverse` (p, 6, 6) leads from a small motion of the tool (mm, rad) to one of the joints.
+    `inverse` (p, 6, 6) maps a small motion of the tool (mm, rad) to one of the joints.
     """
 
-    tool_mm: Array  # (3,) in the flange frame, which the nominal tool is parallel to
+    tool_mm: Array  # (3,) in the flange frame, to which the nominal tool is parallel
     joints_rad: Array
     rotations: Array
     inverse: Array
@@ -53,7 +53,7 @@ class PlannedPoses:
 
 
 def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Array) -> tuple[Array, Array]:
-    """Joints (a, p, 6) with the true tool on spheres (p, 3), and where the controller believes it (a, p, 3).
+    """Joints (a, p, 6) with the true tool on spheres (p, 3), and its believed position (a, p, 3).
 
     The believed orientation is the planned one: the servo shifts the tool and does not turn it.
     """
@@ -66,7 +66,7 @@ def centred(arms: RandomArms, poses: PlannedPoses, spheres_mm: Array, flanks: Ar
 
 
 def brought_to(arms: RandomArms, poses: PlannedPoses, places_mm: Array) -> Array:
-    """Joints (a, p, 6) with the nominal tool at places (a, p, 3) in the planned orientations."""
+    """Joints (a, p, 6) with the nominal tool at positions (a, p, 3) in the planned orientations."""
     joints, _ = _solved(arms, poses, lambda _, at: places_mm - at, (*places_mm.shape[:-1], 6))
     return joints
 

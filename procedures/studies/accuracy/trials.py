@@ -1,9 +1,9 @@
-"""Localize, register, go to the target: many arms at one place of the phantom.
+"""Localize, register, go to the target: many arms at one position of the phantom.
 
-Every random number belongs to the seed, the markers, the arm and the place, so an error does not depend on
-which arms are run together. The CT of an arm's phantom is scanned once and serves in all places, as in the
-thesis; the orientation at the target is the planned one, which the finer transform turns by less than a
-degree.
+Every random number belongs to the seed, the markers, the arm and the position, so an error does not
+depend on which arms are run together. The CT of an arm's phantom is scanned once and used in all
+positions, as in the thesis; the orientation at the target is the planned one, since the finer transform
+turns it by less than a degree.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
-CT_FLE_MM = 0.38  # parameter set S: 3-D rms of a sphere in the CT, reseating included
-SERVO_MM = 0.03  # the same: 3-D rms of what the servo leaves
+CT_FLE_MM = 0.38  # parameter set S: 3-D rms of a sphere in the CT, including reseating
+SERVO_MM = 0.03  # the same: 3-D rms of the servo's residual
 AXES = 3
 CT_KEY, LOOKS_KEY = 7, 8  # of the random numbers
 
 
 @dataclass(frozen=True)
 class Chance:
-    """What is drawn for `a` arms besides the arms themselves; mm, one standard deviation per axis is 1."""
+    """Random draws for `a` arms besides the arms themselves; unit standard deviation per axis."""
 
     ct: Array  # (a, n, 3)
     servo: Array  # (a, s, n, 3) of every localization
-    rest: Array  # (a, s, n, 3) the same, of the arm at rest
-    sides: Array  # (a, s, n, 6) -1 or 1: where the servo's last step could leave each joint
-    target_rest: Array  # (a, t, 3) of the arm at rest at the target
+    rest: Array  # (a, s, n, 3) the same, for the arm at rest
+    sides: Array  # (a, s, n, 6) -1 or 1: side on which the servo's last step may leave each joint
+    target_rest: Array  # (a, t, 3) for the arm at rest at the target
 
     @classmethod
     def draw(
@@ -52,9 +52,10 @@ class Chance:
         *,
         scan_again: bool = False,
     ) -> Self:
-        """For arms with these numbers at a place; `shape` is targets, spheres.
+        """For arms with these numbers at a position; `shape` is targets, spheres.
 
-        Strategies share them: they are compared on the same chance. `scan_again` scans the CT in every place.
+        Strategies share the draws, so they are compared on equal terms. `scan_again` scans the
+        CT at every position.
         """
         kind = zlib.crc32(markers.encode())
         targets, spheres = shape
@@ -77,13 +78,13 @@ class Chance:
 
 @dataclass(frozen=True)
 class Sizes:
-    """Errors that are not the arm's, 3-D rms in mm."""
+    """Errors outside the arm, 3-D rms in mm."""
 
     ct_mm: float = CT_FLE_MM
     servo_mm: float = SERVO_MM
 
     def only(self, source: Source) -> Sizes:
-        """The same with one source alone."""
+        """The same with one source only."""
         return Sizes(
             self.ct_mm if source is Source.CT else 0.0, self.servo_mm if source is Source.REST else 0.0
         )
@@ -102,8 +103,8 @@ def target_errors(
 ) -> Array:
     """Error vectors (a, t, c, 3) mm, robot frame: tip minus target, for each number of spheres in `counts`.
 
-    With `any_side`, the servo's last step leaves each joint on any side of its backlash at the spheres;
-    without, the line along which a sphere is approached decides, and a strategy that controls the approach.
+    With `any_side`, the servo's last step leaves each joint on either side of its backlash at the spheres;
+    without it, the line of approach to a sphere decides, or a strategy that controls the approach.
     """
     spheres = robot_from_ct.apply(phantom.spheres_mm)
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])
@@ -125,7 +126,7 @@ def target_errors(
 def _localized(
     arms: RandomArms, planned: Postures, spheres_mm: Array, chance: Chance, sizes: Sizes, any_side: bool
 ) -> Array:
-    """Where the controller believes the spheres, (a, s, n, 3) mm."""
+    """Believed positions of the spheres, (a, s, n, 3) mm."""
     count, sets = len(spheres_mm), planned.sets
     sides = np.broadcast_to(planned.arrival, (len(arms), *planned.arrival.shape))
     if any_side:

@@ -1,4 +1,4 @@
-"""The chain of an arm multiplied out for many joint vectors at once, component by component."""
+"""The kinematic chain of an arm evaluated for many joint vectors at once, component by component."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Components = tuple[Array, Array, Array]
 
 
 def turned(joint: Joint, angle_rad: Array, point: Components) -> Components:
-    """Points turned about the axis of a joint, by Rodrigues' formula; all arrays of one shape."""
+    """Points rotated about a joint axis by Rodrigues' formula; all arrays of one shape."""
     (x, y, z), (ax, ay, az) = point, joint.axis
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     along = (ax * x + ay * y + az * z) * (1.0 - cosine)

@@ -1,1 +1,1 @@
-"""What every campaign needs: units of work, who does them, the record of them, tables and plots."""
+"""Common parts of all campaigns: units of work, workers, ledger, tables and plots."""

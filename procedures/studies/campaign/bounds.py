@@ -1,4 +1,4 @@
-"""Bounds of what a campaign counts and averages: 95 % confidence, so that a table says how sure it is."""
+"""95 % confidence bounds of counts and means, so that a table states its own uncertainty."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 CONFIDENCE = 0.95
 ON_BOTH_SIDES = 0.5 * (1.0 + CONFIDENCE)
-CAPTION = f"{100 * CONFIDENCE:.0f} %"  # of the columns that hold bounds
+CAPTION = f"{100 * CONFIDENCE:.0f} %"  # of the columns with bounds
 NOTE = (
     f"{CAPTION}: bounds at this confidence, exact binomial (Clopper and Pearson) as for independent "
     "runs; one-sided where none or all were counted."
@@ -18,7 +18,7 @@ NOTE = (
 
 @dataclass(frozen=True)
 class Bounded:
-    """A value and its bounds in its unit; `low` is None under a zero count, `high` over a full one."""
+    """A value and its bounds in its unit; `low` is None for a zero count, `high` for a full one."""
 
     value: float
     low: float | None
@@ -26,7 +26,7 @@ class Bounded:
 
     @property
     def text(self) -> str:
-        """`0.9 to 1.6`; of a zero count `at most 0.3`, of a full one `at least 99.7`; empty where unknown."""
+        """`0.9 to 1.6`; `at most 0.3` for a zero count, `at least 99.7` for a full one; empty if unknown."""
         if self.low is None:
             return "" if self.high is None else f"at most {self.high:.2g}"
         if self.high is None:
@@ -40,12 +40,12 @@ def column(of: str) -> str:
 
 
 def percent(count: float, of: float) -> Bounded:
-    """Share of independent runs, per cent. Of nothing: no bounds, 0."""
+    """Share of independent runs, per cent. With no runs: 0 without bounds."""
     number, runs = round(count), round(of)
     if not runs:
         return Bounded(0.0, None, None)
     side = "less" if number == 0 else "greater" if number == runs else "two-sided"
-    from scipy.stats import binomtest  # half a second, which no worker of a campaign needs
+    from scipy.stats import binomtest  # half a second, not needed by campaign workers
 
     interval = binomtest(number, runs, alternative=side).proportion_ci(CONFIDENCE, "exact")
     return Bounded(
@@ -56,7 +56,7 @@ def percent(count: float, of: float) -> Bounded:
 
 
 def number(count: float) -> Bounded:
-    """Mean of a Poisson distribution of which one number was counted (exact: Garwood)."""
+    """Mean of a Poisson distribution from one observed count (exact: Garwood)."""
     from scipy.stats import chi2
 
     if not round(count):
@@ -78,13 +78,13 @@ def mean(values: ArrayLike) -> Bounded:
 
 
 def mean_length(values: ArrayLike) -> Bounded:
-    """As `mean`, of lengths, whose mean cannot lie below 0."""
+    """Like `mean`, for lengths, whose mean cannot be below 0."""
     told = mean(values)
     return told if told.low is None else replace(told, low=max(0.0, told.low))
 
 
 def root_mean_square(squares: float, fourths: float, runs: float) -> Bounded:
-    """Rms of independent values, from the sums of their squares and fourth powers; for many runs."""
+    """Rms of independent values from the sums of their squares and fourth powers; for many runs."""
     square = squares / runs
     value = float(np.sqrt(square))
     if runs < 2:

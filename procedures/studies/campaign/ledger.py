@@ -17,19 +17,19 @@ FILE = "units.jsonl"
 
 
 def fingerprint(study: Study) -> str:
-    """Hash of everything the results of a study depend on."""
+    """Hash of everything that a study's results depend on."""
     return hashlib.sha256(canonical_json({"study": study.name, **study.parameters()})).hexdigest()
 
 
 class Ledger:
-    """Finished units of one study in a folder. The first line says which study it is."""
+    """Finished units of one study in a folder. The first line identifies the study."""
 
     def __init__(self, folder: Path, study: Study) -> None:
-        """Open or start it; raises STU-001 for another study, STU-002 when nothing says which one it is."""
+        """Open or start it; raises STU-001 for another study, STU-002 when it is not identified."""
         self._path = folder / FILE
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
-        self.damaged = 0  # lines that were left out: their units are run again
+        self.damaged = 0  # lines skipped: their units are run again
         head = {"study": study.name, "fingerprint": fingerprint(study), "parameters": study.parameters()}
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
@@ -43,11 +43,11 @@ class Ledger:
         self._append({"unit": unit.key, "sums": sums, "sha256": _hash(unit.key, sums)})
 
     def missing(self) -> list[Unit]:
-        """Units still to be run, in the order of the study."""
+        """Units still to run, in the order of the study."""
         return [unit for key, unit in self._units.items() if key not in self.finished]
 
     def results(self) -> Iterator[tuple[Unit, Sums]]:
-        """Finished units in the order of the study, whatever order they finished in."""
+        """Finished units in the order of the study, whatever the order they finished in."""
         for key, unit in self._units.items():
             if key in self.finished:
                 yield unit, self.finished[key]
@@ -61,7 +61,7 @@ class Ledger:
         except (ValueError, KeyError, TypeError) as error:
             raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [lines[0]]
-        for line in lines[1:-1]:  # a line without an end was truncated
+        for line in lines[1:-1]:  # an unterminated line was truncated
             if (finished := _finished(line)) is not None:
                 kept.append(line)
                 if finished[0] in self._units:
@@ -80,7 +80,7 @@ def _hash(key: str, sums: Sums) -> str:
 
 
 def _finished(line: str) -> tuple[str, Sums] | None:
-    """The unit of a line and its sums; None for a line that is damaged, or says other than was written."""
+    """The unit of a line and its sums; None for a line that is damaged or does not match its hash."""
     try:
         content = parse_json(line)
         key, sums = content["unit"], content["sums"]
@@ -90,10 +90,10 @@ def _finished(line: str) -> tuple[str, Sums] | None:
 
 
 def _difference(there: Any, head: Mapping[str, Any]) -> str:
-    """What another study is, in words: its name, or the parameters that differ."""
+    """How another study differs, in words: its name, or the parameters."""
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
-    # As the file has them: a list for a tuple, a name for a choice.
+    # as in the file: a list for a tuple, a name for an enum member
     before, now = there.get("parameters", {}), json.loads(json.dumps(head["parameters"]))
     differ = [
         f"{name} {before.get(name)!r}, now {now.get(name)!r}"

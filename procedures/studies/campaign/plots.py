@@ -30,7 +30,7 @@ def curves(
     logarithmic: bool = False,
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
-    """Named curves over a common axis, with named ranges of it; bounds of the values as a band."""
+    """Named curves over a common axis, with named ranges of it; bounds are drawn as a band."""
     figure, axes = _figure()
     for name, points in lines.items():
         places, values = [x for x, _ in points], _values(points)
@@ -62,7 +62,7 @@ def bars(
 ) -> bytes:
     """Groups of bars: group -> series -> value, with whiskers for its bounds.
 
-    A zero count has no bar: a triangle that points down marks what it is at most.
+    A zero count has no bar: a downward triangle marks its upper bound.
     """
     figure, axes = _figure()
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
@@ -98,12 +98,12 @@ def bars(
     axes.set_ylabel(y_label)
     if logarithmic:
         axes.set_yscale("log")
-    figure.legend(fontsize=8, loc="outside right upper")  # outside the axes: never over a bar
+    figure.legend(fontsize=8, loc="outside right upper")  # outside the axes, so that it never covers a bar
     return _png(figure)
 
 
 def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
-    """A box for each group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
+    """A box per group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
     figure, axes = _figure()
     axes.boxplot(
         [np.asarray(values) for values in groups.values()],
@@ -130,7 +130,7 @@ def _bounded(value: float | Bounded) -> Bounded:
 
 
 def _ends(one: Bounded) -> tuple[float, float]:
-    """Bounds, where the value itself stands for one that is not known."""
+    """Bounds; the value itself replaces an unknown one."""
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 

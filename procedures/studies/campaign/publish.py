@@ -1,4 +1,4 @@
-"""Write the results of a study: tables as Markdown, CSV and JSON, and plots."""
+"""Writes the results of a study: tables as Markdown, CSV and JSON, and plots."""
 
 from __future__ import annotations
 

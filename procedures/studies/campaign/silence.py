@@ -1,4 +1,4 @@
-"""Units of own methods that do not answer: told by name, since an endless loop looks like long work."""
+"""Names the units of user methods that do not respond: an endless loop looks like long work."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ Told = Callable[[str], None]
 
 
 class Silence:
-    """Told once for each unit that has been under way for `limit_s`."""
+    """Reports once each unit that has been running for `limit_s`."""
 
     def __init__(self, names: Sequence[str], tell: Told, limit_s: float = SILENT_S) -> None:
-        """`names` are those of the own methods; without any, nothing is told."""
+        """`names` are those of the user methods; without any, nothing is reported."""
         self._names, self._tell, self.limit_s = " or ".join(names), tell, limit_s
         self._since: dict[str, float] = {}
         self._told: set[str] = set()
 
     def under_way(self, keys: Iterable[str]) -> None:
-        """To be called at least every `limit_s` with the units that run."""
+        """Call at least every `limit_s` with the units that are running."""
         now_s = time.monotonic()
         since = {key: self._since.get(key, now_s) for key in keys}
         self._since = since

@@ -12,7 +12,7 @@ Cell = str | float | int | None
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain values; `note` explains the figures and gives the source of published ones."""
+    """Rows of plain values; `note` explains the figures and cites the source of published ones."""
 
     title: str
     columns: Sequence[str]
@@ -45,7 +45,7 @@ class Table:
 
 
 def shown(value: Cell) -> str:
-    """A value as a person reads it."""
+    """A value formatted for a person."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""A unit of a study: some runs of one cell with their own seed, so that every worker gets the same result."""
+"""A unit of a study: some runs of one cell with its own seed, so that every worker gets the same result."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Unit:
 
 
 class Study(Protocol):
-    """What the runner needs of a study: it can be pickled, and `run` depends only on its arguments."""
+    """What the runner needs from a study: it can be pickled, and `run` depends only on its arguments."""
 
     @property
     def name(self) -> str:
@@ -36,7 +36,7 @@ class Study(Protocol):
         ...
 
     def parameters(self) -> dict[str, object]:
-        """Everything the results depend on, as plain data."""
+        """Everything that the results depend on, as plain data."""
         ...
 
     def units(self) -> Sequence[Unit]:
@@ -49,7 +49,7 @@ class Study(Protocol):
 
 
 def without_empty_own(parameters: dict[str, object]) -> dict[str, object]:
-    """Own methods are a parameter only of the studies that have some."""
+    """User methods are a parameter only of studies that have some."""
     return {key: value for key, value in parameters.items() if key != "own" or value}
 
 

@@ -48,9 +48,9 @@ def run_study(
 ) -> None:
     """Run the missing units and record them. `workers` 1 stays in this process, None uses every core.
 
-    Own methods never stay: what ends their process ends no campaign, and `tell` hears which one does not
-    answer. Raises STU-003 to STU-005, of own methods STU-012 to STU-014. Units finished before an error or an
-    interruption are kept.
+    User methods always run in other processes: a crash there does not end the campaign, and `tell` is called
+    with the name of one that does not respond. Raises STU-003 to STU-005, for user methods STU-012 to
+    STU-014. Units finished before an error or an interruption are kept.
     """
     missing = ledger.missing()
     everything = len(study.units())
@@ -82,21 +82,21 @@ def _runner(
 
 
 def _own(study: Study) -> tuple[OwnMethod, ...]:
-    """The reader's own methods in a study, of the studies that take some."""
+    """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
 
 @contextmanager
 def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
-    """That many, which end with this one. A forked child would inherit locks of the libraries' threads.
+    """This many worker processes, which end with this one. A fork would inherit locks of library threads.
 
-    An error or an interruption of the block kills them: what they run may never end by itself.
+    An error or interruption in the block kills them: what they run may never end by itself.
     """
     others = active_children()
     with ProcessPoolExecutor(count, get_context("spawn"), _end_with_parent) as pool:
         try:
             yield pool
-        except BaseException:  # an interruption above all: leaving the pool would wait for its workers
+        except BaseException:  # above all on interruption: leaving the pool would wait for its workers
             for process in active_children():
                 if process not in others:
                     process.kill()
@@ -104,8 +104,8 @@ def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
 
 
 def _end_with_parent() -> None:
-    """In a worker: end if the campaign is killed; otherwise it would wait for its next unit for ever."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of a terminal, sent to all: the campaign ends its workers
+    """In a worker: exit if the campaign is killed, instead of waiting for its next unit forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to all; the campaign ends its workers
     parent = parent_process()
     if parent is None:
         return
@@ -119,7 +119,7 @@ def _end_with_parent() -> None:
 
 @contextmanager
 def _one_thread_each() -> Iterator[None]:
-    """Processes started meanwhile inherit single-threaded linear algebra."""
+    """Processes started in the block inherit single-threaded linear algebra."""
     before = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
     try:
@@ -138,10 +138,10 @@ def _on_pool(
     waiting = {pool.submit(study.run, unit): unit for unit in units}
     lost = set()
     while waiting:
-        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they begin in their order
+        silence.under_way(unit.key for unit in islice(waiting.values(), count))  # they start in order
         for future in wait(waiting, silence.limit_s, FIRST_COMPLETED).done:
             unit = waiting.pop(future)
-            if isinstance(future.exception(), BrokenProcessPool):  # so are all others, but what has finished
+            if isinstance(future.exception(), BrokenProcessPool):  # so do all others that have not finished
                 lost.add(unit.key)
             else:
                 yield unit, _result(unit, future.result)
@@ -150,7 +150,7 @@ def _on_pool(
 
 
 def _ended(study: Study, keys: list[str]) -> RonnaError:
-    """A worker's process is gone. The units begin in their order: it had one of the first that are lost."""
+    """A worker's process is gone. Units start in order, so it was running one of the first that are lost."""
     among = f", in {' or '.join(keys)}"
     if own := _own(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {ENDED_ITS_PROCESS}{among}")
@@ -158,7 +158,7 @@ def _ended(study: Study, keys: list[str]) -> RonnaError:
 
 
 def _require_address(scheduler: str) -> None:
-    """Given anything else, Dask's client fails half constructed and complains much later."""
+    """Reject other text here: Dask's client would fail half constructed and complain much later."""
     try:
         parts = urlsplit(scheduler)
         whole = parts.scheme in SCHEDULER_SCHEMES and parts.hostname and parts.port
@@ -199,7 +199,7 @@ def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
 def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
     try:
         return result()
-    except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the reader's own, and told as such
+    except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the user's own, reported as such
         where = f"{error.what}, in unit {unit.key}"
         raise type(error)(where, expected=error.expected, got=error.got, action=error.advice) from error
     except Exception as error:

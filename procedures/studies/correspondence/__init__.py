@@ -1,1 +1,1 @@
-"""Do methods of correspondence find the right pairs? The thesis' protocols, and ours."""
+"""Do correspondence methods find the right pairs? The thesis' protocols, and ours."""

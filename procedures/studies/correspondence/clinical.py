@@ -1,7 +1,7 @@
 """The thesis' clinical protocol of pairing (5.3.2): 17 localized scans of the x-shaped frame, 1,415 readings.
 
-The scans are those of the localization, with a scale error each; the readings are those of the simulated
-tracker. The thesis' method pairs what the copy of its localizer found, ours what ours found. No strays.
+The scans are those of the localization study, each with a scale error; the readings are from the simulated
+tracker. The thesis' method pairs the output of our copy of its localizer, our method that of ours. No strays.
 """
 
 from __future__ import annotations
@@ -50,10 +50,10 @@ PHANTOM_SCANS = 5
 SCANS: tuple[ThesisScan, ...] = tuple(
     scan for scan in THESIS_SCANS if scan.kind == PATIENT or scan.number <= PHANTOM_SCANS
 )
-# Values of e, mm, at which the thesis matches every reading: figures 14 and 15, as stated in its text.
+# Values of e, mm, at which the thesis matches every reading: figures 14 and 15, as stated in the text.
 THESIS_RANGES_MM = {PHANTOM: (1.8, 4.5), PATIENT: (2.5, 4.0)}
 THESIS_READINGS = 1415
-NOISE = NoiseReading.NORM  # under which the thesis' other figures come out
+NOISE = NoiseReading.NORM  # the interpretation that reproduces the thesis' other figures
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +126,7 @@ class ClinicalStudy:
         return sums
 
     def _shuffled(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
-        """The readings in random order, and the pairs that are right then."""
+        """The readings in random order, and the correct pairs."""
         many, spheres = self.readings_mm.shape[:2]
         order = random.permuted(np.tile(np.arange(spheres), (many, 1)), axis=1)
         seen = np.take_along_axis(self.readings_mm, order[:, :, None], axis=1)
@@ -193,7 +193,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple[float, float]]:
-    """Share of readings that the thesis' method, validated, pairs in scans of a kind, for every e in mm."""
+    """Share of readings that the thesis' method, validated, pairs in scans of one kind, for every e in mm."""
     found = [(e, *_success(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
     return [(e, share) for e, runs, share in found if runs]
 

@@ -1,7 +1,7 @@
-"""Readings of the close x-shaped frame by the simulated tracker itself, a process at the end of its wire.
+"""Readings of the close x-shaped frame from the simulated tracker, over its protocol.
 
-The frame stands alone in the room as four spheres of no tool. The unit is started once for every orientation;
-meanwhile the frame is moved to places all over the measuring volume, and each is read once by the driver.
+The frame is alone in the room, as four stray spheres. The unit is restarted for every orientation; in
+between, the frame is moved to positions all over the measuring volume, and each is read once by the driver.
 """
 
 from __future__ import annotations
@@ -38,19 +38,19 @@ Array = NDArray[np.float64]
 FILE = "frame-readings.json"
 ORIENTATIONS = 28
 SPHERES = len(FRAME_MM)
-# The Spectra's pyramid reaches from 0.95 to 2.4 m and is at least half as wide as it is far away: the whole
-# frame stays within it. NDI's brochure.
+# The Spectra's pyramid reaches from 0.95 to 2.4 m and is at least half as wide as the distance: the whole
+# frame stays inside it. NDI's brochure.
 DEPTH_MM = (1050.0, 2300.0)
 HALF_WIDTH, MARGIN_MM = 0.24, 60.0  # share of the distance; the frame's half width
 LARGEST_TILT_RAD = radians(60.0)  # of the frame from facing the tracker
 ATTEMPTS = 20
-LIMIT_S = 60.0  # host time, as a guard
+LIMIT_S = 60.0  # host time, as a safeguard
 
 
 def recorded_readings(
     folder: Path, count: int, seed: int, progress: Callable[[float], None] = lambda share: None
 ) -> Array:
-    """The readings that a study keeps in its folder, taken now where there are none.
+    """The readings stored in a study's folder, taken now if there are none.
 
     Raises STU-001, STU-002, STU-008.
     """
@@ -85,12 +85,12 @@ def read_frames(count: int, seed: int, progress: Callable[[float], None] = lambd
 
 
 def _whole_reading(read_at: Callable[[Array], Array], frame_mm: Array, random: np.random.Generator) -> Array:
-    """A reading that shows all four spheres; places where it does not are left out, as a person would."""
+    """A reading with all four spheres; positions that do not show them are skipped, as a person would."""
     for _ in range(ATTEMPTS):
         place_mm = _place(random)
         seen_mm = read_at(place_mm)
         if len(seen_mm) == SPHERES:
-            # The order is what the pairing must find: here it is known from where the frame was put.
+            # The order is what pairing must find; here it is known from the frame's position.
             away_mm = np.linalg.norm(seen_mm[:, None] - (frame_mm + place_mm)[None], axis=2)
             return np.asarray(seen_mm[away_mm.argmin(axis=0)])
     raise TrackerNotSimulated(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
@@ -105,7 +105,7 @@ def _place(random: np.random.Generator) -> Array:
 
 
 def _orientation(random: np.random.Generator) -> Rotation:
-    """The frame faces the tracker, turned about its normal and tilted."""
+    """Orientation facing the tracker, turned about the frame's normal and tilted."""
     turn = Rotation.from_rotvec([0.0, 0.0, random.uniform(0.0, 2.0 * np.pi)])
     about = random.uniform(0.0, 2.0 * np.pi)
     tilt = random.uniform(0.0, LARGEST_TILT_RAD) * np.array([np.cos(about), np.sin(about), 0.0])
@@ -114,7 +114,7 @@ def _orientation(random: np.random.Generator) -> Rotation:
 
 @contextmanager
 def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
-    """A unit and its driver; yields a function that reads the spheres with the frame at a place (3,)."""
+    """A unit and its driver; yields a function that reads the spheres with the frame at a position (3,)."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
         scene.write_text(json.dumps(_scene(orientation, seed)), encoding="utf-8")
@@ -130,7 +130,7 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
             control.ask("clear_faults")
             x, y, z = (f"{value:.4f}" for value in place_mm)
             control.ask("fault", line=f"now: room shift head {x} {y} {z} mm")
-            _, frame = new_frames(tracker, 2)  # the first may have been measured before the frame was there
+            _, frame = new_frames(tracker, 2)  # the first may predate the frame's placement
             if frame.validity is not Validity.OK:
                 return np.empty((0, 3))
             return np.array([stray.position_mm for stray in frame.strays]).reshape(-1, 3)
@@ -139,7 +139,7 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
 
 
 def _scene(orientation: Rotation, seed: int) -> dict[str, Any]:
-    """The bench with nothing in it but the frame, at the origin; robot and tracker frame are one."""
+    """The bench with only the frame in it, at the origin; robot and tracker frame coincide."""
     done = subprocess.run(
         command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed)),
         capture_output=True,
@@ -154,8 +154,8 @@ def _scene(orientation: Rotation, seed: int) -> dict[str, Any]:
     turned = orientation.as_quat(scalar_first=True).tolist()
     scene["head"] |= {
         "robot_from_ct": here | {"quaternion_wxyz": turned},
-        "seating_error_mm": 0.0,  # a frame of one piece
-        "centre_ct_mm": [0.0, 0.0, 1e5],  # no head: it stands behind the tracker
+        "seating_error_mm": 0.0,  # a rigid one-piece frame
+        "centre_ct_mm": [0.0, 0.0, 1e5],  # no head: it is behind the tracker
         "fiducials": [
             {"number": number, "centre_ct_mm": centre, "post_ct": [0.0, 0.0, 1.0]}
             for number, centre in enumerate(FRAME_MM.tolist(), start=1)

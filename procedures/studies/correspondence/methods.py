@@ -1,4 +1,4 @@
-"""Methods of correspondence as an option names them: ours, the thesis', and own ones."""
+"""Correspondence methods selected by an option: ours, the thesis', and user methods."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ NAMES = {
 def chosen_methods(
     names: Sequence[str], tell: Told = lambda text: None
 ) -> tuple[tuple[Method, ...], tuple[OwnMethod, ...]]:
-    """Known methods and own ones; all known ones where none is named. Raises STU-012 to STU-014.
+    """Known methods and user methods; all known ones if none is named. Raises STU-012 to STU-014.
 
-    `tell` hears which own one does not answer.
+    `tell` is called with the name of a user method that does not respond.
     """
     if not names:
         return tuple(Method), ()

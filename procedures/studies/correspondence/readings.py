@@ -1,4 +1,4 @@
-"""Readings drawn after the thesis' protocol (5.3.1), many runs of a cell at once.
+"""Readings drawn according to the thesis' protocol (5.3.1), many runs of a cell at once.
 
 Every run displaces the patient's marker sites, takes a random subset, adds noise and outliers on both sides,
 and shuffles both.
@@ -66,7 +66,7 @@ def draw_readings(
 
 
 def _shuffled(points: Array, outliers: int, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
-    """Points and outliers about their centre in random order, and the permutation."""
+    """Points and outliers about their centre, in random order, and the permutation."""
     runs, count, _ = points.shape
     strays = in_balls(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)
     everything = np.concatenate([points, points.mean(axis=1, keepdims=True) + strays], axis=1)

@@ -1,4 +1,4 @@
-"""What became of the runs of the correspondence study, in the thesis' words."""
+"""Outcomes of the runs of the correspondence study, in the thesis' terms."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Series:
-    """Whose results these are: noise model, method, e as text (empty for ours), number of fiducials."""
+    """Identifies results: noise model, method, e as text (empty for ours), number of fiducials."""
 
     noise: NoiseReading
     method: str
@@ -30,9 +30,9 @@ class Series:
 
 @dataclass(frozen=True)
 class Shares:
-    """Per cent of the runs: all, and the range over the numbers of outliers as the thesis gives it.
+    """Per cent of the runs: all, and the range over the numbers of outliers, as in the thesis.
 
-    `unsuccessful` and `false` in the thesis' words: a part of the true pairs is unsuccessful.
+    `unsuccessful` and `false` as in the thesis: a subset of the true pairs is unsuccessful.
     """
 
     runs: int
@@ -53,7 +53,7 @@ class Shares:
 
 
 def shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
-    """What became of the runs of each series, over patients."""
+    """Outcomes of the runs of each series, over patients."""
     counted: dict[Series, dict[int, dict[str, float]]] = {}
     for cell, content in sums.items():
         noise, _, fiducials, outliers = cell_of(cell)

@@ -1,8 +1,8 @@
 """The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
 
-Each method solves every run on the same points. A run succeeds if exactly the true pairs are returned, it is
-false if a wrong pair is among them, a part if they are right but not all, and otherwise it is lost. The
-thesis counts a part as unsuccessful (success is exact count and exact order), our goals count it as false.
+Each method solves every run on the same points. A run is successful if exactly the true pairs are returned,
+false if a wrong pair is among them, partial if they are right but incomplete, and otherwise lost. The thesis
+counts a partial result as unsuccessful (success is exact count and exact order), our goals count it as false.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ OUTLIERS = tuple(range(5))
 BLOCK_RUNS = 500
 PRIOR_DISTURBED_RAD = math.radians(20.0)  # largest error of the orientation given as a prior
 SUCCESS, LOST, PART, FALSE = "success", "lost", "part", "false"
-# At the first the thesis' method comes nearest to its figures for 3 and 4 markers, at the second for 5 to 8.
+# The first brings the thesis' method closest to its figures for 3 and 4 markers, the second for 5 to 8.
 USUAL_TOLERANCES_MM = (1.5, 2.5)
 
 
 class Method(StrEnum):
-    """Ours, ours with prior knowledge from the plan; the thesis', as found and validated."""
+    """Ours; ours with prior knowledge from the plan; the thesis', as found and validated."""
 
     CLIQUE = "clique"
     PRIOR = "clique + orientation"
@@ -71,7 +71,7 @@ OF_THE_THESIS = (Method.THESIS, Method.VALIDATED)
 
 @dataclass(frozen=True)
 class CorrespondenceStudy:
-    """`runs` for each patient and cell; the thesis' methods with each e in `tolerances_mm`; own ones."""
+    """`runs` per patient and cell; the thesis' methods with each e in `tolerances_mm`; user methods."""
 
     runs: int
     seed: int = 0
@@ -126,7 +126,7 @@ class CorrespondenceStudy:
         return {key: float(value) for key, value in sums.items()}
 
     def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
-        """Outcomes of the thesis' pairing for every e: as it is found, and as its validation leaves it."""
+        """Outcomes of the thesis' pairing for every e: as found, and after its validation."""
         sums: Counter[str] = Counter()
         for tolerance_mm in self.tolerances_mm:
             found = match_many_by_similarity(
@@ -146,7 +146,7 @@ class CorrespondenceStudy:
 def _by_own(
     pairing: OwnPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
-    """Outcomes of a reader's own pairing."""
+    """Outcomes of a user's pairing."""
     sums: Counter[str] = Counter()
     for image_mm, physical_mm, right in zip(seen.image_mm, seen.physical_mm, rights, strict=True):
         found = pairing(
@@ -206,8 +206,7 @@ def _solve(
 def _stands(plain: Match, prior: Array) -> bool:
     """Whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
 
-    A prior only removes hypotheses. The best of all is the best of the remaining ones, unless it is removed
-    itself.
+    A prior only removes hypotheses. The best of all remains the best unless it is removed itself.
     """
     if plain.transform is None or plain.status is not MatchStatus.UNIQUE:
         return False

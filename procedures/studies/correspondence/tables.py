@@ -18,11 +18,11 @@ THESIS_UNSUCCESSFUL: dict[int, Range] = {3: (7.98, 15.53), 4: (3.86, 5.03)} | di
 THESIS_FALSE: dict[int, Range] = {3: (0.05, 0.89), 4: (0.01, 0.06)} | dict.fromkeys(range(5, 9), (0.0, 0.026))
 
 POOLED = range(5, 9)  # numbers of fiducials pooled by the thesis and by the goal
-GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, of our methods; a part counts as false
+GOAL_UNSUCCESSFUL, GOAL_FALSE = 0.05, 0.01  # per cent, for our methods; a partial result counts as false
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """One table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures come out."""
+    """A table per noise model, one over 5 to 8 fiducials, one on where the thesis' figures are reproduced."""
     found = shares(sums)
     made = [
         Table(
@@ -79,7 +79,7 @@ def _text(ends: Range) -> str:
 
 
 def _pooled(found: Mapping[Series, Shares]) -> Table:
-    """Counts over 5 to 8 fiducials: single cells are too small for a verdict."""
+    """Counts over 5 to 8 fiducials: single cells are too small to judge."""
     rows: list[list[Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
@@ -119,7 +119,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
 
 
 def _reached(found: Mapping[Series, Shares]) -> Table:
-    """For which e the thesis' method gives the thesis' figures."""
+    """For which e the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
         of_method = {
@@ -152,7 +152,7 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
 def _held(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
-    """The values of e at which all members hold, neighbours as a range."""
+    """The values of e at which all members hold, neighbouring ones as a range."""
     good = [all(holds(series, one) for series, one in members if float(series.tolerance) == e) for e in tried]
     spans: list[list[float]] = []
     for number, (e, one) in enumerate(zip(tried, good, strict=True)):

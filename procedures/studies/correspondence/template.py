@@ -1,7 +1,7 @@
-"""Three and four markers implanted by a template: do they reach what five to eight reach without one?
+"""Three and four markers implanted with a template: do they match five to eight without one?
 
-The thesis' protocol (5.3.1) on its three heads, but for the sites: those of the template that `ronna-plan
-template` makes for each head, each sphere a little off, instead of random ones displaced by up to 10 mm.
+The thesis' protocol (5.3.1) on its three heads, except for the sites: those of the template that `ronna-plan
+template` makes for each head, each sphere slightly off, instead of random ones displaced by up to 10 mm.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 Array = NDArray[np.float64]
 
 MARKERS = (3, 4)
-MARGIN_MM = 10.0  # the command's own
-IMPLANTED_MM = 0.5  # a sphere lies anywhere within this distance of where its template would have it
+MARGIN_MM = 10.0  # the command's default
+IMPLANTED_MM = 0.5  # a sphere is anywhere within this distance of its template site
 PLAIN, COUNTED, TEMPLATE, ORIENTED = "distances", "+ planned count", "template", "template + orientation"
 
 
@@ -144,7 +144,7 @@ def _solved(
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """One row per noise model, method and number of markers, beside what five to eight reach."""
+    """One row per noise model, method and number of markers, next to the result of five to eight."""
     counted: dict[tuple[NoiseReading, int, str], dict[int, Counter[str]]] = {}
     for cell, content in sums.items():
         noise, _, markers, outliers = cell_of(cell)
@@ -198,7 +198,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the table says it."""
+    """None: the table is enough."""
     return {}
 
 

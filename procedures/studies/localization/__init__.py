@@ -1,1 +1,1 @@
-"""How well spheres are found in the CT: phantom families, and the thesis' protocol."""
+"""How well spheres are localized in the CT: phantom families, and the thesis' protocol."""

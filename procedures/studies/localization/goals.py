@@ -18,7 +18,7 @@ FLAGGED_PERCENT = 90.0  # of errors above 0.1 mm
 
 
 def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
-    """All tables of the study; the goals come last, if judging families were scanned."""
+    """All tables of the study; the goals come last, if evaluation families were scanned."""
     held = goals(sums)
     return [*tables(sums), held] if held is not None else tables(sums)
 

@@ -21,15 +21,15 @@ from ronna_hw.host.child_process import command
 
 Array = NDArray[np.float64]
 
-PHANTOM_LIMIT_S = 300.0  # host time, as a guard
+PHANTOM_LIMIT_S = 300.0  # host time, as a safeguard
 AIR_HU = -1000.0
-PLANE_BLUR_MM, SLICE_BLUR_MM = 0.42, 0.35  # blur of the phantom's scanner, without the voxel size
+PLANE_BLUR_MM, SLICE_BLUR_MM = 0.42, 0.35  # blur of the phantom's scanner, excluding the voxel size
 BOX_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True, eq=False)
 class PhantomScan:
-    """A volume and its spheres: centres (n, 3) LPS mm, and whether each is entirely in the field of view."""
+    """A volume and its spheres: centres (n, 3) LPS mm, and whether each is fully in the field of view."""
 
     volume: Volume
     centres_mm: Array

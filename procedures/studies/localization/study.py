@@ -2,7 +2,7 @@
 
 Also the protocols of the thesis' tables 2 and 3: five scans of one frame of four spheres are registered to
 its known coordinates and to each other, and FLE is computed from FRE. Human picks are simulated with the FLE
-that the thesis reports for its four operators, so their rows check the protocol, not the people.
+that the thesis reports for its four operators, so those rows check the protocol, not the people.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 
-BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are no spheres
+BESIDE_OBJECTS = ("ends", "plates", "hollow", "fittings")  # that are not spheres
 JUDGING = ("narrow", "broad", "clamp", "electrodes", "bandage", "crowded", "edge", "streaks", *BESIDE_OBJECTS)
 TUNING = ("plain", "posts", "dressing", "rounded", "joined", "caps")
 PROTOCOLS = ("good", "poor")
@@ -52,7 +52,7 @@ OPERATORS_FLE_MM = tuple(TABLE_3[operator].printed_mm for operator in OPERATORS)
 
 
 class Method(StrEnum):
-    """Who localizes the spheres."""
+    """The localization method."""
 
     OURS = "combined"
     THESIS_LINE = "thesis-line"
@@ -61,7 +61,7 @@ class Method(StrEnum):
     REFINED = "person's picks refined"
 
 
-SUMS = "squares and fourth powers"  # an older campaign lacks what the bounds need
+SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
 AUTOMATIC = (Method.OURS, Method.THESIS_LINE, Method.THESIS_SPHERE)
 
 
@@ -117,7 +117,7 @@ def _localized(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """One of the known methods on one volume."""
+    """One of the built-in methods on one volume."""
     result = _localized(method, scan.volume)
     return _counted(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
@@ -127,9 +127,9 @@ def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
 def _counted(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
-    """What was found in one volume, with covariances where there are markers.
+    """Counts for one volume, with covariances if there are markers.
 
-    Spheres cut by the field of view count as neither missed nor false.
+    Spheres cut by the field of view count neither as missed nor as false.
     """
     sums: dict[str, float] = defaultdict(float, spheres=scan.whole.sum(), cut=(~scan.whole).sum())
     found = np.empty((0, 3)) if found_mm is None else found_mm
@@ -161,7 +161,7 @@ def _counted(
 
 
 def _frame_set(random: np.random.Generator, own: Sequence[OwnLocalizer] = ()) -> dict[str, float]:
-    """Five scans of the frame: FREs to its coordinates and of the ten pairs, for every method and person."""
+    """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
         seed = int(random.integers(SEED_BOUND))

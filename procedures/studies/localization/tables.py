@@ -113,7 +113,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 
 def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
-    """Ours and the thesis' figures side by side; empty where the thesis has none."""
+    """Our figures and the thesis' side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
     for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
         named = zip(
@@ -161,14 +161,14 @@ def _rms_um(total: Sums, method: str) -> bounds.Bounded:
 
 
 def methods_of(total: Sums) -> list[str]:
-    """The known methods in their order, then own ones."""
+    """The built-in methods in order, then user methods."""
     there = [key.partition("|")[0] for key in total if key.endswith("|spheres")]
     known = [method.value for method in AUTOMATIC if method in there]
     return [*known, *(one for one in there if one not in known)]
 
 
 def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -> float | None:
-    """Upper end of the bin in which the share is reached."""
+    """Upper edge of the bin in which the share is reached."""
     prefix = f"{method}|bin "
     bins = sorted((int(key[len(prefix) :]), count) for key, count in total.items() if key.startswith(prefix))
     reached = 0.0
@@ -231,5 +231,5 @@ def _fle_table(total: Sums) -> Table:
 
 
 def of_method(total: Sums, method: str, key: str) -> float:
-    """One sum of one method; 0 where nothing was counted."""
+    """One sum of one method; 0 if nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)

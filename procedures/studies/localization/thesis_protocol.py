@@ -1,6 +1,6 @@
-"""The thesis' protocol of localization: 20 scans, 116 spheres, the frame validated, FLE, gains and times.
+"""The thesis' localization protocol: 20 scans, 116 spheres, the frame validated, FLE, gains and times.
 
-Every scan gets a scale error of its own, as a scanner has; the spheres' positions are scaled, not the images.
+Every scan has its own scale error, as with a real scanner; the spheres' positions are scaled, not the images.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class ThesisLocalizationStudy:
         return [Unit(scan.cell, 0, 1) for scan in THESIS_SCANS]
 
     def run(self, unit: Unit) -> Sums:
-        """Counts, CPU seconds, and the coordinates of the frame's spheres as each method finds them, mm."""
+        """Counts, CPU seconds, and the coordinates of the frame's spheres as found by each method, mm."""
         (drawn,) = (scan for scan in THESIS_SCANS if scan.cell == unit.cell)
         random = generator(self.seed, unit)
         seed = int(random.integers(SEED_BOUND))
@@ -75,7 +75,7 @@ class ThesisLocalizationStudy:
 
 
 def points_as_sums(who: str, points_mm: Array) -> Sums:
-    """Coordinates (4, 3) as entries of a unit that is the only one of its cell."""
+    """Coordinates (4, 3) as entries of the only unit of a cell."""
     return {
         f"{who}|{row} {axis}": float(value)
         for row, point in enumerate(points_mm)
@@ -84,7 +84,7 @@ def points_as_sums(who: str, points_mm: Array) -> Sums:
 
 
 def points_of(sums: Sums, who: str) -> Array | None:
-    """The coordinates again (4, 3); None where the frame was not found."""
+    """The coordinates (4, 3) back; None if the frame was not found."""
     keys = [[f"{who}|{row} {axis}" for axis in AXES] for row in range(len(FRAME_MM))]
     if keys[0][0] not in sums:
         return None

@@ -1,4 +1,4 @@
-"""Tables of the thesis' protocol of localization beside its own."""
+"""Tables of the thesis' localization protocol next to the thesis' own."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ IN_THE_THESIS = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
 PERSON_S, PROGRAM_S = 191.5, 28.8  # thesis 5.1: a person, its program on an i7-6700HQ
 WITHIN_PERCENT = 30.0  # of the thesis' figure: the goal for the copy
 SPHERES = len(FRAME_MM)
-# None; what quality control usually allows, 1 mm over the field of a head, and half of it; what is drawn.
+# None; the usual quality control limit, 1 mm over the field of a head, and half of it; the drawn one.
 SCALE_ERRORS = (0.0, 1.0 / 500.0, 1.0 / 250.0, LARGEST_SCALE_ERROR)
 
 
@@ -47,7 +47,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
-    """None: the tables say it."""
+    """None: the tables are enough."""
     return {}
 
 
@@ -86,10 +86,10 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
 
 
 def fle_mm(scans: Sequence[Array], scales: Array) -> tuple[float, float, float]:
-    """FLE of scans (4, 3), whose axes are wrong by scales (d, s, 3), mm; means over the draws.
+    """FLE of scans (4, 3), with axes scaled by `scales` (d, s, 3), mm; means over the draws.
 
-    By eq. 36 against the frame's coordinates, as the mean over the scans; the FRE behind it, likewise; by
-    eq. 37 and 38 between all pairs of scans.
+    FLE by eq. 36 against the frame's coordinates, averaged over the scans; the underlying FRE, likewise; FLE
+    by eq. 37 and 38 between all pairs of scans.
     """
     seen = np.array(scans) * scales[:, :, None]
     to_frame = _fre_mm(np.broadcast_to(FRAME_MM, seen.shape), seen)
@@ -109,7 +109,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
 
 
 def _found(sums: Mapping[str, Sums], method: Method) -> list[Array]:
-    """The frame in every phantom scan where the method found it."""
+    """The frame in every phantom scan in which the method found it."""
     every = (points_of(content, method.value) for cell, content in sums.items() if cell.startswith(PHANTOM))
     return [points for points in every if points is not None]
 

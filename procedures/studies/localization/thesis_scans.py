@@ -1,7 +1,7 @@
 """The thesis' scans: 12 of patients and 8 of a phantom, 116 spheres, the x-shaped frame in each.
 
-Phantoms stand for both. That some scans carry more spheres than the frame's four follows from the number of
-spheres; how many in which is ours. The frame is the close one.
+Phantoms stand in for both. The number of spheres implies that some scans contain more than the frame's four;
+their distribution is our choice. The frame is the close one.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ FRAME = "xframe-close"
 FRAME_MM: Array = np.array(CLOSE_SPHERE_CENTRES_MM)
 PROTOCOL = "usual"
 PATIENT_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "bandage", "streaks")
-# A pixel is too large or too small by as much in rows and columns, the table's feed by another share; all up
-# to 1 mm over the width of a head is equally likely. The thesis states nothing of its scanners: this is what
-# it takes to come near both of its tables, and more than a scanner in good order has.
+# A pixel is too large or too small by one factor in rows and columns, the table feed by another; all values
+# up to 1 mm over the width of a head are equally likely. The thesis states nothing about its scanners: this
+# is what it takes to come near both of its tables, and more than a scanner in good order has.
 LARGEST_SCALE_ERROR = 1.0 / 150.0
 
 
 @dataclass(frozen=True)
 class ThesisScan:
-    """One scan: of whom, its number among these, what is drawn, and how many spheres it carries."""
+    """One scan: patient or phantom, its number among these, random parameters, and number of spheres."""
 
     kind: str
     number: int
@@ -59,20 +59,20 @@ THESIS_SCANS: tuple[ThesisScan, ...] = (
 
 
 def draw_scale(random: np.random.Generator, count: int, largest: float = LARGEST_SCALE_ERROR) -> Array:
-    """Factors (count, 3) along left, posterior and superior by which scans are too large."""
+    """Factors (count, 3) by which scans are too large along left, posterior and superior."""
     plane, feed = random.uniform(-largest, largest, (2, count))
     return np.asarray(1.0 + np.column_stack([plane, plane, feed]))
 
 
 @dataclass(frozen=True, eq=False)
 class LocalizedScan:
-    """What one method found in a scan: all centres (n, 3), LPS mm, and the CPU time it took."""
+    """What one method found in a scan: all centres (n, 3), LPS mm, and its CPU time."""
 
     centres_mm: Array
     cpu_s: float
 
     def frame_mm(self, scale: Array) -> Array | None:
-        """The frame's spheres (4, 3) in its order in a scan of that scale; None if the frame is refused."""
+        """The frame's spheres (4, 3) in order, in a scan of this scale; None if the frame is refused."""
         seen_mm = self.centres_mm * scale
         try:
             return np.asarray(seen_mm[find_layout(FRAME_MM, seen_mm).order])
@@ -81,7 +81,7 @@ class LocalizedScan:
 
 
 def localize_scan(scan: PhantomScan) -> dict[Method, LocalizedScan]:
-    """The scan by our method and by both of the thesis'."""
+    """Localize the scan with our method and with both of the thesis'."""
     found = {}
     for method in AUTOMATIC:
         began_s = time.process_time()

@@ -1,4 +1,4 @@
-"""The modules of an own method: its own, and those of its folder or package that it imports, however late."""
+"""The modules of a user method: its own, and those of its folder or package that it imports, even lazily."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ INSTALLED = ("site-packages", "dist-packages")
 
 
 def is_installed(file: Path) -> bool:
-    """Whether a file came with a package that was installed."""
+    """Whether a file belongs to an installed package."""
     return not {*INSTALLED}.isdisjoint(file.parts)
 
 
 def modules_beside(module: ModuleType) -> Mapping[str, Path]:
-    """The file of each module by its name, read from the imports that stand in them; nothing is run.
+    """The file of each module by name, from the import statements; nothing is executed.
 
-    Beside an installed module count those of its package; beside a file of one's own those of its folder, and
-    their packages. What is imported by a computed name, compiled or read as data is not found.
+    For an installed module, those of its package count; for a file of the user's own, those of its folder and
+    their packages. Anything imported by a computed name, compiled or read as data is not found.
     """
     if module.__file__ is None:
         return {}
@@ -34,7 +34,7 @@ def modules_beside(module: ModuleType) -> Mapping[str, Path]:
 
 
 def hash_of(module: ModuleType) -> str:
-    """SHA-256 of the module's file, with others beside it of all; empty for a module without a file."""
+    """SHA-256 of the module's file, or of all files if there are more; empty for a module without a file."""
     files = modules_beside(module)
     hashes = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     if len(hashes) < 2:
@@ -45,7 +45,7 @@ def hash_of(module: ModuleType) -> str:
 
 class _Beside(ModuleFinder):
     def __init__(self, folder: Path, only: str | None) -> None:
-        """`only` is the package beside which nothing counts."""
+        """`only` is the package outside which nothing counts."""
         super().__init__(path=[str(folder)])
         self._only = only
 

@@ -1,4 +1,4 @@
-"""One call of an own method: what it is given cannot be changed, what it raises is told with its line."""
+"""Calls a user method: its arguments cannot be modified, and its errors are reported with their line."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def called(
     passed: tuple[type[Exception], ...] = (),
     **named: object,
 ) -> Any:
-    """The answer to these arguments; raises STU-013 for whatever the method raises, but for what is `passed`.
+    """The answer to these arguments; raises STU-013 for anything the method raises, except `passed`.
 
     The global generators are seeded before each call, so that a unit's result does not depend on its worker.
     What the method prints goes to standard error: standard output is for results.
     """
     random.seed(GLOBAL_SEED)
-    np.random.seed(GLOBAL_SEED)  # for methods that draw from it
+    np.random.seed(GLOBAL_SEED)  # for methods that use it
     try:
         with contextlib.redirect_stdout(sys.stderr):
             return function(*map(_guarded, arguments), **{key: _guarded(one) for key, one in named.items()})
@@ -42,7 +42,7 @@ def called(
 
 
 def _guarded(value: object) -> object:
-    """A copy of an array that cannot be written to; anything else as it is."""
+    """A read-only copy of an array; anything else unchanged."""
     if not isinstance(value, np.ndarray):
         return value
     copy = value.copy()
@@ -51,7 +51,7 @@ def _guarded(value: object) -> object:
 
 
 def _place(function: Callable[..., Any], error: BaseException) -> str:
-    """The last line of the method's own file, or else the very last one."""
+    """The last line within the method's own file, otherwise the very last one."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
     last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])

@@ -1,7 +1,7 @@
-"""The four kinds of own methods: what each is called with, and what it must answer.
+"""The four kinds of user methods: how each is called, and what it must return.
 
-A function (for a strategy a class) is named as `module:function`, or by an entry point of its kind's group,
-as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
+A function (for a strategy a class) is named as `module:function`, or by an entry point in the group of its
+kind, as in `[project.entry-points."ronna_hw.pairings"]`. Arrays are read-only float64.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 
 class MethodKind(StrEnum):
-    """What an own method does; each kind has its group of entry points and its studies."""
+    """What a user method does; each kind has its own entry point group and studies."""
 
     LOCALIZER = "localizer"
     PAIRING = "pairing"
@@ -30,7 +30,7 @@ class MethodKind(StrEnum):
 
     @property
     def group(self) -> str:
-        """Of the entry points."""
+        """The entry point group."""
         plural = "strategies" if self is MethodKind.STRATEGY else f"{self}s"
         return f"ronna_hw.{plural}"
 
@@ -44,7 +44,7 @@ class Localizer(Protocol):
 
 
 class Pairing(Protocol):
-    """Pairs points of two sets, in any order, with outliers in both."""
+    """Pairs the points of two sets, in any order, with outliers in both."""
 
     def __call__(
         self,
@@ -54,7 +54,7 @@ class Pairing(Protocol):
         sigma_image_mm: float,
         sigma_physical_mm: float,
     ) -> ArrayLike | None:
-        """Indices (k, 2) of pairs image, physical; None for no unique answer.
+        """Indices (k, 2) of pairs image, physical; None without a unique answer.
 
         `image_mm` is (n, 3), `physical_mm` (m, 3); a sigma is one standard deviation per axis.
         """
@@ -69,14 +69,14 @@ class PairedRegistration(Protocol):
     ) -> RigidTransform | ArrayLike:
         """The transform physical <- image: a SciPy RigidTransform, or its matrix (4, 4).
 
-        Points are (n, 3), row by row the same marker; `covariance_mm2` (n, 3, 3) is the error of each pair in
-        the physical frame.
+        Points are (n, 3), with the same marker in the same row; `covariance_mm2` (n, 3, 3) is the error of
+        each pair in the physical frame.
         """
         ...
 
 
 class StrategyFactory(Protocol):
-    """Makes a localization strategy, without arguments: usually its class."""
+    """Creates a localization strategy, without arguments: usually its class."""
 
     def __call__(self) -> Strategy:
         """An object with the members of `procedures.strategies.strategy.Strategy`."""

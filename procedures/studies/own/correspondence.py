@@ -1,4 +1,4 @@
-"""An own method of correspondence, its answer checked: each point in one pair at most."""
+"""A user's correspondence method, with its answer checked: each point in at most one pair."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Pairs = NDArray[np.intp]
 
 @dataclass(frozen=True)
 class OwnPairing:
-    """Called as `Pairing` says; raises STU-013 and STU-014."""
+    """Called like `Pairing`; raises STU-013 and STU-014."""
 
     name: str
     function: Callable[..., Any]
@@ -32,7 +32,7 @@ class OwnPairing:
     def __call__(
         self, image_mm: Array, physical_mm: Array, *, sigma_image_mm: float, sigma_physical_mm: float
     ) -> Pairs | None:
-        """Pairs (k, 2); None for no unique answer."""
+        """Pairs (k, 2); None without a unique answer."""
         answer = called(
             self.name,
             self.function,

@@ -1,4 +1,4 @@
-"""An own localizer, its answer checked: points in mm within the scanned volume."""
+"""A user's localizer, with its answer checked: points in mm within the scanned volume."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from procedures.studies.own.method import OwnMethod
 
 Array = NDArray[np.float64]
 
-BESIDE_MM = 10.0  # outside the volume: the centre of a sphere that the field of view cuts
+BESIDE_MM = 10.0  # outside the volume: the centre of a sphere cut by the field of view
 
 
 @dataclass(frozen=True)
 class OwnLocalizer:
-    """Called as `Localizer` says; raises STU-013 and STU-014."""
+    """Called like `Localizer`; raises STU-013 and STU-014."""
 
     name: str
     function: Callable[..., Any]
@@ -36,7 +36,7 @@ class OwnLocalizer:
         """Centres (n, 3), LPS mm."""
         try:
             answer = called(self.name, self.function, volume, passed=(MarkerCountWrong,))
-        except MarkerCountWrong:  # as ours says that there are none
+        except MarkerCountWrong:  # how our localizer says that there are none
             return np.empty((0, 3))
         try:
             centres_mm = np.asarray(answer, dtype=float)

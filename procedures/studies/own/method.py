@@ -1,4 +1,4 @@
-"""An own method by its place: small enough for a worker's mail, and the same method there or none."""
+"""A user method by reference: small enough to send to a worker, which runs the same method or none."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from procedures.studies.own.contracts import CONTRACTS, MethodKind
 
 SHOWN_DIGITS = 12  # of a hash
 
-_loaded: dict[str, str] = {}  # module -> hash of the files that this process has loaded
+_loaded: dict[str, str] = {}  # module -> hash of the files loaded by this process
 
 
 @dataclass(frozen=True)
 class OwnMethod:
-    """`module:function` of one kind, the name it has in tables, and the hash of its files: see `hash_of`."""
+    """`module:function` of one kind, its name in tables, and the hash of its files: see `hash_of`."""
 
     kind: MethodKind
     name: str
@@ -33,7 +33,7 @@ class OwnMethod:
     sha256: str
 
     def function(self) -> Callable[..., Any]:
-        """The function, in this process; raises STU-012 where the file is missing or another one."""
+        """The function, in this process; raises STU-012 if the file is missing or has changed."""
         found, module = _imported(self.reference, self.kind)
         if hash_of(module) != self.sha256:
             raise MethodRefused(
@@ -46,7 +46,7 @@ class OwnMethod:
 
     @property
     def source(self) -> Path | None:
-        """The file to be sent to workers elsewhere; None for what is installed, or part of a package."""
+        """The file to send to remote workers; None if installed or part of a package."""
         module = sys.modules[self.reference.partition(":")[0]]
         if module.__file__ is None or "." in module.__name__:
             return None
@@ -57,7 +57,7 @@ class OwnMethod:
 def own_method(kind: MethodKind, text: str) -> OwnMethod:
     """The method that `text` names: an entry point of its kind, or `module:function`. Raises STU-012.
 
-    Modules are looked for as Python does, and last in the current folder.
+    Modules are searched as Python does, and last in the current folder.
     """
     here = os.getcwd()
     if here not in sys.path:
@@ -69,12 +69,12 @@ def own_method(kind: MethodKind, text: str) -> OwnMethod:
 
 
 def installed() -> tuple[str, ...]:
-    """Names of all installed own methods, of every kind."""
+    """Names of all installed user methods, of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
 def signature_of(kind: MethodKind) -> str:
-    """How a method of that kind is called, as a message shows it."""
+    """How a method of this kind is called, as shown in messages."""
     return str(inspect.Signature([one.replace(annotation=one.empty) for one in _parameters(kind)]))
 
 
@@ -96,7 +96,7 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
         raise MethodRefused(f"{reference!r} does not name a {kind}", expected="module:function")
     try:
         module = importlib.import_module(where)
-        if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent anew to this worker
+        if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent again to this worker
             for beside in modules_beside(module):
                 sys.modules.pop(beside, None)
             module = importlib.import_module(where)
@@ -121,7 +121,7 @@ def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], Mod
 
 
 def _require_signature(kind: MethodKind, reference: str, function: Callable[..., Any]) -> None:
-    """That it takes what it will be given."""
+    """Check that it accepts the arguments it will be given."""
     given = _parameters(kind)
     places = [one.name for one in given if one.kind is not one.KEYWORD_ONLY]
     names = {one.name: None for one in given if one.kind is one.KEYWORD_ONLY}

@@ -1,4 +1,4 @@
-"""An own registration, its answer checked: a rotation and a shift, nothing else."""
+"""A user's registration, with its answer checked: a rotation and a translation, nothing else."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from procedures.studies.own.method import OwnMethod
 
 Array = NDArray[np.float64]
 
-ROTATION_TOLERANCE = 1e-6  # of the products of a rotation's columns: 0.1 µm over a head
+ROTATION_TOLERANCE = 1e-6  # on the products of a rotation's columns: 0.1 µm over a head
 
 
 @dataclass(frozen=True)
 class OwnRegistration:
-    """Called as `PairedRegistration` says; raises STU-013 and STU-014."""
+    """Called like `PairedRegistration`; raises STU-013 and STU-014."""
 
     name: str
     function: Callable[..., Any]

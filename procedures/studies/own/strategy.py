@@ -1,4 +1,4 @@
-"""An own localization strategy, all its answers checked: axes, poses at the spheres, turns."""
+"""A user's localization strategy, with all answers checked: axes, poses at the spheres, turns."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ from procedures.studies.own.method import OwnMethod
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
-LARGEST_TURN_RAD = 2.0 * math.pi  # a whole turn: whoever means more means degrees
+LARGEST_TURN_RAD = 2.0 * math.pi  # a whole turn: more means degrees
 MOST_SHOWN = 10**6  # a whole number may be too large for a float
-AT_SPHERE_MM = 1e-3  # between a sphere and the tool's origin: rounding, far below any error of the study
-OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may say of a turn: the next is tried
+AT_SPHERE_MM = 1e-3  # between a sphere and the tool origin: rounding, far below any error of the study
+OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may raise for a turn: the next is tried
 FLAGS = ("localizes_per_trajectory", "controls_approach")
 CALLS = ("localized_along", "localization_poses", "turns_rad")
 
 
 @dataclass(frozen=True)
 class OwnStrategy:
-    """A `Strategy` that asks the own one; raises STU-012 to STU-014."""
+    """A `Strategy` that calls the user's; raises STU-012 to STU-014."""
 
     name: str
     asked: Strategy
@@ -47,19 +47,19 @@ class OwnStrategy:
             given = called(f"{method.name}.{call}", getattr, made, call, None)
             wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
-                inspect.signature(given).bind(*wanted)  # None is refused as well
+                inspect.signature(given).bind(*wanted)  # None is also refused
             except (TypeError, ValueError) as error:
                 raise _lacks(method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}") from error
         return cls(method.name, made)
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """As it says."""
+        """As the user's strategy states."""
         return self._says("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
-        """As it says."""
+        """As the user's strategy states."""
         return self._says("controls_approach")
 
     def localized_along(
@@ -96,18 +96,18 @@ class OwnStrategy:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Turns about the axis, the best first."""
+        """Turns about the axis, best first."""
         turns = self._asked("turns_rad", along, fiducials_mm, robot_from_ct, arm)
         if not turns or not all(isinstance(one, int | float) for one in turns):
             raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
         for turn in turns:
-            if not abs(turn) <= LARGEST_TURN_RAD:  # nor is NaN
+            if not abs(turn) <= LARGEST_TURN_RAD:  # also rejects NaN
                 shown = f"{turn:g}: degrees?" if abs(turn) < MOST_SHOWN else "a huge number"
                 raise self._wrong("turns_rad", "angles within ±2π rad", shown)
         return turns
 
     def _says(self, flag: str) -> bool:
-        """A property may be computed anew, and another one each time."""
+        """A property may be recomputed, and differ, on each access."""
         value = called(f"{self.name}.{flag}", getattr, self.asked, flag)
         if not isinstance(value, bool):
             raise self._wrong(flag, "True or False", f"{value!r}")
@@ -117,7 +117,7 @@ class OwnStrategy:
         answer = called(f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH)
         if not isinstance(answer, Iterable):
             raise self._wrong(call, "a sequence", type(answer).__name__)
-        return tuple(called(f"{self.name}.{call}", list, answer))  # a generator runs only now
+        return tuple(called(f"{self.name}.{call}", list, answer))  # a generator runs only here
 
     def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name}.{call} returned a wrong result", expected=expected, got=got)

@@ -1,4 +1,4 @@
-"""An own method on a small problem before its campaign: what it cannot do is told before a folder is made."""
+"""Tries a user method on a small problem before its campaign, so that it fails before a folder is created."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ TRIAL_SEED = 17
 PATIENT = 1
 FIDUCIALS, OUTLIERS = 4, 1
 SIGMA_MM = 0.5
-FITTING_MM = 0.1  # of points without error: far above rounding and the end of an iteration
+FITTING_MM = 0.1  # on points without error: far above rounding and convergence limits
 TRIAL_VOXELS = 60  # along each axis, 1 mm
 TRIAL_BALLS = ((0.25, 0.25, 0.3), (0.75, 0.25, 0.4), (0.25, 0.75, 0.5), (0.75, 0.75, 0.7))  # of the edge
 BALL_RADIUS_MM = 5.75
@@ -40,9 +40,9 @@ BALL_HU, AIR_HU = 100, -1000
 
 
 def tried_apart(kind: MethodKind, text: str, tell: Told = lambda text: None) -> OwnMethod:
-    """As `tried`, first in a process of its own: what ends that one is told, and ends no campaign.
+    """Like `tried`, but first in a separate process: a crash there is reported and does not end the campaign.
 
-    `tell` hears that it does not answer.
+    `tell` is called if it does not respond.
     """
     silence = Silence([text], tell)
     with fresh_processes(1) as pool:
@@ -90,9 +90,9 @@ def _transform(method: OwnMethod) -> object:
 
 
 def _require_sense(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
-    """The points fit without error: an answer that fits only in another sense was meant so. Raises STU-014.
+    """Raise STU-014 for an answer that fits these error-free points only when read in the opposite direction.
 
-    One that fits in no sense is a bad method, which the campaign measures.
+    One that fits in neither direction is a bad method, which the campaign measures.
     """
     metres = RigidTransform.from_components(1e3 * fitted.translation, fitted.rotation)
     if _fits(fitted, image_mm, physical_mm):
@@ -115,11 +115,11 @@ def _fits(transform: RigidTransform, image_mm: Array, physical_mm: Array) -> boo
 
 
 def _centres(method: OwnMethod) -> object:
-    """In a block of air with four balls."""
+    """On a block of air with four balls."""
     shape, centres = (TRIAL_VOXELS,) * 3, TRIAL_VOXELS * np.array(TRIAL_BALLS)
     places = np.moveaxis(np.indices(shape), 0, -1)
     away = np.min([np.linalg.norm(places - centre, axis=-1) for centre in centres], axis=0)
-    filled = np.clip(BALL_RADIUS_MM - away + 0.5, 0.0, 1.0)  # of a voxel of 1 mm
+    filled = np.clip(BALL_RADIUS_MM - away + 0.5, 0.0, 1.0)  # of a 1 mm voxel
     voxels = np.rint(AIR_HU + filled * (BALL_HU - AIR_HU)).astype(np.int16)
     voxels.setflags(write=False)
     geometry = VoxelGeometry(shape, np.full(3, -0.5 * TRIAL_VOXELS), np.eye(3)[:, ::-1], np.ones(3))
@@ -127,7 +127,7 @@ def _centres(method: OwnMethod) -> object:
 
 
 def _poses(method: OwnMethod) -> object:
-    """Of the free markers of the accuracy studies in their first place."""
+    """On the free markers of the accuracy studies in their first position."""
     strategy = OwnStrategy.of(method)
     planned = postures(strategy, phantom(Markers.FREE, DEPTHS_MM, TARGETS), place(1))
     return planned.localizations.joints_rad.tolist()

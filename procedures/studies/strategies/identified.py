@@ -1,7 +1,7 @@
-"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and what it leaves unknown.
+"""Localization strategies on arms as `ronna-arm calibrate` identifies them, and what remains unknown.
 
-A trial is arm x place of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
-identified once, where the phantom stands first, and serves in all places.
+A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
+identified once, at the phantom's first position, and used at all positions.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from procedures.studies.strategies.study import DEPTHS_MM, PLACES, TARGETS
 STRATEGIES = ("nos", "ocs", "jdms", "improved")
 BLOCK_ARMS = 10
 CELL, ARM = "arms", "arm"
-# What the poses are chosen for: the tool frame and all of the arm known to about a tenth.
+# Assumed when choosing poses: tool frame and arm known to about a tenth.
 EXPECTED = ErrorSizes(tool_mm=0.1, links=0.1, joints=0.1, backlash=0.1)
 GOAL_MM = 0.13
 HIGHEST = 99.0  # per cent
@@ -37,7 +37,7 @@ HIGHEST = 99.0  # per cent
 
 @dataclass(frozen=True)
 class IdentifiedStudy:
-    """`arms` random arms of parameter set S, each identified and then used at all places."""
+    """`arms` random arms of parameter set S, each identified and then used at all positions."""
 
     arms: int = 100
     seed: int = 0
@@ -52,7 +52,7 @@ class IdentifiedStudy:
         return blocks(CELL, self.arms, BLOCK_ARMS)
 
     def run(self, unit: Unit) -> Sums:
-        """Length of every error in mm: strategy|spheres|arm|place|target; of each arm arm|number|what."""
+        """Length of every error in mm: strategy|spheres|arm|place|target; per arm: arm|number|what."""
         drawn = phantom(Markers.FREE, DEPTHS_MM, TARGETS)
         scenes = [Scene.of(self.seed, drawn, Markers.FREE, number) for number in range(1, PLACES + 1)]
         planned = {
@@ -82,7 +82,7 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Errors at the targets, and what the identification leaves."""
+    """Errors at the targets, and what identification leaves."""
     errors = _errors(sums)
     arms = defaultdict(list)
     for content in sums.values():

@@ -1,4 +1,4 @@
-"""Two strategies on the same arms: does one end nearer to the target, and can that be chance?"""
+"""Two strategies on the same arms: is one closer to the target, and could that be chance?"""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SCENARIOS = ("set S", "tool and kinematics calibrated, fine CT")
 
 
 def pairs(sums: Mapping[str, Sums]) -> Table:
-    """Differences of the arms' means, with the range that holds their mean with 95 %, and a paired test."""
+    """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
     for cell, content in sums.items():
         if cell.split("|")[0] != SCENARIO:

@@ -1,8 +1,8 @@
 """Localization strategies on random arms (thesis 5.4): the protocol of table 4, run on a few hundred arms.
 
-A trial is arm x place of the phantom x target x strategy x number of spheres. Set S of the arm's errors; the
-phantom is our own. Beside the trials: what each source does alone, whether predicted regions hold the errors,
-and what other readings of the protocol would change.
+A trial is arm x position of the phantom x target x strategy x number of spheres. Parameter set S of the arm's
+errors; our own phantom. In addition to the trials: the effect of each source alone, whether predicted regions
+contain the errors, and what other interpretations of the protocol would change.
 """
 
 from __future__ import annotations
@@ -25,28 +25,28 @@ from procedures.studies.own.method import OwnMethod
 from procedures.studies.own.strategy import OwnStrategy
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
-BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # those of the thesis
-ALONE = STRATEGIES[:-1]  # have poses of their own
+BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # the thesis' own
+ALONE = STRATEGIES[:-1]  # those with poses of their own
 PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
 BLOCK_ARMS = 125
 MOST_ARMS_OF_SOURCES = 40  # enough for a mean
 MOST_ARMS_OF_OTHERS = 100  # and for a 99 % quantile
-ARMS_OF_PREDICTION = 125  # in each of the eight places: 10,000 targets of 1,000 arms
-FIRST_OF_PREDICTION = 1_000_000  # their numbers: none of the arms of the trials
-PREDICTED = (SCENARIOS[0], SCENARIOS[-1])  # set S, and all that a calibration and a fine CT reach
+ARMS_OF_PREDICTION = 125  # at each of the eight positions: 10,000 targets of 1,000 arms
+FIRST_OF_PREDICTION = 1_000_000  # number of the first: none of the arms of the trials
+PREDICTED = (SCENARIOS[0], SCENARIOS[-1])  # set S, and the best that calibration and a fine CT achieve
 TRIALS, SOURCES, PREDICTION, SCENARIO = "trials", "sources", "prediction", "scenarios"
 BIN_MM = 0.005  # of the histograms
-OF_ARM = "arm "  # before its number, where a sum is of one arm
+OF_ARM = "arm "  # precedes the number in the key of a sum over one arm
 SCANNED_AGAIN, NO_CT, ANY_SIDE = "CT scanned again in every place", "no CT error", "servo ends on any side"
 TILTED_ALIKE = "trajectories tilted alike"
 READINGS = (SCANNED_AGAIN, NO_CT, ANY_SIDE, TILTED_ALIKE)
-READ_AGAIN = ("nos", "thesis-ocs")  # the strategies that are run under them
+READ_AGAIN = ("nos", "thesis-ocs")  # strategies run under the other interpretations
 
 
 @dataclass(frozen=True)
 class StrategiesStudy:
-    """`arms` random arms, each at all places with all strategies; own ones beside the thesis' alone."""
+    """`arms` random arms, each at all positions with all strategies; user strategies next to the thesis'."""
 
     arms: int = 200
     seed: int = 0
@@ -63,7 +63,7 @@ class StrategiesStudy:
         }
 
     def units(self) -> Sequence[Unit]:
-        """A cell per part of the study, markers and place."""
+        """A cell per part of the study, marker type and position."""
         few = min(self.arms, MOST_ARMS_OF_SOURCES)
         parts = [(TRIALS, self.arms), (SOURCES, few), (PREDICTION, ARMS_OF_PREDICTION)]
         if self.own:
@@ -162,7 +162,7 @@ def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
 
 
 def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
-    """Trials under another reading of the protocol, keys as of `Scene.trials`."""
+    """Trials under another interpretation of the protocol, keys as for `Scene.trials`."""
     return scene.trials(
         arms,
         READ_AGAIN,

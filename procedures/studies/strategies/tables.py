@@ -1,4 +1,4 @@
-"""Tables and figure of the strategies study beside table 4 of the thesis."""
+"""Tables and figure of the strategies study next to table 4 of the thesis."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from procedures.studies.thesis_tables import TABLE_4, StrategyRow
 Array = NDArray[np.float64]
 Series = tuple[str, str, int]  # markers, strategy, number of spheres
 
-# In the thesis the approach is not controlled with OCS: its table is compared with that.
+# OCS in the thesis does not control the approach, so its table is compared with that.
 OF_TABLE_4 = {"nos": "NOS", "thesis-ocs": "OCS", "jdms": "JDMS"}
 LOW_SHARE, HIGH_SHARE = 5.0, 95.0  # per cent of the arms
 HIGHEST = 0.99
@@ -43,9 +43,9 @@ SETTLED = "as in table 4"
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Table 4 beside ours, its rows, the sources, the fall over the number of spheres, the prediction."""
+    """Table 4 next to ours, its rows, the sources, the decrease with more spheres, the prediction."""
     errors = trial_errors(sums)
-    if not any(_cells(sums, PREDICTION)):  # trials alone, with own strategies
+    if not any(_cells(sums, PREDICTION)):  # trials only, with user strategies
         return [_table_4(errors), _trajectories(errors)]
     return [
         _table_4(errors),
@@ -94,7 +94,7 @@ def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[st
 
 def _order(series: Series) -> tuple[int, int, int]:
     markers, strategy, count = series
-    place = STRATEGIES.index(strategy) if strategy in STRATEGIES else len(STRATEGIES)  # own ones last
+    place = STRATEGIES.index(strategy) if strategy in STRATEGIES else len(STRATEGIES)  # user strategies last
     return list(Markers).index(Markers(markers)), place, count
 
 
@@ -204,7 +204,7 @@ def _sources(sums: Mapping[str, Sums]) -> Table:
 
 
 def _more_spheres(sums: Mapping[str, Sums]) -> Table:
-    """Does the error fall from 3 to 5 spheres as in the thesis, and do the rows keep their shape?"""
+    """Does the error fall from 3 to 5 spheres as in the thesis, and do the rows keep their pattern?"""
     fewest, *_, most = counts_of(Markers.FREE)
     parts = {TRIALS: SETTLED} | {reading: reading for reading in READINGS}
     errors = {part: trial_errors(sums, part) for part in parts}
@@ -267,7 +267,7 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
 
 
 def _row_correlation(few: Array, many: Array) -> float:
-    """How alike the ten trajectory means of an arm are; median over the arms."""
+    """Correlation of an arm's ten trajectory means; median over the arms."""
     pairs = zip(few.mean(axis=1), many.mean(axis=1), strict=True)
     return float(np.median([np.corrcoef(one, other)[0, 1] for one, other in pairs]))
 
