@@ -1,4 +1,4 @@
-"""Calibration of the stereo head with a single ball at many poses: cameras, tool frame, self-check."""
+"""Calibration of the stereo head with a single ball seen from many poses: cameras, tool frame, self-check."""
 
 from procedures.calibration.bundle import BundleFit, fit_bundle
 from procedures.calibration.observations import Observation, ObservationSet, Outline

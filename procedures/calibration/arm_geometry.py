@@ -1,7 +1,7 @@
-"""How the geometric errors of an arm displace a ball in each view, and how large they may be.
+"""How an arm's geometric errors displace a ball in each view, and how large they may be.
 
 An uncalibrated arm is off by tenths of a millimetre, and not at random: each link is slightly too long, too
-short or twisted, the same in all views. If left out, such errors are mistaken for an offset of the tool
+short or twisted, the same in all views. If ignored, such errors are mistaken for an offset of the tool
 centre. Each kind of error is one column here; the adjustment estimates its size together with the head.
 
 Errors of the last link are equivalent to an offset of the tool centre: no view can separate the two. Their
@@ -23,9 +23,10 @@ Array = NDArray[np.float64]
 LINK_TRANSLATION_MM = 0.40
 LINK_ROTATION_RAD = float(np.radians(0.05))
 JOINT_OFFSET_RAD = float(np.radians(0.05))
-HARMONIC_RAD = (float(np.radians(0.015)), float(np.radians(0.008)))  # once, twice per turn of the joint
-# An arm with a larger error per axis and view counts as uncalibrated; the best of thirty random arms has it.
-# For a smaller error the geometry is taken to be better in proportion; the last link's share never shows.
+HARMONIC_RAD = (float(np.radians(0.015)), float(np.radians(0.008)))  # once and twice per turn of the joint
+# An arm with a larger error per axis and view counts as uncalibrated; the best of thirty random arms
+# reaches this value. For a smaller error the geometry is assumed proportionally better; the last
+# link's part never shows.
 UNCALIBRATED_MM = 0.10
 X, Y, Z = np.eye(3)
 
@@ -33,8 +34,8 @@ X, Y, Z = np.eye(3)
 def error_columns(chain: Chain, joints_rad: ArrayLike, ball_mm: Array) -> Array:
     """Displacement (n, 3, k), mm, of a point at `ball_mm` (robot frame) fixed to the flange.
 
-    One column per error of one standard deviation: six of every link at its far end, offset and harmonics
-    of every joint. `joints_rad` is (n, axes).
+    One column per error, at one standard deviation: six for every link at its far end, offset and harmonics
+    for every joint. `joints_rad` is (n, axes).
     """
     angles = np.asarray(joints_rad, dtype=float)
     place = np.tile(chain.base_mm, (len(angles), 1))

@@ -1,6 +1,6 @@
-"""The errors of an arm as sources of a predicted target error: how each displaces the tool at every pose.
+"""An arm's errors as sources of a predicted target error: how each displaces the tool at every pose.
 
-Sizes are those of an uncalibrated arm (parameter set S of the error study) unless others are given.
+Sizes are those of an uncalibrated arm (parameter set S of the error study) unless given.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from ronna_hw.arm.links import Chain
 Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.015  # per axis, at rest
-SERVO_MM = 0.03  # 3-D rms of what the servo leaves
+SERVO_MM = 0.03  # 3-D rms of the servo's residual
 PER_JOINT = 11  # columns: offset, four of harmonics, six of the link
 HARMONIC_COLUMNS = slice(1, 5)
-EVEN_PHASE = 0.5**0.5  # what the sine and the cosine have each of a harmonic whose phase may be any
+EVEN_PHASE = 0.5**0.5  # rms sine and cosine component of a harmonic of arbitrary phase
 SAGGING = (1, 2)  # joints, counted from 0
 
 
 @dataclass(frozen=True)
 class ErrorSizes:
-    """What is left of the errors of set S in an arm, as shares; the tool frame's in mm per axis.
+    """Remaining errors of an arm as fractions of set S; the tool frame's in mm per axis.
 
-    `links` goes with the joint offsets, `joints` with harmonics and sag. `backlash` is what is left of it
-    where the side is known on which a joint rests; where it is not, all of it is.
+    `links` includes the joint offsets, `joints` harmonics and sag. `backlash` is the fraction remaining if it
+    is known on which side a joint rests; otherwise all of it remains.
     """
 
     tool_mm: float = TOOL_MM
@@ -42,9 +42,9 @@ class ErrorSizes:
 
     @classmethod
     def stated(cls, arm_error_mm: float, tool_error_mm: float, *, calibrated: bool) -> Self:
-        """As a theatre file states them: in proportion to the error of the arm, up to all of set S.
+        """As stated in a theatre file: in proportion to the error of the arm, up to all of set S.
 
-        The backlash is that of set S, but in a calibrated arm, where it is known.
+        The backlash is that of set S, except in a calibrated arm, where it is known.
         """
         share = min(1.0, arm_error_mm / UNCALIBRATED_MM)
         return cls(tool_error_mm, share, share, share if calibrated else 1.0)
@@ -57,7 +57,7 @@ UNCALIBRATED = ErrorSizes()
 class ArmPoses:
     """Poses of the arm: joints (p, axes), tool origins (p, 3) mm in the robot frame.
 
-    `sides` (p, axes), -1 or 1, say where in its backlash each joint rests; None where that is not known.
+    `sides` (p, axes), -1 or 1, give the side of its backlash on which each joint rests; None if unknown.
     """
 
     joints_rad: Array
@@ -72,9 +72,9 @@ def arm_sources(
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Geometry, joints, backlash and what does not repeat, for one target and its `n` spheres.
+    """Geometry, joints, backlash and repeatability, for one target and its `n` spheres.
 
-    What does not repeat is the same in all arms. `servo_mm` is 0 where what the servo leaves is measured.
+    Repeatability is the same in all arms. `servo_mm` is 0 if the servo's residual is measured.
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     moved = displacements(chain, joints, np.concatenate([spheres.points_mm, target.points_mm]), sizes)
@@ -88,7 +88,7 @@ def arm_sources(
 
 @dataclass(frozen=True)
 class Displacements:
-    """How far each error of one standard deviation displaces a tool at `p` poses."""
+    """Displacement of a tool at `p` poses by each error at one standard deviation."""
 
     links_mm: Array  # (p, 3, k)
     joints_mm: Array  # (p, 3, m)
@@ -96,7 +96,7 @@ class Displacements:
 
 
 def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Displacements:
-    """At joints (p, axes) with the tool origins at points (p, 3) mm in the robot frame."""
+    """At joints (p, axes) with the tool origin at points (p, 3) mm in the robot frame."""
     columns = error_columns(chain, joints_rad, points_mm)
     by_joint = columns.reshape(*columns.shape[:2], -1, PER_JOINT)
     swings = by_joint[..., 0] / JOINT_OFFSET_RAD
@@ -116,7 +116,7 @@ def tool_frame(at_spheres: Array, at_target: Array, tool_mm: float = TOOL_MM) ->
 
 
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
-    """Errors of the spheres in the CT, (n, 3, 3) mm2 in the frame of the robot."""
+    """Errors of the spheres in the CT, (n, 3, 3) mm2 in the robot frame."""
     return OwnErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 

@@ -1,16 +1,16 @@
 """Bundle adjustment and hand-eye calibration in one: ball, cameras on the flange and lenses, from all views.
 
 The arm is by far the least accurate instrument: it positions the ball with errors of 0.02 to 0.2 mm, while an
-outline is good to micrometres. Every view therefore has an unknown shift of the ball, with a common standard
-deviation estimated from the views themselves. The shift is not solved for but marginalised, which leaves four
-pixel residuals per view with the covariance
+outline is accurate to micrometres. Every view therefore has an unknown shift of the ball, with a common
+standard deviation estimated from the views themselves. The shift is not estimated but marginalised, which
+leaves four pixel residuals per view with the covariance
 
     C = S + s^2 J J^T        S: of both outlines, J: pixels by ball position, s: error of the arm per axis
 
-An arm whose error exceeds its repeatability owes it to its geometry, the same in all views. The errors of its
+An error of the arm beyond its repeatability is due to its geometry, the same in all views. The errors of its
 links and joints are then estimated along with the head, with the prior sizes of uncalibrated arms.
 
-Nothing here needs the ball's diameter: the arm gives the scale.
+The ball's diameter is not needed: the arm provides the scale.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ LEAST_POSES = 60
 BALL = 3
 HEAD = BALL + 2 * CAMERA_PARAMETERS
 # Prior of head and lenses about their record, one standard deviation. A good arm overrides it; it constrains
-# what a small field hardly reveals, and what the errors of a bad arm would attribute to orientation.
+# what a small field hardly reveals, and orientation errors that a bad arm would cause.
 TURN_SIGMA_RAD = 0.0035  # 0.2 degrees: a machined mount
 LENS_SIGMA = (0.01, 10.0, 10.0, 0.05)  # focal length (relative), principal point (px), k1
-KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: turn and lens
+KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: rotation and lens
 ROUNDS = 6  # of re-estimating the arm's error, which converges in four
 STEPS = 20  # per round; the next round continues from there
 FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still the nominal one
@@ -95,7 +95,7 @@ def fit_bundle(
     arm: Chain | None = None,
     least_poses: int = LEAST_POSES,
 ) -> BundleFit:
-    """Adjust the head to the observations, starting from a record good to some millimetres and degrees.
+    """Adjust the head to the observations, starting from a record accurate to some millimetres and degrees.
 
     With `arm`, its geometric errors are estimated when its error exceeds its repeatability. Raises CAL-002
     with too few views, CAL-003 when their orientations do not vary enough, CAL-004 when nothing fits.
@@ -149,7 +149,7 @@ class _Found:
 
 
 def _adjusted(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
-    """Alternate between adjusting all values and estimating the error sizes; outlying views drop out."""
+    """Alternate between adjusting all values and estimating the error sizes; outlying views are dropped."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
     residuals = shifts = gaps = np.empty(0)
@@ -262,23 +262,23 @@ def _prior(values: Array) -> Array:
 def _split(
     looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
-    """The arm's part of the residuals as shifts (n, 3) mm, and what no shift explains (n,), in sigmas.
+    """The arm's part of the residuals as shifts (n, 3) mm, and the part no shift explains (n,), in sigmas.
 
-    Four pixels with three unknown coordinates leave one contradiction per look: the gap of the two rays.
+    Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """
     slopes = _by_ball(looks, start, values)
     weights = np.linalg.inv(image_scale**2 * looks.covariances_px2)
     normal = slopes.transpose(0, 2, 1) @ weights @ slopes + np.eye(3) / arm_error**2
     pull = slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None]
     shifts = np.asarray(np.linalg.solve(normal, pull)[:, :, 0], dtype=float)
-    # The direction of pixel space that no shift reaches: the left null vector of the derivative.
+    # The direction in pixel space that no shift affects: the left null vector of the derivative.
     null = np.linalg.svd(slopes)[0][:, :, 3]
     sigma = np.sqrt(np.einsum("ni,nij,nj->n", null, looks.covariances_px2, null))
     return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
 
 
 def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
-    """Robust sizes of the arm's error per axis and of the images' error relative to their covariance."""
+    """Robust sizes of the arm's error per axis, and of the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
     arm = MAD_TO_SIGMA * float(np.median(np.abs(shifts[used]))) / freedom

@@ -1,4 +1,4 @@
-"""Why a calibration is refused. CAL-001, an expired record, belongs to the record."""
+"""Reasons for refusing a calibration. CAL-001, an expired record, belongs to the record."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class CheckUncertain(DataError):
 
 
 class NotTheBaseline(DataError):
-    """A check was made at different poses, or with a different calibration, from its baseline."""
+    """A check was made at different poses, or with a different calibration, than its baseline."""
 
     code = "CAL-008"
     action = "Use the baseline of the current calibration, with its poses."
@@ -111,7 +111,7 @@ class TrackerMoved(DataError):
 
 
 class FarFromRecord(RefusedError):
-    """The result is farther from the initial record than a mount can be off."""
+    """The result is farther from the initial record than any mount can be off."""
 
     code = "CAL-017"
     action = (
@@ -128,7 +128,7 @@ class ReadingImplausible(RefusedError):
 
 
 class BallAndDivotApart(DataError):
-    """The divot of the stand is not where its ball was."""
+    """The stand's divot is not where its ball was."""
 
     code = "CAL-019"
     action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."

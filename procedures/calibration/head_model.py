@@ -2,7 +2,7 @@
 
 Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: rotation and translation relative to the
 initial record (rad, mm), focal length (relative), principal point (px) and k1. The pixel aspect ratio and the
-other distortion coefficients stay as in that record: a field of 5 degrees does not reveal them.
+other distortion coefficients are kept from that record: a field of 5 degrees does not reveal them.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class FlangeCamera:
     def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
         """Pixels (n, 2) of points (n, 3) of the flange frame.
 
-        Given the semi-minor axis of a ball's outline, the centre of that outline instead, which lies farther
+        Given the semi-minor axis b of a ball's outline, the centre of that outline instead, which is farther
         out than the ball's centre by the factor 1 + b^2, b in normalised units.
         """
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
@@ -70,7 +70,7 @@ class FlangeCamera:
         return distorted(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Derivative (n, 2, 3) of `seen` by the point, without distortion: used for weighting only."""
+        """Derivative (n, 2, 3) of `seen` by the point, without distortion: only used for weighting."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z

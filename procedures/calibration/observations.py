@@ -1,4 +1,4 @@
-"""The input of a calibration: outlines of one ball at many arm poses, as stored in a file."""
+"""Input of a calibration: outlines of one ball at many arm poses, as stored in a file."""
 
 from __future__ import annotations
 

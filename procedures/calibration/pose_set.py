@@ -1,7 +1,7 @@
 """Where to view the ball from: tool poses in many evenly spread orientations, deterministic.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
-a different place in the field each time, nearer or farther, so that the lenses can be calibrated too.
+a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ Array = NDArray[np.float64]
 
 TILT_RAD = float(np.radians(25.0))  # at most, in all directions: a spread of 50 degrees
 TURN_RAD = float(np.radians(45.0))  # about the tool axis, either way
-# How far from the tool centre the ball may be: fully visible to both sensors and sharp enough.
+# How far from the tool centre the ball may be: fully visible to both cameras and sharp enough.
 FIELD_MM = (3.5, 9.0, 5.0)
-CENTRED_TILT_RAD = float(np.radians(35.0))  # the more, the more an arm reveals
+CENTRED_TILT_RAD = float(np.radians(35.0))  # the larger, the more an arm reveals
 CENTRED_TURN_RAD = float(np.radians(80.0))
 CHECK_TILT_RAD = float(np.radians(25.0))
 CHECK_TURN_RAD = float(np.radians(40.0))
 CHECK_ORIENTATIONS = 8
-# Fractions of rotation and tilt to fall back on, in this order, when an orientation is not reachable.
+# Fractions of rotation and tilt to fall back on, in this order, if an orientation is not reachable.
 CHECK_VARIANTS = ((1.0, 1.0), (0.5, 1.0), (0.0, 1.0), (-0.5, 1.0), (-1.0, 1.0), (0.5, 0.7), (-0.5, 0.7))
 # Additive recurrence in six dimensions with the generalised golden ratio (x^7 = x + 1): even, never random.
 _RATIO = 1.1127756842787055
@@ -61,7 +61,7 @@ def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tu
 def centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """Views with the sphere in the tool centre, where neither lens nor field matter; from `first` on."""
+    """Views with the sphere at the tool centre, where lens and field do not matter; from `first` on."""
     return turned_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
     )
@@ -77,9 +77,10 @@ def turned_about(
     turn_rad: float,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[PlannedLook, ...]:
-    """Poses turned about a point (3,) of the robot frame, which lies at `offset_mm` in the tool frame.
+    """Poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
 
-    Tilted by up to `tilt_rad` from the reference, turned by up to `turn_rad` either way; from `first` on.
+    Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way;
+    from number `first` on.
     """
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
     point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
@@ -99,7 +100,7 @@ def turned_about(
 
 
 def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """One orientation of the self-check, and alternatives for when it is not reachable."""
+    """One orientation of the self-check, and alternatives if it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -115,7 +116,7 @@ def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tupl
 
 
 def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """The views in an order in which each is the nearest in orientation to the previous one."""
+    """The views in an order in which each is nearest in orientation to the previous one."""
     rotations = np.array([look.pose.rotation_matrix for look in looks])
     alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the relative rotation: larger is nearer
     order, rest = [0], set(range(1, len(looks)))
@@ -127,7 +128,7 @@ def in_short_order(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
 
 
 def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
-    """The same view for a ball that turns out to be elsewhere."""
+    """The same view for a ball at another position."""
     return _look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),

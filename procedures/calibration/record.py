@@ -1,8 +1,8 @@
 """From the adjusted head to the calibration records: tool frame, stated errors, dates.
 
-Images and arm determine where the cameras are on the flange. Where the tool frame lies relative to them is a
-convention, and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept
-where the previous record saw it: points around the tool centre keep their pixels in both images.
+Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
+and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
+previous record had it: points around the tool centre keep their pixels in both images.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixe
 
 @dataclass(frozen=True)
 class HeadResult:
-    """The new records, and how good they are. Covariances (3, 3) mm2 of the tool centre on the flange.
+    """The new records and their quality. Covariances (3, 3) mm2 of the tool centre on the flange.
 
-    `tool_shift_mm` is how far the tool centre moved on the flange; `frame_misfit_mm` (rms) by how much the
+    `tool_shift_mm` is how far the tool centre moved on the flange; `frame_misfit_mm` (rms) how far the
     cameras have moved relative to each other since the previous record.
     """
 
@@ -53,7 +53,7 @@ class HeadResult:
 def calibrate_head(
     observed: ObservationSet, *, life: timedelta = LIFE, identifier: str = "", arm_geometry: bool = True
 ) -> HeadResult:
-    """Records from observations, with their date. Raises CAL-002 to CAL-004.
+    """Dated records from observations. Raises CAL-002 to CAL-004.
 
     Without `arm_geometry` all errors of the arm are treated as random.
     """
@@ -114,7 +114,7 @@ def _kept_points() -> Array:
 
 
 def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Where these cameras see, in the flange frame, what the previous record saw at the kept points."""
+    """Where, in the flange frame, these cameras see what the previous record saw at the kept points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_kept_points())
     left, right = cameras_of(before)

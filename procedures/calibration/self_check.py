@@ -1,10 +1,10 @@
 """The self-check: does the head see the ball where it did at calibration, from the same eight poses?
 
-Since calibration the ball may have been put down elsewhere (b, robot frame), and the arm repeats to some
+Since calibration the ball may have been put down elsewhere (b, robot frame); the arm repeats to some
 micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
 
 - the shift d of the measured ball in the tool frame: measured - baseline = R^T b + d. Rotated and tilted
-  poses separate d from b. A camera rotated by 0.01 deg in its mount gives 53 um.
+  poses separate d from b. A camera rotated by 0.01 deg in its mount causes 53 um.
 - the change of the gap between the lines of sight: a rotation out of the stereo plane, whatever the arm does.
 - the change of the ball's apparent size at its triangulated distance: a rotation within the stereo plane
   brings the ball nearer but does not make it larger. Independent of the arm as well.
@@ -36,12 +36,12 @@ Array = NDArray[np.float64]
 
 BASELINE_FILE = "baseline.json"
 LEAST_ORIENTATIONS = 8
-LEAST_VISITS = 2  # of each: the scatter between visits is the scale of all signs
+LEAST_VISITS = 2  # to each pose: the scatter between visits is the scale of all signs
 FALSE_ALARM = 0.001  # per sign: at most three false alarms in a thousand checks of intact heads
 TWIST_SHIFT_MM = 0.053  # effect of a camera rotated by 0.01 deg, which a check must be able to detect
 SENSITIVITY = 3.0  # sigmas in the worst direction that this shift must amount to
 SAME_POSE_RAD = np.radians(0.05)
-# Common to all views of a run, hence not in their scatter: illumination, focus, grain. Own estimates (U).
+# Common to all views of a run, so not in their scatter: illumination, focus, grain. Own estimates (U).
 GAP_FLOOR_MM = 0.0005
 SIZE_FLOOR = 4e-5  # relative: 0.01 px of a radius of 260 px
 ARM_FLOOR_MM = 0.005
@@ -63,7 +63,7 @@ class Baseline(Strict):
 
     @property
     def ball_mm(self) -> Array:
-        """Position of the ball, (3,) in the robot frame, to a tenth of a millimetre."""
+        """Position of the ball, (3,) in the robot frame, accurate to a tenth of a millimetre."""
         centres = [np.array([_centre(look, side) for look in self.looks]) for side in (0, 1)]
         points, _ = intersected(cameras_of(self.stereo_head), *centres)
         in_robot = [look.flange_pose.apply(point) for look, point in zip(self.looks, points, strict=True)]
@@ -83,13 +83,13 @@ class Sign:
 
     @property
     def sounds(self) -> bool:
-        """True when the statistic exceeds its limit."""
+        """Whether the statistic exceeds its limit."""
         return self.statistic > self.limit
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What a check found: `shift` of the measured ball in the tool frame, `ball_moved_mm` in the robot frame.
+    """Result of a check: `shift` of the measured ball in the tool frame, `ball_moved_mm` in the robot frame.
 
     `repeatability_mm` is the scatter of the arm per axis in this run and in the baseline.
     """
@@ -108,7 +108,7 @@ class CheckResult:
 
     @property
     def passed(self) -> bool:
-        """True when no sign exceeds its limit."""
+        """Whether no sign exceeds its limit."""
         return not any(sign.sounds for sign in self.signs)
 
     def require(self) -> None:
@@ -143,7 +143,7 @@ class _Seen:
 
 
 def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
-    """Evaluate the views of a check. Raises CAL-008 for other poses, CAL-007 when they scatter too much."""
+    """Evaluate the views of a check. Raises CAL-008 for other poses, CAL-007 if they scatter too much."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
     then, now = (_seen(run, head, numbers) for run in (baseline.looks, looks))

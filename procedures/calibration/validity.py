@@ -1,4 +1,4 @@
-"""Whether the calibration records of a theatre may be used, and which command makes each of them."""
+"""Whether a theatre's calibration records may be used, and which command creates each."""
 
 from __future__ import annotations
 
@@ -7,27 +7,27 @@ from datetime import datetime
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations
 
-MADE_BY_COMMAND = {  # in the order in which they are made: each builds on those before it
+MADE_BY_COMMAND = {  # in order of creation: each builds on those before it
     "stereo_head": "ronna-stereo calibrate",
     "arm": "ronna-arm calibrate",
     "tracker_frame": "ronna-procedure calibrate tracker-frame",
     "tool_tip": "ronna-procedure calibrate tool-tip",
 }
 
-DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only there
+DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated records expire only with it
 
 
 def require_valid(calibrations: Calibrations, moment: datetime, options: str = "") -> None:
-    """Raise CAL-001 with every record that has expired at a moment and the commands that make them.
+    """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
-    `options` are those with which they are given this theatre.
+    `options` are the options that select this theatre for those commands.
     """
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
             record.check_valid_at(moment)
         except CalibrationExpired as problem:
-            if problem.limit is None:  # dated in the future: a clock is wrong, no record
+            if problem.limit is None:  # dated in the future: a clock is wrong, not a record
                 raise
             expired[name] = problem
     if not expired:

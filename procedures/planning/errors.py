@@ -1,7 +1,7 @@
-"""What can be wrong with a plan, PLAN-001 to PLAN-029.
+"""Errors of plans, PLAN-001 to PLAN-029.
 
-Several errors of one check are raised as one error; when they are of one kind it has that kind's code, else
-PLAN-002.
+Several errors of one check are raised as one error; if they are all of one kind it has that kind's
+code, otherwise PLAN-002.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ class PlanUnreadable(ConfigurationError):
 
 
 class PlanError(DataError):
-    """Base of everything that is wrong inside a plan."""
+    """Base of all errors inside a plan."""
 
 
 class PlanMistakes(PlanError):
@@ -142,7 +142,7 @@ class StopBeyondInstrument(PlanError):
 
 
 class NoPlace(RefusedError):
-    """The whole plan cannot be carried out from any examined cart position."""
+    """The whole plan cannot be carried out from any cart position examined."""
 
     code = "PLAN-020"
     action = "Search farther with --within, or change the head position, the free angles or the --strategy."
@@ -214,7 +214,7 @@ class UnsavedChanges(PlanError):
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
-    """Raise nothing for no findings, the finding for one, and one error that lists them for several."""
+    """Raise nothing for no findings, the finding itself for one, and one error listing them for several."""
     if not findings:
         return
     if len(findings) == 1:

@@ -1,4 +1,4 @@
-"""A run that was killed, left or interrupted is resumed: compared first, accepted then, moved last."""
+"""Resumes a run that was killed, left or interrupted: compare first, then accept, move last."""
 
 from procedures.recovery.taking_up import bring_home, recover
 

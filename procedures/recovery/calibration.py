@@ -1,4 +1,4 @@
-"""An arm that a calibration left: its surroundings, and the way off a divot that may be raised to it."""
+"""An arm left by a calibration: its surroundings, and the way off a divot that may be raised to it."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import around_ball, in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
 
-TIP_KNOWN_MM = 15.0  # how far the tip may be from where its record has it, and the ball from its stated place
+TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from its stated position
 
 
 def surround_calibration(engine: Engine) -> None:
-    """Set the arm's surroundings, from what the calibration knows so far, before anything moves."""
+    """Set the arm's surroundings from what the calibration knows so far, before anything moves."""
     workcell, cell = engine.setting.workcell, engine.setting.surroundings
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
@@ -37,7 +37,7 @@ def surround_calibration(engine: Engine) -> None:
 
 
 def over_divot_mm(engine: Engine) -> float | None:
-    """How far the guide's tip is from the divot; None where it is away from it."""
+    """Distance of the guide's tip from the divot; None if it is away from it."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.at_home:
         return None

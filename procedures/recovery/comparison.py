@@ -14,30 +14,30 @@ from ronna_hw.text.counting import counted
 class Comparison:
     """Findings in plain words. Any difference is refused, whatever the operator answers."""
 
-    warnings: list[str] = field(default_factory=list)  # what can hurt: read first
+    warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
     unchanged: list[str] = field(default_factory=list)  # what is as recorded
     differences: list[str] = field(default_factory=list)
 
     @property
     def findings(self) -> list[str]:
-        """All but the differences, as the journal has them."""
+        """All but the differences, as journalled."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
     def same(self, what: str) -> None:
-        """That was compared and is as recorded."""
+        """Add something that was compared and is as recorded."""
         self.unchanged.append(what)
 
     def note(self, text: str) -> None:
-        """The operator should know this."""
+        """Add something the operator should know."""
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
-        """The operator must know this before anything else."""
+        """Add something the operator must know before anything else."""
         self.warnings.append(text)
 
     def differs(self, what: str, recorded: object, found: object) -> None:
-        """That is not as it was recorded."""
+        """Add something that is not as recorded."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
@@ -55,13 +55,13 @@ class Comparison:
             )
 
     def in_lines(self, order: Sequence[str]) -> str:
-        """What can hurt, what will be done in `order`, the findings; unchanged items as one line."""
+        """Warnings, what will be done in `order`, and the findings; unchanged items on one line."""
         as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
 
 def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
-    """Dotted names of the fields that differ, with both values; of a sequence the number of entries."""
+    """Dotted names of the fields that differ, with both values; for a sequence the number of entries."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:

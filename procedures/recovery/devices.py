@@ -13,7 +13,7 @@ from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.errors import RonnaError
 
-FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that say where arm and tools are
+FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
 
 
 def compare_devices(
@@ -24,10 +24,10 @@ def compare_devices(
     exchange_begun: bool,
     only_leaving: bool = False,
 ) -> None:
-    """Connect and configure every device and hold it against the set-up.
+    """Connect and configure every device and compare it with the set-up.
 
-    `exchange_begun` says that an exchange of tools began and did not end. With `only_leaving` the arm is all
-    that is needed, and no record's age matters. Raises what a needed device raises that does not answer.
+    `exchange_begun`: an exchange of tools began and did not end. With `only_leaving`, only the arm is needed
+    and the age of records does not matter. Raises the error of a needed device that does not respond.
     """
     _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
     if not only_leaving:
@@ -93,7 +93,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Tools, flange, cell and settings: depths, clearances and predictions were computed from them."""
+    """Tools, flange, cell and settings, from which depths, clearances and predictions were computed."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for name in sorted({*recorded.tools, *tools.records}):
         comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))

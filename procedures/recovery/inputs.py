@@ -1,4 +1,4 @@
-"""CT, plan and proposed position after a restart: those that were imported, checked and compared with."""
+"""CT, plan and proposed position after a restart: compared with those imported and checked."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from ronna_hw.errors import RonnaError
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Read them again where they were recorded; what cannot be read differs.
+    """Read them again from their recorded paths; what cannot be read differs.
 
-    `plan_sha256` is of the plan that the run was opened with, which counts before it was checked.
+    `plan_sha256` is that of the plan that the run was opened with; it applies until the plan was checked.
     """
     clinical = engine.setting.clinical
     if clinical is None:

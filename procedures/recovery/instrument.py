@@ -1,7 +1,7 @@
-"""A guide of which the journal does not say that it is held: a lost block can have taken those lines.
+"""A guide that the journal does not report as held: a lost block may have contained those lines.
 
-Where the arm carries the guide, its place is held against the axis of every trajectory that is registered,
-and its joints against those at the gauge.
+If the arm carries the guide, its position is compared with the axis of every registered trajectory, and its
+joints with those at the gauge.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_view import stands_at
 from procedures.workcell.errors import TipOffAxis
 
-AT_GAUGE_RAD = math.radians(0.5)  # an arm that was stopped on its way there is farther, or asked in vain
-AT_STANDOFF_MM = 1.0  # where the approach begins it is away; the arm arrives there far more exactly
+AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
+AT_STANDOFF_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
-    """The trajectory on whose axis the guide is, and how far it has come along it in mm."""
+    """The trajectory whose axis the guide is on, and its travel along it in mm."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None

@@ -8,18 +8,18 @@ from procedures.steps.branches import CART_MOVED, GO_ON
 from procedures.steps.clinical.tools.begun_work import begun_elsewhere
 from ronna_hw.errors import RonnaError
 
-MOST_MOVES = 3  # in one session: a cart that moves again and again needs another lock, no localization
+MOST_MOVES = 3  # per session: a cart that keeps moving needs another lock, not another localization
 
 
 class MovedCart:
-    """Asks, and brings the arm home; counts how often that was needed."""
+    """Asks, and brings the arm home; counts how often that was necessary."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._moves = 0
 
     def agreed_to_go_on(self, problem: RonnaError) -> bool:
-        """Whether a case that this has stopped continues by itself. Raises what the way home raises."""
+        """Whether a case stopped by this problem continues on its own. Raises the errors of the way home."""
         engine = self._engine
         if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
             return False

@@ -1,7 +1,7 @@
-"""Patient and robot base after a restart: the tracker measures both again, as a step checks them at rest.
+"""Patient and robot base after a restart: the tracker measures both again, as a step does at rest.
 
-The spheres on the head are compared where the tracker sees them, the robot's base by the reference frame on
-the arm, in poses of the orientation in which both were recorded.
+The spheres on the head are compared as far as the tracker sees them; the robot's base by the reference frame
+on the arm, in poses with the orientation in which both were recorded.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from procedures.workcell import MountedTool
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
-    """Compare both; False when the tracker sees too little of the head from here. Raises what it raises."""
+    """Compare both; False when the tracker sees too little of the head from here. Raises its errors."""
     stored = engine.case.find(GlobalLocalization, None)
     if stored is None:
         what = "patient" if engine.setting.clinical is not None else "stand"
@@ -41,7 +41,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     except PatientMoved as moved:
         if registrations or workcell.tool is not MountedTool.GUIDE:
             comparison.differs("room", f"all within {moved.limit}", moved.what)
-        else:  # which is why none stands: the step registration asks whether it follows
+        else:  # hence none is valid: the step registration asks whether to follow the move
             comparison.note(f"patient: {moved.what}; no registration is valid")
         return True
     except BaseShifted as moved:

@@ -1,4 +1,4 @@
-"""Where the head is, for the way home after a restart: by what holds, or else by what did so last."""
+"""The head's position for the way home after a restart: the valid one, or else the last valid one."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ MOVED_SINCE = (
 
 
 def surround(engine: Engine) -> None:
-    """Say where the head is, before anything moves. Where that is not known yet, the arm is still home.
+    """Set the head's position before anything moves. If it is not known yet, the arm is still home.
 
-    Raises PRO-032 for an arm away from home where no result says it.
+    Raises PRO-032 for an arm away from home if no result gives it.
     """
     workcell, keys = engine.setting.workcell, engine.order.sequence
     if engine.setting.clinical is None:
@@ -57,7 +57,7 @@ class _Led:
 
 
 def _led(engine: Engine) -> _Led | None:
-    """Of the trajectory on which the guide is, if it is on one: what holds, else what did so last."""
+    """For the trajectory that the guide is on, if any: the valid one, else the last valid one."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None

@@ -1,8 +1,8 @@
-"""Takes a run up again: nothing moves before everything was read again, compared, and accepted.
+"""Resumes a run: nothing moves before everything has been read again, compared, and accepted.
 
-Then an instrument is taken out by hand, the guide comes back along its axis, and the arm goes home; there the
-tracker has its sight, and what it could not see before is compared. Then every step without a valid result is
-run, re-planned from the arm's position.
+Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home; there the
+tracker has a clear view, and what it could not see before is compared. Then every step without a valid result
+is run, re-planned from the arm's position.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from ronna_hw.devices.readiness import MESSAGES
 from ronna_hw.records import Record
 
 EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
-UNATTENDED = "the program was not running"  # what leaves a check of the mounted tool in doubt
-LOOKS = (Relocalization.kind, ObservedStand.kind)  # those that the head must have done before
+UNATTENDED = "the program was not running"  # leaves a check of the mounted tool in doubt
+LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must have finished before
 
 
 def recover(engine: Engine, left: LeftRun) -> None:
-    """Bring an engine that begins in recovery to where its next step may begin.
+    """Bring an engine in recovery to where its next step may begin.
 
-    Raises PRO-032 for a difference and unless the operator accepts, and what devices and motions raise.
+    Raises PRO-032 for a difference and unless the operator accepts, and the errors of devices and motions.
     """
     comparison = Comparison()
     compare_inputs(engine, comparison, left.plan_sha256)
@@ -71,7 +71,7 @@ def recover(engine: Engine, left: LeftRun) -> None:
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
-    """The controller reports a tool's number, and not whether it is the same tool, seated as it was."""
+    """The controller reports a tool's number, but not whether it is the same tool, seated as before."""
     for key in engine.order.checks_of_tool:
         engine.case.doubt(key, UNATTENDED)
     for key in engine.course.checks_in_doubt:
@@ -81,10 +81,10 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
 
 
 def bring_home(engine: Engine, left: LeftRun) -> bool:
-    """Bring the instrument out and the arm home, and leave the run as it is; whether anything moved.
+    """Take the instrument out, bring the arm home, leave the run as it is; returns whether anything moved.
 
-    Only the arm is needed, and what is compared is what the way depends on. Raises PRO-001 where the devices
-    were never set up, PRO-032 as `recover`, and what the arm raises.
+    Only the arm is needed, and only what the way home depends on is compared. Raises PRO-001 if the devices
+    were never set up, PRO-032 like `recover`, and the arm's errors.
     """
     comparison = Comparison()
     _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
@@ -104,10 +104,10 @@ def bring_home(engine: Engine, left: LeftRun) -> bool:
 def _take_up_arm(
     engine: Engine, left: LeftRun, set_up: CheckedSetUp, comparison: Comparison, *, only_leaving: bool = False
 ) -> None:
-    """The arm as it was left, every device compared, and the instrument where its tip is."""
+    """The arm as it was left, every device compared, and the instrument at its tip's position."""
     workcell, arm = engine.setting.workcell, left_arm(left.run.journal)
     if (on := arm.insertion) is not None and (left.chain.torn or not arm.instrument_out):
-        # The line that says an instrument goes in is later than that of the guide, and can be lost alone.
+        # The line saying that an instrument goes in follows that of the guide, and can be lost alone.
         arm = replace(arm, instrument_in=on.trajectory)
         comparison.warn(
             f"the journal does not rule out an instrument in {on.trajectory}: one is assumed to be inside"
@@ -117,7 +117,7 @@ def _take_up_arm(
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
     if arm.insertion is None and (found := guide_on_an_axis(engine)) is not None:
         insertion, beyond_mm = found
-        name = insertion.trajectory  # the lost lines can also have said that an instrument goes in
+        name = insertion.trajectory  # the lost lines may also have said that an instrument goes in
         arm = replace(arm, insertion=insertion, withdrawn_from=None, instrument_in=name)
         workcell.take_up(arm, set_up.home_rad)
         comparison.warn(
@@ -146,7 +146,7 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
 
 
 def _require_ready(engine: Engine) -> None:
-    """Raise PRO-001 for what a device itself says that no motion can begin with: nobody is asked in vain."""
+    """Raise PRO-001 if a device reports that no motion can begin, before asking the operator in vain."""
     seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
     held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
     if not held_back:
@@ -168,9 +168,9 @@ def _conclude(engine: Engine, comparison: Comparison) -> None:
 
 
 def _exchange_begun(engine: Engine, left: LeftRun) -> bool:
-    """Whether a tool change was requested and no result says that it was done.
+    """Whether a tool change was requested without a result that confirms it.
 
-    Where the journal's end is lost and every sphere is localized, the lost lines can have said so.
+    If the journal's end is lost and every sphere is localized, the lost lines may have requested it.
     """
     exchange = next((key for key in engine.order.sequence if key.name in EXCHANGES), None)
     if exchange is None or engine.case.stands(exchange):
@@ -209,7 +209,7 @@ def _step_of(record: Record) -> StepKey:
 
 
 def _way_out(engine: Engine) -> bool:
-    """Have the instrument out, the guide back and the arm home; whether anything moved."""
+    """Take the instrument out, the guide back and the arm home; returns whether anything moved."""
     workcell = engine.setting.workcell
     engine.have_instrument_out()
     following = engine.upcoming
@@ -219,7 +219,7 @@ def _way_out(engine: Engine) -> bool:
         and engine.order.spec(following).moves
         and not engine.why_refused(following)
     ):
-        engine.run_step(following)  # the work at the target is done: what remains is the retreat itself
+        engine.run_step(following)  # the work at the target is done: only the retreat itself remains
     if workcell.insertion is None and workcell.at_home:
         return False
     leave_divot(engine)

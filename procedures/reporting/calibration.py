@@ -1,4 +1,4 @@
-"""What a calibration of the stereo head, a check of it or one look came to: every figure with its spread."""
+"""Result of a stereo head calibration, a check of it or one measurement: every figure with its spread."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 
-RESULT_FILE = "result.json"  # in the folder of the run: what the command's --json prints
+RESULT_FILE = "result.json"  # in the folder of the run: the output of the command's --json
 AXES = ("x", "y", "z")
-NOTHING_LEARNT = 0.97  # of what was known of a parameter beforehand
+NOTHING_LEARNT = 0.97  # of a parameter's prior uncertainty
 
 
 class Figure(NamedTuple):
-    """One line of the table; `spread` is its standard error, in the unit of the value."""
+    """One line of the table; `spread` is the standard error, in the unit of the value."""
 
     name: str
     value: str
@@ -29,7 +29,7 @@ class Figure(NamedTuple):
 
 
 class _Figures(BaseModel):
-    """Numbers that a command has written; what a report does not show is passed over."""
+    """Numbers written by a command; what a report does not show is ignored."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -58,7 +58,7 @@ class HeadFigures(_Figures):
 
     @property
     def looks_px(self) -> tuple[tuple[float, bool], ...]:
-        """Rms residual of each look, and whether it was used."""
+        """Rms residual of each view, and whether it was used."""
         return tuple(
             (math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
             for number, one in enumerate(self.residuals_px)
@@ -124,7 +124,7 @@ class CheckFigures(_Figures):
 
 
 class LookFigures(_Figures):
-    """One look."""
+    """One measurement."""
 
     position_mm: Numbers3
     covariance_mm2: tuple[Numbers3, Numbers3, Numbers3]
@@ -311,7 +311,7 @@ AnyFigures = (
 
 
 def read_figures(folder: Path) -> AnyFigures | None:
-    """What the command wrote; None where there is nothing, or nothing that can be read."""
+    """What the command wrote; None if there is nothing, or nothing readable."""
     try:
         content = read_json_bytes(folder / RESULT_FILE)
     except (OSError, RonnaError):

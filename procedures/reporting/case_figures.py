@@ -1,6 +1,6 @@
-"""What a run has measured so far, in the frame of the robot: for whoever draws it.
+"""What a run has measured so far, in the robot frame, for drawing.
 
-Read from the folder of a run, running or finished; what is not there yet, or cannot be read, is missing.
+Read from the folder of a run, running or finished; what does not exist yet, or cannot be read, is missing.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from procedures.steps.clinical.relocalization import Relocalization
 from ronna_hw.evidence.inspection import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 
-PLAN_PICTURE = "plan-"  # how the names of the pictures begin that the check of the plan keeps
+PLAN_PICTURE = "plan-"  # prefix of the pictures kept by the plan's check
 Point = tuple[float, float, float]
 R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)
 class SphereFigure:
-    """One sphere of the CT, and where each instrument says that it is, mm; None where it does not."""
+    """One sphere of the CT, and its position according to each instrument, mm; None if unknown."""
 
-    number: int  # counts from 1, as people do
+    number: int  # counts from 1
     ct_mm: Point | None  # by the registration
     tracker_mm: Point | None
     stereo_mm: Point | None
@@ -43,7 +43,7 @@ class SphereFigure:
 
 @dataclass(frozen=True)
 class TrajectoryFigure:
-    """A planned trajectory by the registration that is for it, mm."""
+    """A planned trajectory mapped by its registration, mm."""
 
     name: str
     entry_mm: Point
@@ -52,7 +52,7 @@ class TrajectoryFigure:
 
 @dataclass(frozen=True)
 class PredictionFigure:
-    """The error that is predicted at a target."""
+    """The predicted error at a target."""
 
     target: str
     rms_mm: float
@@ -63,7 +63,7 @@ class PredictionFigure:
 
 @dataclass(frozen=True)
 class CaseFigures:
-    """Everything that is known; `coarse` while only the tracker has said where the head is."""
+    """Everything known; `coarse` while only the tracker has located the head."""
 
     robot_from_ct: Transform | None = None
     coarse: bool = True
@@ -72,10 +72,10 @@ class CaseFigures:
     trajectories: tuple[TrajectoryFigure, ...] = ()
     predictions: tuple[PredictionFigure, ...] = ()
     tables: tuple[Evidence, ...] = ()
-    pictures: tuple[str, ...] = ()  # names in the folder `pictures`, those of the stereo head
-    cuts: tuple[str, ...] = ()  # and those of the planned ways in the CT
-    problems: tuple[str, ...] = ()  # what cannot be read, or is not as the run left it
-    course: str = ""  # SVG of where the theatre's time went
+    pictures: tuple[str, ...] = ()  # names in the folder `pictures`, from the stereo head
+    cuts: tuple[str, ...] = ()  # and those of the planned trajectories in the CT
+    problems: tuple[str, ...] = ()  # what cannot be read, or has changed since the run
+    course: str = ""  # SVG of the run's theatre time
 
 
 def read_case_figures(folder: Path) -> CaseFigures:
@@ -112,7 +112,7 @@ def read_case_figures(folder: Path) -> CaseFigures:
 
 
 def _still_true(reading: RunReading, model: type[R]) -> list[R]:
-    """Valid results, without those of targets that were finished before something moved."""
+    """Valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

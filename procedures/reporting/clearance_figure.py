@@ -1,4 +1,4 @@
-"""How near each checked motion of a trajectory comes to the head, and to anything else, as one picture."""
+"""Clearance of each checked motion of a trajectory, to the head and to anything else, as one picture."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from procedures.reporting.svg import WIDTH, Canvas
 
 HEAD, OTHER = "#1f6f8b", "#9cc5d3"
 ROW, BAR, VALUE_ROOM = 40.0, 10.0, 70.0
-LONGEST_MM = 200.0  # beyond it a bar tells nothing more
+LONGEST_MM = 200.0  # a longer bar carries no information
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
@@ -30,7 +30,7 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 
 
 def _way(one: MotionRow) -> str:
-    """In a reader's words: spheres count from 1."""
+    """As shown to a reader: spheres count from 1."""
     if one.start == one.end:
         return f"{_place(one.end)}, along the axis"
     return f"{_place(one.start)} → {_place(one.end)}"

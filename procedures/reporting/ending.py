@@ -20,11 +20,11 @@ class Ending:
     word: str
     sentence: str
     code: str = ""
-    instrument_in: str | None = None  # the trajectory in which it still was
+    instrument_in: str | None = None  # the trajectory it was still in
 
 
 def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """The ending according to the journal; `error` is what the command line met, where it is known."""
+    """The ending according to the journal; `error` is the command line's, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)
@@ -41,7 +41,7 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
     inside = closed.get("instrument_in")
     instrument_in = inside if isinstance(inside, str) else None
     outcome = closed.get("outcome")
-    if outcome == "done" and error is not None:  # what was computed from the steps
+    if outcome == "done" and error is not None:  # computed after the steps
         return Ending("failed", f"Every step was done, but {error.what}", error.code, instrument_in)
     if outcome == "done":
         return Ending("done", f"Every step was done{_after(journal)}.", instrument_in=instrument_in)
@@ -66,7 +66,7 @@ def ending_of(journal: Sequence[Line], error: RunError | None = None) -> Ending:
 
 
 def _after(journal: Sequence[Line]) -> str:
-    """What a case went through before it was done, in words; empty for one that went straight to its end."""
+    """What a case went through before it was done, in words; empty if it went straight to its end."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED]
     stopped = [line for line in failed if "emergency stop" in str(line.get("what", ""))]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed if line not in stopped]

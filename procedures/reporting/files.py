@@ -16,24 +16,24 @@ from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.records import write_whole
 
 REPORT_FOLDER = "report"
-TRUTH_FILE = "truth.json"  # what the theatre's verifier said, for whoever reads the run again
+TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
 LINK_COLUMNS = ("from_us", "to_us", "turnaround_cycles", "jitter_cycles")
 
 
 def keep_truth(run: Path, truth: Truth) -> Path:
-    """Keep in a run's folder what the theatre's verifier said."""
+    """Store the theatre verifier's result in a run's folder."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / REPORT_FOLDER / TRUTH_FILE
     content = (truth.model_dump_json(indent=1) + "\n").encode()
     if (
         not path.is_file() or path.read_bytes() != content
-    ):  # a finished run is shown also where nobody may write
+    ):  # a finished run is also shown where it cannot be written
         write_whole(path, content)
     return path
 
 
 def kept_truth(run: Path) -> Truth | None:
-    """What `keep_truth` left; None without it, or where it cannot be read."""
+    """What `keep_truth` stored; None if missing or unreadable."""
     try:
         return Truth.model_validate_json(read_json_bytes(run / REPORT_FOLDER / TRUTH_FILE))
     except (OSError, ValueError):
@@ -41,7 +41,7 @@ def kept_truth(run: Path) -> Truth | None:
 
 
 class ReportFiles:
-    """Writes into `OUT/report`, made if missing."""
+    """Writes into `OUT/report`, creating it if missing."""
 
     def __init__(self, out: Path) -> None:
         self._folder = out / REPORT_FOLDER
@@ -49,14 +49,14 @@ class ReportFiles:
         self.written: list[str] = []
 
     def text(self, name: str, text: str) -> Path:
-        """Write one file whole; returns its path."""
+        """Write one file completely; returns its path."""
         path = self._folder / name
         write_whole(path, text.encode())
         self.written.append(name)
         return path
 
     def targets(self, rows: Sequence[TargetRow]) -> None:
-        """Error, prediction and its budget at each target, a column for each source."""
+        """Error, prediction and its budget at each target, one column per source."""
         sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
         head = ("target", "depth_mm", "predicted_rms_mm", "predicted_limit_mm", "confidence")
         truth = ("error_mm", "lateral_mm", "axial_mm")
@@ -75,16 +75,16 @@ class ReportFiles:
         self.text("targets.csv", _csv((*head, *truth, *names), lines))
 
     def looks(self, looks_px: Sequence[tuple[float, bool]]) -> None:
-        """Rms residual of each look of a calibration."""
+        """Rms residual of each view of a calibration."""
         rows = [(number, *one) for number, one in enumerate(looks_px, start=1)]
         self.text("looks.csv", _csv(("look", "rms_px", "used"), rows))
 
     def timeline(self, spans: Sequence[Span]) -> None:
-        """Every step, motion and rest with its theatre time."""
+        """Every step, motion and pause with its theatre time."""
         self.text("timeline.csv", _csv([one.name for one in fields(Span)], map(astuple, spans)))
 
     def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
-        """How near each checked motion comes to the head, and to anything else."""
+        """Clearance of each checked motion, to the head and to anything else."""
         head = ("start", "end", "kind", "head_mm", "first", "second", "distance_mm", "at")
         nothing = (None,) * 4
         rows = [
@@ -101,7 +101,7 @@ class ReportFiles:
         self.text(f"clearance-{trajectory}.csv", _csv(head, rows))
 
     def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
-        """Both histograms of the robot's link."""
+        """Both histograms of the robot link."""
         self.text("robot_link.csv", _csv(LINK_COLUMNS, bins))
 
 

@@ -1,4 +1,4 @@
-"""What happened in a run besides the plain course of its steps, and what the operator was asked."""
+"""Events of a run besides the normal course of its steps, and the questions put to the operator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from procedures.reporting.numbers import NOT_KNOWN
 
 @dataclass(frozen=True)
 class Happening:
-    """One line: when, by the clock on the wall and in theatre time, in which step, in which words."""
+    """One line: when, in wall-clock and theatre time, in which step, and the text."""
 
     clock_time: str
     theatre_time_s: float
@@ -47,9 +47,9 @@ def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
 
 
 def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
-    """Refusals, rests, faults, what was acknowledged, and what was done again or no longer holds.
+    """Refusals, pauses, faults, acknowledgements, and what was repeated or is no longer valid.
 
-    What every program that opens a run finds of the previous one is reported once.
+    Findings that every program opening a run makes about the previous one are reported once.
     """
     found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
     told: dict[str, Happening] = {}
@@ -59,7 +59,7 @@ def happenings(journal: Sequence[Line]) -> tuple[Happening, ...]:
 
 
 def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
-    """What the operator was told, or said of himself, that stopped nothing; the same words once."""
+    """What the operator was told, or stated, that stopped nothing; identical texts once."""
     told: dict[str, Happening] = {}
     for one in _of_kinds(journal, _TOLD):
         told.setdefault(one.text, one)
@@ -67,7 +67,7 @@ def told_findings(journal: Sequence[Line]) -> tuple[Happening, ...]:
 
 
 def clock_time(line: Line) -> str:
-    """When a line was written, on this computer's clock on the wall; a dash where it does not say so."""
+    """When a line was written, by this computer's wall clock; a dash if unknown."""
     try:
         return f"{datetime.fromisoformat(str(line.get('host_time'))).astimezone():%H:%M:%S}"
     except ValueError:
@@ -110,7 +110,7 @@ def _doubted(line: Line) -> str:
 
 
 def _restarted(line: Line) -> str:
-    """What a program that takes the run up found of the one before."""
+    """What a program that resumes the run found of the previous one."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
     told = f"The program ended before {begun} was complete" if begun else ""
     return f"{told}; the last line of its journal was truncated and set aside" if torn else told

@@ -15,7 +15,7 @@ LEFT, HEIGHT, TOP = 44.0, 150.0, 20.0
 
 
 def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Bins (from us, to us, turnaround, jitter) over all sessions; empty ends are left out."""
+    """Bins (from us, to us, turnaround, jitter) over all sessions; empty ends are dropped."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []

@@ -1,4 +1,4 @@
-"""How well each look of a calibration fits, in the order in which they were taken."""
+"""Residual of each view of a calibration, in the order in which they were taken."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ GAP = 0.2  # of a bar's width
 
 
 def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
-    """A bar for each look, its rms in px; red: left out, and cut at the height of the picture."""
+    """A bar for each view, its rms in px; red: left out, and cut at the height of the picture."""
     canvas = Canvas(TOP + HEIGHT + 18, "Rms residual of each measurement, px")
     highest_px = max((value for value, used in looks_px if used), default=1.0)
     across, up = (WIDTH - LEFT) / len(looks_px), HEIGHT / max(highest_px, 1e-6)

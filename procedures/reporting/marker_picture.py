@@ -10,7 +10,7 @@ from procedures.planning.markers.sites import ProposedMarkers
 from procedures.strategies.trajectory import Trajectory
 
 DOTS_PER_INCH, SIZE_IN = 110, (10.0, 3.8)
-VIEWS = (  # title, axis across, axis upwards, and which of the two run against the picture
+VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
     ("from the right", 1, 2, (True, False)),
     ("from the front", 0, 2, (False, False)),
     ("from above", 0, 1, (True, True)),
@@ -20,7 +20,7 @@ VIEWS = (  # title, axis across, axis upwards, and which of the two run against 
 def marker_picture(
     proposed: ProposedMarkers, head: HeadEllipsoid, trajectories: Sequence[Trajectory]
 ) -> bytes:
-    """PNG: the head's ellipsoid, numbered markers, and the way of each trajectory. LPS, mm."""
+    """PNG: the head's ellipsoid, numbered markers, and each trajectory. LPS, mm."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse

@@ -1,7 +1,7 @@
-"""Where the time of a run went: phases and steps, and what people did in them, from its journal.
+"""Where the time of a run went, from its journal: phases and steps, and people's part in them.
 
-Theatre time is that of the procedure, and of real devices the clock's on the wall; a simulated theatre in
-lock-step passes none while the computer works or a script answers. Host time is what the computer took.
+Theatre time is that of the procedure; with real devices it is wall-clock time, while a simulated theatre in
+lock-step adds none while the computer works or a script answers. Host time is what the computer took.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ PHASES: Mapping[str, str] = {step.name: step.phase.value for step in clinical_st
 
 @dataclass(frozen=True)
 class TimeTaken:
-    """What one phase, step, or action of people took in all."""
+    """Total of one phase, step, or human action."""
 
     kind: str
     name: str
     count: int
     theatre_s: float
-    host_s: float | None  # not known of an answer: only its end is in the journal
+    host_s: float | None  # unknown for an answer: the journal has only its end
 
 
 def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
-    """Phases and steps in the order in which they first came, then questions and work of hands.
+    """Phases and steps in the order of their first occurrence, then questions and manual work.
 
-    Steps of all trajectories are added up. A step that was begun again counts again, one that nothing ended
-    until the journal's last line.
+    Steps of all trajectories are added up. A step that was restarted counts again; one that never ended
+    counts until the journal's last line.
     """
     found: dict[tuple[str, str], list[tuple[float, float | None]]] = {}
 
@@ -76,7 +76,7 @@ def _topic(topic: object) -> str:
 
 
 def _since(line: Line, key: str) -> float:
-    """Theatre time from what that key says; none in a journal that does not say it."""
+    """Theatre time since the time under that key; none if the journal does not have it."""
     began = line.get(key)
     return max(0.0, theatre_time_s(line) - float(began)) if isinstance(began, int | float) else 0.0
 

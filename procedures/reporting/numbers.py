@@ -1,4 +1,4 @@
-"""How numbers are written in a report: one way for each kind, never cut."""
+"""How numbers are written in a report: one format per kind, never truncated."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run came to. The JSON of these models is what `ronna-procedure run --json` prints: a contract."""
+"""Outcome of a run. The JSON of these models is what `ronna-procedure run --json` prints: a contract."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class CtOutcome(Values):
 
 
 class TargetTruth(BaseModel):
-    """Where the tip truly was at one target, as the theatre's verifier says."""
+    """True position of the tip at one target, according to the theatre's verifier."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -30,7 +30,7 @@ class TargetTruth(BaseModel):
 
 
 class Truth(BaseModel):
-    """What a simulated theatre's verifier says about a run; nothing on real devices."""
+    """The simulated theatre verifier's result for a run; nothing on real devices."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -58,7 +58,7 @@ class TargetOutcome(Values):
 
     @model_serializer(mode="wrap")
     def _only_what_was_measured(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Scripts find the same keys in every case, and one more where the targets were measured."""
+        """Scripts find the same keys in every case, plus one if the targets were measured."""
         values: dict[str, Any] = plain(self)
         if self.measured_error_mm is None:
             del values["measured_error_mm"]
@@ -66,7 +66,7 @@ class TargetOutcome(Values):
 
 
 class RunOutcome(Values):
-    """What every run can say of itself."""
+    """What every run can report."""
 
     run: str
     outcome: str
@@ -75,7 +75,7 @@ class RunOutcome(Values):
 
 
 class FinishedRun(RunOutcome):
-    """A run to the end of its case."""
+    """A run that reached the end of its case."""
 
     outcome: Literal["done"] = "done"
     markers: int = Field(description="Found in the CT.")

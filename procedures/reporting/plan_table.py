@@ -1,4 +1,4 @@
-"""What was planned for each trajectory, and how the check of the paths would bring the guide there."""
+"""What was planned for each trajectory, and how the path check would bring the guide there."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 
 @dataclass(frozen=True)
 class MotionRow:
-    """One checked motion: between which places, how near the head and anything else."""
+    """One checked motion: its end points, and its clearance to the head and to anything else."""
 
     start: str
     end: str
@@ -25,9 +25,9 @@ class MotionRow:
 
 @dataclass(frozen=True)
 class PlanRow:
-    """One trajectory: entry and target in LPS mm, angles about the axis, what its motions come near to.
+    """One trajectory: entry and target in LPS mm, angles about the axis, clearance of its motions.
 
-    What only the check of the paths knows is None before it, and of a trajectory that was left out.
+    What only the path check provides is None before it, and for a trajectory that was left out.
     """
 
     name: str
@@ -42,13 +42,13 @@ class PlanRow:
 
     @property
     def nearest(self) -> MotionRow | None:
-        """The motion that comes nearest to anything."""
+        """The motion that comes closest to anything."""
         known = [one for one in self.motions if one.closest is not None]
         return min(known, key=lambda one: one.closest.distance_mm if one.closest else math.inf, default=None)
 
     @property
     def nearest_head_mm(self) -> float | None:
-        """Least distance of anything that moves to the head."""
+        """Least distance of anything moving to the head."""
         return min((one.head_mm for one in self.motions if one.head_mm is not None), default=None)
 
 
@@ -79,7 +79,7 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
 
 
 def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
-    """The motions from and to places of this trajectory, in their order."""
+    """The motions to and from poses of this trajectory, in order."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews

@@ -1,4 +1,4 @@
-"""The check after the operation in a run's report: kept in its folder, shown as one section."""
+"""The postoperative check in a run's report: kept in its folder, shown as one section."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ SUMMARY_FILE = "postoperative.json"
 
 @dataclass(frozen=True)
 class AfterTheOperation:
-    """What was found, and a PNG of each trajectory by its file name."""
+    """What was found, and a PNG per trajectory by file name."""
 
     found: PostoperativeCheck
     pictures: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def shown(self) -> list[tuple[str, str]]:
-        """Name and picture, as it stands inside a page."""
+        """Name and picture, as embedded in a page."""
         return [
             (name.removeprefix("postoperative-").removesuffix(".png"), _inside(picture))
             for name, picture in self.pictures.items()
@@ -32,7 +32,7 @@ class AfterTheOperation:
 
 
 def keep_check(run: Path, after: AfterTheOperation) -> None:
-    """Keep it in a run's folder, or in the one where its report is made."""
+    """Store it in a run's folder, or where its report is made."""
     folder = run / REPORT_FOLDER
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
@@ -41,7 +41,7 @@ def keep_check(run: Path, after: AfterTheOperation) -> None:
 
 
 def kept_check(run: Path) -> AfterTheOperation | None:
-    """What `keep_check` left; None without it, or where it cannot be read."""
+    """What `keep_check` stored; None if missing or unreadable."""
     folder = run / REPORT_FOLDER
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))

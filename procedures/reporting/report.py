@@ -1,7 +1,7 @@
-"""`report.html`: one self-contained file that shows what a run did, how it ended, and how well it went.
+"""`report.html`: one self-contained file that shows what a run did, how it ended, and its quality.
 
-Everything in it comes from the run's folder, however much of it there is; only the truth of a simulated
-theatre is asked of its verifier and handed in.
+Everything in it comes from the run's folder, however incomplete; only the truth of a simulated theatre comes
+from its verifier and is passed in.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def write_report(
 ) -> Path:
     """Write the report of a run folder into it, or into `out`; returns its path.
 
-    `truth` is what the theatre's verifier says, by default what was kept of it in the folder, and so is
-    `after`, the check after the operation; `error` is what the command line met. Raises OSError when it
-    cannot be written, and nothing that the run's content can cause.
+    `truth` is the theatre verifier's result, `after` the postoperative check; both default to what is stored
+    in the folder. `error` is the command line's. Raises OSError when it cannot be written, and nothing that
+    the run's content can cause.
     """
     out = run if out is None else out
     reading = read_for_report(run)
@@ -128,7 +128,7 @@ def write_report(
 
 
 def _findings(reading: RunReading) -> list[str]:
-    """What CT, plan and drivers said the operator should know, and stopped nothing."""
+    """What CT, plan and drivers reported to the operator without stopping anything."""
     series, plan, set_up = reading.find(ImportedCt), reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
     return [
@@ -141,7 +141,7 @@ def _findings(reading: RunReading) -> list[str]:
 
 
 def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
-    """What was planned, with a picture of the clearance of each trajectory, also as a file."""
+    """What was planned, with a picture of each trajectory's clearance, also as a file."""
     rows = plan_rows(reading)
     pictures = []
     for row in rows:
@@ -153,7 +153,7 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 
 def _left_out(reading: RunReading) -> list[str]:
-    """Spheres and trajectories that were left out with the operator's consent, and why."""
+    """Spheres and trajectories left out with the operator's consent, and why."""
     told = []
     for record in reading.run.what_stands:
         where = f" ({record.trajectory})" if record.trajectory else ""
@@ -168,7 +168,7 @@ def _left_out(reading: RunReading) -> list[str]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """The pictures, each also as a file with its data next to it; empty where there is nothing to draw."""
+    """The pictures, each also as a file with its data next to it; empty if there is nothing to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
@@ -186,7 +186,7 @@ def _figures(
 
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
-    """What a calibration, a check or a look came to; empty for a case."""
+    """Result of a calibration, a check or a measurement; empty for a case."""
     found = read_figures(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
@@ -199,7 +199,7 @@ def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
 def _read_twice(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
 ) -> dict[str, Any]:
-    """The numbers of the targets by a second way, and whether both ways agree."""
+    """The target figures computed a second way, and whether both agree."""
     if not rows:
         return {"second_text": "", "agree": True}
     try:
@@ -212,7 +212,7 @@ def _read_twice(
 
 
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
-    """Health of the robot link, session by session, each with what the arm carried."""
+    """Health of the robot link, by session, with the tool the arm carried."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = [stored.result.link for stored in reading.standing(Retreated)]
     return [*changes, *(("guide", link) for link in retreats if link is not None)]
@@ -225,7 +225,7 @@ def _moment(reading: RunReading, place: int) -> str:
 
 
 def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
-    """Name and picture, as it stands inside a page; without those of superseded results."""
+    """Name and picture, as embedded in a page; without those of superseded results."""
     gone = {
         name
         for line in reading.run.lines(Entry.RESULT)
@@ -243,7 +243,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
 
 
 def _without_controls(value: Any) -> Any:
-    """Text as it may stand in a page; what is marked as safe is ours, and stays as it is."""
+    """Text made safe for a page; what is marked as safe is ours and stays unchanged."""
     return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
 
 

@@ -1,7 +1,7 @@
-"""A run read for its report: as far as it can be read, with a note of everything that cannot.
+"""Reads a run for its report: as far as it can be read, with a note of everything that cannot.
 
-A report is wanted most of the run that went wrong; a journal that breaks off or a file that was changed is
-said in it and keeps nothing else from being shown.
+A report matters most for the run that went wrong; a truncated journal or a changed file is mentioned in it
+and does not prevent the rest from being shown.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 
-MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file of nothing else is left
+MOST_UNREADABLE_LINES = 1000  # of a log: crashes leave a few; a file with nothing else is skipped
 
 R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)
 class RunReading:
-    """What a run folder holds; `changes`: what is not as the run left it; `problems`: what cannot be told."""
+    """Content of a run folder; `changes`: what differs from the run's; `problems`: what is unknown."""
 
     run: RunFolder
     log: tuple[Mapping[str, Any], ...]  # lines of log.jsonl
@@ -48,7 +48,7 @@ class RunReading:
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Those by which the targets were reached, or are to be, as far as they can be read."""
+        """Those by which the targets were or will be reached, as far as they can be read."""
         made = self._readable(RegisteredRobot, self.run.records)
         return used_registrations(made, self.run.records, self.run.superseded)
 
@@ -63,12 +63,12 @@ class RunReading:
         return tuple(found)
 
     def find(self, model: type[R]) -> R | None:
-        """The result of a step that is done once, if it is valid and readable."""
+        """The result of a step that is done once, if valid and readable."""
         found = self.standing(model)
         return found[-1].result if found else None
 
     def note(self, problem: str) -> None:
-        """Note once what cannot be relied on."""
+        """Note once something that cannot be relied on."""
         if problem not in self.problems:
             self.problems.append(problem)
 
@@ -76,7 +76,7 @@ class RunReading:
 def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
     """Read a run folder; raises nothing that its content can cause.
 
-    Without `every_file` journal and records alone are held against each other, which takes milliseconds.
+    Without `every_file` only journal and records are compared, which takes milliseconds.
     """
     found = inspected(folder, every_file=every_file)
     notes = []

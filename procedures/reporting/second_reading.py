@@ -1,7 +1,7 @@
-"""The numbers of the targets read a second time, by a way of its own: plain text from plain JSON.
+"""Reads the target figures a second time, independently: plain text from plain JSON.
 
-It shares neither models nor formatter with the report's table, so that a number that one of them gets wrong
-shows in the difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
+It shares neither models nor formatter with the report's table, so that a number wrong in either shows up as a
+difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
 """
 
 from __future__ import annotations
@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 HEADINGS = ("target", "depth mm", "predicted mm rms", "predicted limit mm", "error mm")
-NOTHING = "–"  # what is not known
+NOTHING = "–"  # unknown
 
 Row = tuple[str, ...]
 
 
 def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
-    """The rows as the record files and the file of the truth have them, where there is one.
+    """The rows from the record files and from the truth file, if there is one.
 
-    Raises OSError, ValueError, KeyError, TypeError for files that are not as a run leaves them.
+    Raises OSError, ValueError, KeyError, TypeError for files unlike those a run leaves.
     """
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_bytes().splitlines(keepends=False)]
     results = [line for line in journal if line["entry"] == "result"]
@@ -59,7 +59,7 @@ def as_text(rows: tuple[Row, ...]) -> str:
 
 
 def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, str]:
-    """By target the registration that stands, or the one that led the guide where the work was done."""
+    """By target, the valid registration, or the one that led the guide if the work is done."""
     used = {
         one["target"]: name
         for name, record in standing.items()

@@ -1,4 +1,4 @@
-"""What the drivers said of their links at the end of each session, as the log has it."""
+"""Statistics of the drivers' links at the end of each session, from the log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ FRAME = ("timestamp", "level", "event", "device", "before")
 
 
 def sessions(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str], ...]:
-    """Device, and its counters in words, for every session that was ended."""
+    """Device, and its counters in words, for every session that ended."""
     ended = [line for line in log if line.get("before") == SESSION_ENDS and "device" in line]
     counted = [
         (str(line["device"]), ", ".join(f"{name} {count}" for name, count in _counters(line, "")))

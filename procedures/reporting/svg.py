@@ -1,6 +1,6 @@
-"""The little of SVG that the figures need: rectangles, lines and text on a canvas of stated width.
+"""The few SVG elements that the figures need: rectangles, lines and text on a canvas of fixed width.
 
-The canvas is as wide as a phone's screen, so that its text can be read there without turning it, and scales
+The canvas is as wide as a phone's screen, so that its text is readable there in portrait, and scales
 with the page elsewhere.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 from html import escape
 from typing import Literal
 
-WIDTH = 420.0  # user units, as many as CSS pixels on a phone
+WIDTH = 420.0  # user units, equal to CSS pixels on a phone
 TEXT_SIZE = 11.0
 
 
@@ -24,7 +24,7 @@ class Canvas:
     def rectangle(
         self, x: float, y: float, width: float, height: float, fill: str, *, title: str = ""
     ) -> None:
-        """A filled rectangle; `title` is shown when the pointer rests on it."""
+        """A filled rectangle; `title` is shown on hover."""
         inside = f"<title>{escape(title)}</title>" if title else ""
         self._shapes.append(
             f'<rect x="{x:.2f}" y="{y:.2f}" width="{max(width, 0.0):.2f}" height="{height:.2f}" '
@@ -40,12 +40,12 @@ class Canvas:
     def text(
         self, x: float, y: float, words: str, *, anchor: Literal["start", "middle", "end"] = "start"
     ) -> None:
-        """Text with its base line at y."""
+        """Text with its baseline at y."""
         self._shapes.append(f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}">{escape(words)}</text>')
 
     @property
     def svg(self) -> str:
-        """The picture, as a file of its own or inside a page."""
+        """The picture, as a standalone file or embedded in a page."""
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {self._height:g}" role="img" '
             f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}">'

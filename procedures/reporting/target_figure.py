@@ -1,4 +1,4 @@
-"""Error and prediction at each target with published results, as one picture."""
+"""Error and prediction at each target next to published results, as one picture."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PUBLISHED_MM = (
     ("RONNA G3, targets 50-120 mm deep, phantom", 0.88),
 )
 OURS, PREDICTED, PUBLISHED = "#1f6f8b", "#9cc5d3", "#b9b9b9"
-ROW, BAR, VALUE_ROOM = 31.0, 12.0, 70.0  # heights of a row and of its bar; room for the number behind it
+ROW, BAR, VALUE_ROOM = 31.0, 12.0, 70.0  # heights of a row and of its bar; room for the number after it
 
 
 def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:

@@ -14,7 +14,7 @@ from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 @dataclass(frozen=True)
 class TargetRow:
-    """One target; the error is known only against a simulated truth, and only where the tip arrived."""
+    """One target; the error is known only against a simulated truth, and only if the tip arrived."""
 
     target: str
     depth_mm: float | None
@@ -26,7 +26,7 @@ class TargetRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """As the report's table shows it: target, depth, prediction, its limit, error."""
+        """As in the report's table: target, depth, prediction, its limit, error."""
         return (
             self.target,
             tenths(self.depth_mm),
@@ -37,7 +37,7 @@ class TargetRow:
 
 
 def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
-    """A row for each target that is registered, with what its registration predicts."""
+    """A row for each registered target, with the prediction of its registration."""
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     true = {one.id: one for one in truth.targets}

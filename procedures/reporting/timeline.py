@@ -1,4 +1,4 @@
-"""Steps, motions and rests of a run as spans of theatre time, from its journal."""
+"""Steps, motions and pauses of a run as spans of theatre time, from its journal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "i
 
 @dataclass(frozen=True)
 class Span:
-    """Something that took theatre time; `row` is the step in which it lies."""
+    """Something that took theatre time; `row` is the step it belongs to."""
 
     kind: Literal["step", "motion", "rest"]
     name: str
@@ -26,9 +26,9 @@ class Span:
 
 
 def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
-    """The spans in the order in which they began; what nothing ended lasts until the last line."""
+    """The spans in order of their beginning; one that never ended lasts until the last line."""
     spans: list[Span] = []
-    open_now: dict[str, int] = {}  # what is going on, by its key: place in `spans`
+    open_now: dict[str, int] = {}  # open spans by key: index in `spans`
     row = BETWEEN_STEPS
     for line in journal:
         entry, time_s = line["entry"], theatre_time_s(line)

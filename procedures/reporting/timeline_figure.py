@@ -1,4 +1,4 @@
-"""Steps, motions and rests in theatre time, a row for each step in the order in which they began."""
+"""Steps, motions and pauses in theatre time, one row per step in order of their beginning."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from procedures.reporting.timeline import Span
 
 STEP, MOTION, REST, BROKEN, GRID = "#d3e3e9", "#1f6f8b", "#e0a030", "#b3261e", "#dfe5e8"
 ROW, BAR, AXIS, MARGIN = 30.0, 11.0, 20.0, 12.0
-LEAST_WIDTH = 1.5  # so that what took no theatre time is still seen
+LEAST_WIDTH = 1.5  # so that what took no theatre time is still visible
 MOST_TICKS = 6
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
-    """Light: the step; dark: the arm moves; amber: the case rests; red: what did not end well."""
+    """Light: the step; dark: the arm moves; amber: the case is paused; red: ended abnormally."""
     rows = list(dict.fromkeys(span.row for span in spans))
     begin_s = min(span.begin_s for span in spans)
     length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
@@ -56,7 +56,7 @@ def _colour(span: Span) -> str:
 
 
 def _ticks(length_s: float) -> list[float]:
-    """Round times from zero on, at most `MOST_TICKS`."""
+    """Round times from zero, at most `MOST_TICKS`."""
     magnitude = 10.0 ** math.floor(math.log10(length_s / MOST_TICKS))
     step = next(f * magnitude for f in (1, 2, 5, 10, 20) if length_s / (f * magnitude) <= MOST_TICKS - 1)
     return [number * step for number in range(int(length_s / step) + 1)]

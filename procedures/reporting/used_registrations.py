@@ -1,4 +1,4 @@
-"""By which registration each target was reached, or is to be: a later one says nothing of what was done."""
+"""Which registration each target was or will be reached by: a later one does not apply to finished work."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.records import Record
 
 @dataclass(frozen=True)
 class UsedRegistration:
-    """A registration, and the targets that it was used for, or will be."""
+    """A registration, and the targets that it was or will be used for."""
 
     stored: Stored[RegisteredRobot]
     targets: tuple[str, ...]
@@ -28,16 +28,16 @@ class UsedRegistration:
 
     @property
     def result(self) -> RegisteredRobot:
-        """The registration with these predictions alone."""
+        """The registration with only these predictions."""
         return self.stored.result.model_copy(update={"predictions": self.predictions})
 
 
 def used_registrations(
     registrations: Sequence[Stored[RegisteredRobot]], records: Sequence[Record], gone: Collection[str]
 ) -> tuple[UsedRegistration, ...]:
-    """Of all registrations of a run those that count, in order; `gone` are identifiers of superseded records.
+    """The registrations of a run that count, in order; `gone` are identifiers of superseded records.
 
-    A finished target follows the parents of its result, whatever stands since; another one what stands.
+    A finished target follows the parents of its result, whatever is valid since; any other the valid one.
     """
     used = {
         predicted.target: one.record.identifier

@@ -1,1 +1,1 @@
-"""Calibration of the arm with spheres at rest: links, joints, gravity, backlash, head on the flange."""
+"""Calibration of the arm with stationary spheres: links, joints, gravity, backlash, head on the flange."""

@@ -1,5 +1,4 @@
-"""Whether an arm is still the one that was calibrated: a few measurements of spheres, wherever they are
-now."""
+"""Checks an arm against its calibration with a few measurements of spheres, wherever they are."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
 @dataclass(frozen=True)
 class ArmCheck:
-    """`error_mm` is the rms miss in three dimensions, `expected_mm` what the record leads one to expect."""
+    """`error_mm` is the 3-D rms error, `expected_mm` the value expected from the record."""
 
     calibration: str
     looks: int
@@ -35,11 +34,11 @@ class ArmCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the looks are as the calibration says."""
+        """Whether the measurements agree with the calibration."""
         return self.statistic <= self.limit
 
     def require(self) -> None:
-        """Raise CAL-012 unless they are."""
+        """Raise CAL-012 unless they do."""
         if not self.passed:
             error, limit = told_apart(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
@@ -50,14 +49,14 @@ class ArmCheck:
 
 
 def require_record(record: ArmCalibration | None) -> ArmCalibration:
-    """The record, or CAL-014 where there is none."""
+    """The record, or CAL-014 if there is none."""
     if record is None:
         raise NoArmRecord("the theatre file has no calibration record of the arm")
     return record
 
 
 def check_arm(observed: ArmLooks) -> ArmCheck:
-    """Hold looks against the record in use; each sphere's place is the mean of where it is seen.
+    """Compare measurements with the record in use; each sphere's position is the mean of its measurements.
 
     Raises CAL-002, CAL-014.
     """

@@ -1,8 +1,8 @@
-"""What is estimated of an arm, in units of what is expected of an uncalibrated one.
+"""The arm parameters to estimate, in units of what is expected of an uncalibrated arm.
 
-The vector holds the arm's deviations, then six numbers of the head on the flange, then three coordinates of
-every sphere. Deviations and head are in units of their prior standard deviation, so that a covariance of 1
-means: nothing was learnt. Spheres are in millimetres, without a prior.
+The vector consists of the arm's deviations, six parameters of the head on the flange, and three coordinates
+per sphere. Deviations and head are in units of their prior standard deviation, so that a covariance of 1
+means that nothing was learnt. Spheres are in millimetres, without a prior.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
-# Parameter set S of the error study, as in `arm_geometry`; harmonics have an even phase.
+# Parameter set S of the error study, as in `arm_geometry`; harmonics have an arbitrary phase.
 SAG_RAD = math.radians(0.03)
 BACKLASH_RAD = math.radians(0.02)
 TOOL_MM = 2.0
 TOOL_RAD = math.radians(0.5)  # a machined mount
 TOOL = 6
-BACKLASH = "backlash"  # in the name of a value
-STEP = 1e-3  # of a derivative: of a prior, or of a millimetre
+BACKLASH = "backlash"  # part of a parameter's name
+STEP = 1e-3  # of a numerical derivative: in units of a prior, or mm
 
 
 @dataclass(frozen=True)
 class ArmModel:
-    """The arm and head that looks are explained with: the nominal ones, and what may deviate."""
+    """The model of arm and head behind the measurements: nominal values, and what may deviate."""
 
     kinematics: Kinematics
     flange_from_tool: Transform
@@ -51,11 +51,11 @@ class ArmModel:
 
     @property
     def prior(self) -> Array:
-        """One standard deviation of each value of the deviations' row; 0 where none is estimated."""
+        """Prior standard deviation of each deviation, in order; 0 for those not estimated."""
         count = self.joints
         harmonics = np.tile(np.array(HARMONIC_RAD) / math.sqrt(2.0), (count, 1))
         sag = np.zeros(count)
-        sag[1 : count - 3] = SAG_RAD  # the joints of the wrist carry no lever, the first stands upright
+        sag[1 : count - 3] = SAG_RAD  # the wrist joints have no lever arm, the first axis is vertical
         return ArmDeviations(
             np.full((count, 3), LINK_TRANSLATION_MM),
             np.full((count, 3), LINK_ROTATION_RAD),
@@ -73,7 +73,7 @@ class ArmModel:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What each value of the vector is, spheres apart."""
+        """Name of each element of the vector, without spheres."""
         axes = self.kinematics.axis_names
         named = [f"link {axis} {way}" for axis in axes for way in ("x", "y", "z")]
         named += [f"link {axis} turn {way}" for axis in axes for way in ("x", "y", "z")]
@@ -92,20 +92,20 @@ class ArmModel:
         return ArmDeviations.of_flat(row * prior, self.joints)
 
     def tool(self, values: Array) -> Transform:
-        """FLANGE <- TOOL by a vector."""
+        """FLANGE <- TOOL according to a vector."""
         head = values[self.size - TOOL : self.size]
         change = RigidTransform.from_components(TOOL_MM * head[:3], Rotation.from_rotvec(TOOL_RAD * head[3:]))
         return Transform(Frame.FLANGE, Frame.TOOL, self.flange_from_tool.rigid * change)
 
     def misses(self, values: Array, looks: LookArrays) -> Array:
-        """By how much each look puts its sphere beside the sphere's place, (m, 3) mm, robot frame."""
+        """Deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
         flange = flange_poses(self.kinematics.chain, self.deviations(values), looks.joints_rad, looks.flanks)
         in_flange = self.tool(values).apply(looks.points_mm)
         seen = np.einsum("mij,mj->mi", flange[:, :3, :3], in_flange) + flange[:, :3, 3]
         return np.asarray(seen - values[self.size :].reshape(-1, 3)[looks.sphere])
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
-        """Derivative (m, 3, n) of the misses by finite differences: they are nearly linear."""
+        """Derivative (m, 3, n) of the misses by finite differences; they are nearly linear."""
         here = self.misses(values, looks)
         slopes = np.empty((*here.shape, len(values)))
         for column in range(len(values)):
@@ -115,7 +115,7 @@ class ArmModel:
         return slopes
 
     def rotations(self, looks: LookArrays) -> Array:
-        """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each look."""
+        """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
         nominal = ArmDeviations.none(self.joints)
         flange = flange_poses(self.kinematics.chain, nominal, looks.joints_rad)
         return np.asarray(flange[:, :3, :3] @ self.flange_from_tool.rotation_matrix)

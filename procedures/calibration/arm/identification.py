@@ -1,8 +1,8 @@
-"""Deviations of the arm from looks at spheres at rest: weighted least squares with the prior of set S.
+"""Deviations of the arm from measurements of stationary spheres: weighted least squares with prior set S.
 
-Where the spheres are is not known beforehand, so nothing is learnt about how the arm stands in the room, and
-nothing need be: a case measures its spheres with the same arm. The arm's random error is estimated from the
-looks themselves, with the share of each look in the fit taken into account.
+The positions of the spheres are not known beforehand, so the arm's pose in the room remains undetermined, and
+need not be known: a case measures its spheres with the same arm. The arm's random error is estimated from the
+measurements themselves, accounting for the leverage of each in the fit.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
-LEAST_LOOKS = 60  # below, validation shows errors beyond those of a calibrated arm
-ROUNDS = 6  # of fit, size of the random error and outliers: they settle within four
+LEAST_LOOKS = 60  # with fewer, validation shows errors beyond those of a calibrated arm
+ROUNDS = 6  # of fit, estimate of the random error, and outlier rejection: they converge within four
 FIRST_SCATTER_MM = 0.05
 LEAST_SCATTER_MM = 0.003  # no arm is better
 LARGEST_SCATTER_MM = 0.15  # no arm of this class is worse: something moved
-OUTLIER_CHI2 = 16.3  # exceeded by 0.1 % of good looks, with three coordinates
+OUTLIER_CHI2 = 16.3  # exceeded by 0.1 % of good measurements, with three coordinates
 MOST_OUTLIERS = 0.1
 
 
 @dataclass(frozen=True)
 class ArmFit:
-    """The identified arm. `covariance` (n, n) of `values`, both as `ArmModel` orders and scales them.
+    """The identified arm. `covariance` (n, n) of `values`, both ordered and scaled as in `ArmModel`.
 
     `scatter_mm` is the random error of the arm per axis; `residuals_mm` (m, 3) in the robot frame; `used`
     (m,) marks the inliers.
@@ -48,22 +48,22 @@ class ArmFit:
 
     @property
     def deviations(self) -> ArmDeviations:
-        """Of the arm from its nominal chain."""
+        """Deviations of the arm from its nominal chain."""
         return self.model.deviations(self.values)
 
     @property
     def flange_from_tool(self) -> Transform:
-        """FLANGE <- TOOL of the head, as the looks have it."""
+        """FLANGE <- TOOL of the head, as identified."""
         return self.model.tool(self.values)
 
     @property
     def learnt(self) -> Array:
-        """Standard error of each value but the spheres', as a share of what was known before."""
+        """Standard error of each parameter except the spheres', relative to its prior."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
 
 
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
-    """The arm that explains the looks. Raises CAL-002, CAL-003, CAL-004."""
+    """The arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""
     count = len(looks.joints_rad)
     require_count(count, LEAST_LOOKS, "too few measurements to calibrate an arm")
     rotations = model.rotations(looks)
@@ -90,12 +90,12 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
 
 
 def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
-    """Matrices (m, 3, 3) that whiten the misses of looks with these covariances and that random error."""
+    """Matrices (m, 3, 3) that whiten misses with these covariances and this random error."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(stereo_mm2 + scatter_mm**2 * np.eye(3))))
 
 
 def _start(model: ArmModel, looks: LookArrays) -> Array:
-    """The nominal arm, and every sphere in the middle of where it was seen."""
+    """The nominal arm, with every sphere at the centroid of its measurements."""
     values = np.zeros(model.size + 3 * looks.spheres)
     seen = model.misses(values, looks)
     places = [np.median(seen[looks.sphere == number], axis=0) for number in range(looks.spheres)]
@@ -111,7 +111,7 @@ def _step(
     whitening: Array,
     used: NDArray[np.bool_],
 ) -> tuple[Array, Array]:
-    """Covariance and values after one step of Gauss and Newton."""
+    """Covariance and parameters after one Gauss-Newton step."""
     rows = (whitening @ slopes)[used].reshape(-1, len(values))
     misses = np.einsum("mij,mj->mi", whitening, model.misses(values, looks))[used].ravel()
     prior = np.zeros(len(values))
@@ -121,10 +121,10 @@ def _step(
 
 
 def _scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
-    """Random error of the arm per axis: what the residuals have beyond the images' share.
+    """Random error of the arm per axis: the residuals in excess of image noise.
 
-    `explained` (m, 3, 3) is the covariance that the fit has at the looks: it has drawn the residuals so far
-    towards zero.
+    `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has
+    shrunk the residuals.
     """
     square = np.sum(residuals**2, axis=1) - np.einsum("mii->m", stereo) + np.einsum("mii->m", explained)
     return float(max(np.sqrt(max(np.mean(square[used]) / 3.0, 0.0)), LEAST_SCATTER_MM))

@@ -1,4 +1,4 @@
-"""The input of a calibration of the arm: spheres at rest, each seen by the stereo head from many poses."""
+"""Input of an arm calibration: stationary spheres, each measured by the stereo head from many poses."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Flanks = tuple[Side, Side, Side, Side, Side, Side]
 
 
 class SphereLook(Strict):
-    """One look at one sphere."""
+    """One measurement of one sphere."""
 
     sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
@@ -34,7 +34,7 @@ class SphereLook(Strict):
 
 
 class ArmLooks(Strict):
-    """All looks of one calibration, and the records they were taken with."""
+    """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     created: datetime = Field(description="When the measurements were taken.")
@@ -57,7 +57,7 @@ class ArmLooks(Strict):
 
 @dataclass(frozen=True)
 class LookArrays:
-    """Looks as arrays of m rows; `sphere` numbers them from 0 without gaps."""
+    """Measurements as arrays of m rows; `sphere` numbers the spheres from 0 without gaps."""
 
     joints_rad: Array  # (m, n)
     flanks: Array  # (m, n)
@@ -67,16 +67,16 @@ class LookArrays:
 
     @property
     def spheres(self) -> int:
-        """How many there are."""
+        """Number of spheres."""
         return int(self.sphere.max()) + 1
 
     def only(self, rows: NDArray[np.bool_]) -> LookArrays:
-        """Some of the looks, with the same numbers of spheres."""
+        """Selected measurements, with the same sphere numbers."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
-    """The looks as arrays; spheres that were never seen leave no gap in the numbers."""
+    """The measurements as arrays; spheres that were never seen leave no gap in the numbering."""
     _, sphere = np.unique([one.sphere for one in looks], return_inverse=True)
     return LookArrays(
         joints_rad=np.array([one.joints_rad for one in looks]),

@@ -1,7 +1,7 @@
-"""Which of many possible looks reveal most of an arm: D-optimal choice, one look after the other.
+"""Selects the measurement poses that reveal most about an arm: greedy D-optimal design.
 
-Each look adds the information that it has beyond what is known already; the one that adds most is next. At
-first the prior of an uncalibrated arm is all that is known.
+Each pose adds the information that it provides beyond what is already known; the one that adds most is next.
+Initially only the prior of an uncalibrated arm is known.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from procedures.calibration.arm.looks import LookArrays
 
 Array = NDArray[np.float64]
 
-LOOK_SIGMA_MM = 0.02  # of a look per axis: repeatability of a good arm, and the stereo head
-SPHERE_SIGMA_MM = 10.0  # of what is known of a sphere's place
+LOOK_SIGMA_MM = 0.02  # of a measurement, per axis: repeatability of a good arm, and the stereo head
+SPHERE_SIGMA_MM = 10.0  # prior uncertainty of a sphere's position
 
 
 def most_telling(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Numbers of `count` looks, in the order in which they were chosen; fewer where there are not so many."""
+    """Indices of `count` poses in order of selection; fewer if there are not enough."""
     values = np.zeros(model.size + 3 * candidates.spheres)
     slopes = model.slopes(values, candidates) / LOOK_SIGMA_MM
     known = np.ones(len(values))

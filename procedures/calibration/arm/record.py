@@ -23,7 +23,7 @@ MADE_BY = "ronna-arm calibrate"
 
 @dataclass(frozen=True)
 class ArmResult:
-    """The new records, and how good they are; `tool_shift_mm` is by how much the head's tool centre moved."""
+    """The new records and their quality; `tool_shift_mm` is how far the head's tool centre moved."""
 
     fit: ArmFit
     validation: ArmValidation
@@ -34,7 +34,7 @@ class ArmResult:
 
 
 def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
-    """Records from looks, with their date. Raises CAL-002 to CAL-004, CAL-011."""
+    """Dated records from measurements. Raises CAL-002 to CAL-004, CAL-011."""
     head = observed.stereo_head
     before = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     looks = arrays_of(observed.looks)

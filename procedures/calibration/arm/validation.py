@@ -1,4 +1,4 @@
-"""Whether an identified arm holds where it was not fitted: looks kept apart, and what the looks reveal."""
+"""Validates an identified arm: on held-out measurements, and by what the measurements reveal."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from ronna_hw.text.beyond import beyond, told_apart
 Array = NDArray[np.float64]
 
 LEAST_VALIDATION = 12
-ACCEPTED = 1e-4  # probability with which a good calibration is refused
-LARGEST_ERROR_MM = 0.10  # of the model at a pose like those of the looks: three times a good calibration
-LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 are usual
-MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, links that bend
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+LARGEST_ERROR_MM = 0.10  # of the model at a typical measurement pose: three times that of a good calibration
+LEAST_LEARNT = 0.5  # of a joint's backlash: 0.02 to 0.07 is usual
+MODEL_SHARE = 0.25  # of the predicted variance: harmonics beyond the second, flexible links
 
 
 @dataclass(frozen=True)
 class ArmValidation:
-    """`misses_mm` (m, 3) of looks that were not used; the rest in mm, three-dimensional, rms.
+    """`misses_mm` (m, 3) of held-out measurements; the rest in mm, 3-D rms.
 
-    `before_mm` is what the nominal arm misses there, `predicted_mm` what the model's covariance and the
-    random error lead one to expect, `model_mm` the model's own share of it.
+    `before_mm` is the nominal arm's error there, `predicted_mm` the error expected from the model's
+    covariance and the random error, `model_mm` the model's part of it.
     """
 
     misses_mm: Array
@@ -40,7 +40,7 @@ class ArmValidation:
 
 
 def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
-    """Judge a fit by looks that it has not seen. Raises CAL-002, CAL-004, CAL-011."""
+    """Judge a fit by held-out measurements. Raises CAL-002, CAL-004, CAL-011."""
     count = len(looks.joints_rad)
     require_count(count, LEAST_VALIDATION, "too few measurements to validate the arm")
     _require_both_sides(fit)
@@ -76,7 +76,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
 
 
 def _require_both_sides(fit: ArmFit) -> None:
-    """The backlash of a joint that always arrived from one side shows in no look, kept apart or not."""
+    """The backlash of a joint that always arrived from one side shows in no measurement, held out or not."""
     unknown = [
         name
         for name, share in zip(fit.model.names, fit.learnt.tolist(), strict=True)
@@ -92,7 +92,7 @@ def _require_both_sides(fit: ArmFit) -> None:
 
 
 def _before(fit: ArmFit, looks: LookArrays) -> float:
-    """What nominal arm and head miss: each sphere about the middle of where they see it."""
+    """Error of the nominal arm and head, relative to the centroid of each sphere's measurements."""
     nothing = np.zeros(len(fit.values))
     seen = fit.model.misses(nothing, looks)
     for number in range(looks.spheres):

@@ -1,1 +1,1 @@
-"""Calibration of the guide's tip: pivoted over a divot, and against the ball that the head sees there."""
+"""Calibration of the guide's tip: pivoted in a divot, and compared with the ball that the head sees there."""

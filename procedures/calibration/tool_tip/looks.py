@@ -1,4 +1,4 @@
-"""The input of a calibration of the tip: ball and divot of one stand, in the same orientations of the arm."""
+"""Input of a tip calibration: ball and divot of one stand, in the same arm orientations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class BallLook(Strict):
 
 
 class DivotReading(Strict):
-    """The guide's tip in the divot, in the orientation of a look at the ball."""
+    """The guide's tip in the divot, in the orientation of a view of the ball."""
 
     look: int = Field(ge=0, description="Number of that measurement.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
@@ -49,7 +49,7 @@ class DivotReading(Strict):
 
 
 class TipLooks(Strict):
-    """Everything that was seen and read in one calibration, and the records it was taken with."""
+    """All views and readings of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     created: datetime = Field(description="When the dials were read.")
@@ -63,13 +63,13 @@ class TipLooks(Strict):
 
 
 def kept_apart(count: int, validation: int) -> tuple[int, ...]:
-    """Which of so many looks are kept to judge by: evenly among them, in the order of their orientations."""
+    """Indices of those held out for validation: evenly distributed, in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
 @dataclass(frozen=True)
 class TipPairs:
-    """Ball and divot in m orientations, in the tool frame of the head as its record has it on the flange."""
+    """Ball and divot in m orientations, in the head's tool frame according to its record."""
 
     at_ball: Array  # (m, 4, 4) ROBOT <- TOOL of the head over the ball
     at_divot: Array  # (m, 4, 4) the same with the tip in the divot
@@ -78,16 +78,16 @@ class TipPairs:
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of orientations."""
         return len(self.at_ball)
 
     def only(self, rows: NDArray[np.bool_]) -> TipPairs:
-        """Some of them."""
+        """Selected orientations."""
         return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:
-    """The readings with their looks, as arrays."""
+    """The readings with their views, as arrays."""
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
 
     def tools(poses: Sequence[PoseRecord]) -> Array:

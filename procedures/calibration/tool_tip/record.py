@@ -1,4 +1,4 @@
-"""From readings to the record of the tip: solved, judged by readings kept apart, dated."""
+"""From readings to the tip's record: solved, validated on held-out readings, dated."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ Array = NDArray[np.float64]
 
 MADE_BY = "ronna-procedure calibrate tool-tip"
 LEAST_VALIDATION = 2
-ACCEPTED = 1e-4  # probability with which a good calibration is refused
-MODEL_SHARE = 0.25  # of the predicted variance: steps of the dials, errors of the arm that do not cancel
-STAND_MM = 0.01  # of the divot beside the ball's centre, per axis: as such stands are made
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: resolution of the dials, arm errors that do not cancel
+STAND_MM = 0.01  # between divot and ball centre, per axis: manufacturing tolerance of such stands
 DIALS_TRAVEL_MM = 6.0
-FAR_MM = 10.0  # no guide is so far from its drawing
+FAR_MM = 10.0  # no guide deviates this much from its drawing
 
 
 @dataclass(frozen=True)
 class TipResult:
-    """The new record, and how good it is; `misses_mm` (m, 3) of readings that were not used, tool frame."""
+    """The new record and its quality; `misses_mm` (m, 3) of held-out readings, tool frame."""
 
     fit: TipFit
     misses_mm: Array
@@ -64,7 +64,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
             limit=f"{FAR_MM:g} mm",
             got=f"{beyond(change_mm, FAR_MM, 1)} mm",
         )
-    # A divot shows where the tip is, not where the guide points: that and its error are taken over.
+    # A divot shows where the tip is, not where the guide points: direction and its error are kept.
     found = Transform(
         Frame.FLANGE,
         Frame.TOOL,
@@ -91,7 +91,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
 
 
 def require_plausible(dials_mm: tuple[float, float, float]) -> None:
-    """Raise CAL-018 for what three dials in millimetres cannot show."""
+    """Raise CAL-018 for readings that three dials in millimetres cannot show."""
     if not all(np.isfinite(dials_mm)) or max(map(abs, dials_mm)) > DIALS_TRAVEL_MM:
         raise ReadingImplausible(
             "the dials cannot show this",
@@ -111,12 +111,12 @@ def _require_plausible(observed: TipLooks) -> None:
 
 
 def _validated(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
-    """Misses (m, 3) of readings that the fit has not seen, and their expected rms."""
+    """Misses (m, 3) of held-out readings, and their expected rms."""
     require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
     rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
-    # The scatter is known from few readings only: its own error belongs to the limit (Fisher's F).
+    # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
     ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
     limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
     if rms_mm > limit_mm:

@@ -1,13 +1,13 @@
-"""Where the guide's tip is in the tool frame of the stereo head on the same mount.
+"""The guide's tip in the tool frame of the stereo head on the same mount.
 
-In one orientation, and within millimetres of one place, an arm errs alike with the head over the ball and
-with the tip in the divot that takes the ball's place. The difference of the two is the tip relative to the
-head's measurement, and hardly depends on the arm:
+In one orientation, and within millimetres of one position, an arm's errors are the same with the head over
+the ball and with the tip in the divot that replaces the ball. The difference of the two is the tip relative
+to the head's measurement, and hardly depends on the arm:
 
     tip = T'^-1 (T ball + dials)    T, T': ROBOT <- TOOL over the ball and in the divot
 
-Pivoting about the divot gives a second answer, which does not assume ball and divot to be in one place: what
-turns with the tool is the tip, what stays is the gap between divot and ball. The gap must be small.
+Pivoting about the divot provides a second answer, which does not assume ball and divot at the same position:
+what turns with the tool is the tip, what stays is the gap between divot and ball. The gap must be small.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
-LEAST_READINGS = 8  # with fewer, pivoting leaves more than MOST_OPEN_MM open with some good stands
-SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond, the arm's errors do not cancel
+LEAST_READINGS = 8  # with fewer, pivoting leaves more than MOST_OPEN_MM undetermined with some good stands
+SAME_ORIENTATION_RAD = float(np.radians(0.5))  # beyond this, the arm's errors do not cancel
 LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
-LARGEST_GAP_MM = 0.08  # of ball and divot; what is smaller goes into the tip, so the stand must be good
-MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings in the poses of the step leave 0.07 to 0.17
-SURE = 3.0  # standard errors, where pivoting leaves more open than that
-LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; worse would excuse any gap
+LARGEST_GAP_MM = 0.08  # between ball and divot; a smaller gap adds to the tip's error: the stand must be good
+MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings at the step's poses leave 0.07 to 0.17
+SURE = 3.0  # standard errors, if pivoting leaves more than that undetermined
+LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; a larger one would excuse any gap
 
 
 @dataclass(frozen=True)
 class TipFit:
-    """`tip_mm` (3,) in the tool frame of the head, with its covariance (3, 3) mm2; `scatter_mm` per axis.
+    """`tip_mm` (3,) in the head's tool frame, with covariance (3, 3) mm2; `scatter_mm` per axis.
 
-    `gap_mm` (3,) is the offset of the divot from the ball according to the pivoting, robot axes, with a
-    standard error of `gap_error_mm` in space.
+    `gap_mm` (3,) is the divot's offset from the ball according to pivoting, robot axes, with a standard error
+    of `gap_error_mm` in space.
     """
 
     tip_mm: Array
@@ -53,7 +53,7 @@ class TipFit:
 
     @property
     def hidden_gap_mm(self) -> float:
-        """One standard deviation of the gap that may be in the tip: no accepted gap exceeds three of them."""
+        """Standard deviation of a gap hidden in the tip: no accepted gap exceeds three of these."""
         return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / SURE)
 
 
@@ -103,7 +103,7 @@ def fit_tip(pairs: TipPairs) -> TipFit:
 
 
 def tips_of(pairs: TipPairs) -> Array:
-    """The tip (m, 3) in the tool frame by each reading alone."""
+    """The tip (m, 3) in the tool frame from each reading alone."""
     reach = _reach_mm(pairs)
     return np.asarray(np.einsum("mji,mj->mi", pairs.at_divot[:, :3, :3], reach))
 
@@ -124,10 +124,9 @@ def _require_usable(pairs: TipPairs) -> None:
 
 
 def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
-    """Offset of the divot from the ball, its standard error in space, and the scatter of one reading per
-    axis.
+    """Offset of the divot from the ball, its 3-D standard error, and the scatter per reading and axis.
 
-    Of `reach = R tip - gap`, both unknown.
+    Solves `reach = R tip - gap` for both unknowns.
     """
     rotations, reach = pairs.at_divot[:, :3, :3], _reach_mm(pairs)
     rows = np.concatenate([rotations, np.tile(-np.eye(3), (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
@@ -139,6 +138,6 @@ def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
 
 
 def _reach_mm(pairs: TipPairs) -> Array:
-    """From the tool centre at the divot to the place of the ball and on by the dials, (m, 3), robot axes."""
+    """From the tool centre at the divot to the ball's position plus the dial readings, (m, 3), robot axes."""
     ball = np.einsum("mij,mj->mi", pairs.at_ball[:, :3, :3], pairs.ball_mm) + pairs.at_ball[:, :3, 3]
     return np.asarray(ball + pairs.dials_mm - pairs.at_divot[:, :3, 3])

@@ -1,1 +1,1 @@
-"""Calibration of the reference frame on the arm's mount: where the tracker's frame is on the flange."""
+"""Calibration of the reference frame on the arm's mount: its pose on the flange."""

@@ -1,9 +1,9 @@
 """Robot-world and hand-eye together: A X = Z B, with the covariance of X.
 
-A is the flange as the arm has it, B the reference frame as the tracker has it, X the frame on the flange and
-Z the tracker in the room. The start is linear: the rotations as the null vector of R_A R_X - R_Z R_B = 0 with
-Kronecker products, then the translations (Shah 2013). From there least squares in all twelve unknowns,
-rotations and positions each weighted by the scatter that the looks themselves show.
+A is the flange according to the arm, B the reference frame according to the tracker, X the frame on the
+flange and Z the tracker in the room. The initial solution is linear: the rotations as the null vector of R_A
+R_X - R_Z R_B = 0 with Kronecker products, then the translations (Shah 2013). From there least squares in all
+twelve unknowns, rotations and positions each weighted by the scatter of the measurements themselves.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from ronna_hw.text.beyond import beyond
 Array = NDArray[np.float64]
 
 LEAST_LOOKS = 15
-TURNS_AGREE_RAD = float(np.radians(0.5))  # from look to look, of flange and frame: a screw has one angle
-ROUNDS = 6  # of fit, scatter and outliers: they settle within four
+TURNS_AGREE_RAD = float(np.radians(0.5))  # from one measurement to the next, of flange and frame
+ROUNDS = 6  # of fit, scatter and outliers: they converge within four
 FIRST_SCATTER_MM, FIRST_SCATTER_RAD = 0.2, 5e-4
 LEAST_SCATTER_MM, LEAST_SCATTER_RAD = 0.003, 1e-5  # no arm and no tracker is better
 LARGEST_SCATTER_MM = 0.6  # per axis: uncalibrated arms show up to 0.3
 LARGEST_SCATTER_RAD = float(np.radians(0.15))  # per axis: uncalibrated arms show up to 0.04 degrees
 OUTLIER_CHI2 = float(chdtri(6, 0.001))
 MOST_OUTLIERS = 0.1
-STEP = 1e-6  # of a derivative, mm or rad
+STEP = 1e-6  # of a numerical derivative, mm or rad
 UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and translation (mm)
 
 
@@ -40,8 +40,8 @@ UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and 
 class HandEye:
     """`flange_from_marker` (4, 4) and `robot_from_tracker` (4, 4), with the covariance (12, 12) of both.
 
-    The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) in the robot frame; `used` (m,) marks the
-    inliers.
+    The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) are in the robot frame; `used`
+    (m,) marks the inliers.
     """
 
     flange_from_marker: Array
@@ -55,7 +55,7 @@ class HandEye:
 
     @property
     def error_mm(self) -> float:
-        """Standard error of the frame's origin on the flange, in space."""
+        """3-D standard error of the frame's origin on the flange."""
         return float(np.sqrt(np.trace(self.covariance[3:6, 3:6])))
 
     @property
@@ -65,7 +65,7 @@ class HandEye:
 
 
 def solve(pairs: PosePairs) -> HandEye:
-    """The frame on the flange that explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
+    """The frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
     x, z = _start(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
@@ -77,7 +77,7 @@ def solve(pairs: PosePairs) -> HandEye:
         change = -covariance @ rows.T @ (misses[used] / scatter).ravel()
         x, z = _changed(x, change[:6]), _changed(z, change[6:])
         misses = misses_of(pairs, x, z)
-        freedom = 3 * int(used.sum()) - UNKNOWNS // 2  # of positions, and as many of rotations
+        freedom = 3 * int(used.sum()) - UNKNOWNS // 2  # of positions; rotations have as many
         squares = np.sum(misses[used] ** 2, axis=0)
         scatter_mm = max(float(np.sqrt(squares[:3].sum() / freedom)), LEAST_SCATTER_MM)
         scatter_rad = max(float(np.sqrt(squares[3:].sum() / freedom)), LEAST_SCATTER_RAD)
@@ -88,7 +88,7 @@ def solve(pairs: PosePairs) -> HandEye:
 
 
 def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """By how much A X lies beside Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
+    """Deviation of A X from Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
     by_arm, by_tracker = pairs.robot_from_flange @ x, z @ pairs.tracker_from_marker
     apart = by_arm[:, :3, :3] @ by_tracker[:, :3, :3].transpose(0, 2, 1)
     turned = Rotation.from_matrix(apart).as_rotvec()
@@ -96,7 +96,7 @@ def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 
 
 def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """Derivative (m, 6, 12) of the misses by the unknowns."""
+    """Derivative (m, 6, 12) of the misses by the parameters."""
     slopes = np.empty((pairs.count, 6, UNKNOWNS))
     for column, step in enumerate(STEP * np.eye(UNKNOWNS)):
         ahead = misses_of(pairs, _changed(x, step[:6]), _changed(z, step[6:]))
@@ -163,7 +163,7 @@ def _nearest_rotation(matrix: Array) -> Array:
 
 
 def _changed(pose: Array, change: Array) -> Array:
-    """The pose turned in its source's axes and displaced in its target's."""
+    """The pose rotated about its source's axes and translated along its target's."""
     here = RigidTransform.from_matrix(pose)
     turned = here.rotation * Rotation.from_rotvec(change[:3])
     return np.asarray(RigidTransform.from_components(here.translation + change[3:], turned).as_matrix())

@@ -1,4 +1,4 @@
-"""The input of a calibration of the reference frame: arm poses, and the frame as the tracker sees it."""
+"""Input of a reference frame calibration: arm poses, and the frame as the tracker sees it."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ LOOKS_FILE = "frame-looks.json"
 
 
 class Use(StrEnum):
-    """What a look is for."""
+    """Purpose of a measurement."""
 
     FIT = "fit"
-    VALIDATION = "validation"  # kept from the fit, to judge it
-    RETURN = "return"  # from one and the same pose, again and again: has anything moved?
+    VALIDATION = "validation"  # held out for validation
+    RETURN = "return"  # repeated at the same pose: has anything moved?
 
 
 class FrameLook(Strict):
-    """One pose at rest, and the mean of what the tracker measured there."""
+    """One stationary pose, and the mean of the tracker's measurements there."""
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
     joints_rad: Joints = Field(description="Measured joints, A1 to A6.")
@@ -48,7 +48,7 @@ class FrameLook(Strict):
 
 
 class FrameLooks(Strict):
-    """All looks of one calibration, and the records they were taken with."""
+    """All measurements of one calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     created: datetime = Field(description="When the measurements were taken.")
@@ -61,30 +61,30 @@ class FrameLooks(Strict):
 
 @dataclass(frozen=True)
 class PosePairs:
-    """Poses as matrices (m, 4, 4): ROBOT <- FLANGE by the arm, TRACKER <- MARKER by the tracker."""
+    """Poses as matrices (m, 4, 4): ROBOT <- FLANGE from the arm, TRACKER <- MARKER from the tracker."""
 
     robot_from_flange: Array
     tracker_from_marker: Array
 
     @property
     def count(self) -> int:
-        """How many there are."""
+        """Number of poses."""
         return len(self.robot_from_flange)
 
     def only(self, rows: NDArray[np.bool_]) -> PosePairs:
-        """Some of them."""
+        """Selected poses."""
         return PosePairs(self.robot_from_flange[rows], self.tracker_from_marker[rows])
 
 
 def uses_of(count: int, validation: int) -> tuple[Use, ...]:
-    """What each of so many looks is for: those to judge by are spread evenly among those to fit."""
+    """Purpose of each measurement: those for validation are spread evenly among those for the fit."""
     total = count + validation
     judging = {round((number + 0.5) * total / validation) for number in range(validation)}
     return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
 
 
 def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
-    """The looks as arrays."""
+    """The measurements as arrays."""
 
     def matrices(poses: Sequence[Transform]) -> Array:
         return np.array([pose.as_matrix() for pose in poses]).reshape(-1, 4, 4)

@@ -1,7 +1,7 @@
-"""Poses for the calibration of the reference frame: turned about the frame itself, in all directions.
+"""Poses for the calibration of the reference frame: rotated about the frame itself, in all directions.
 
-The frame stays nearly where it is while it turns. The smooth error that a tracker has over its volume is then
-the same in all poses, and goes into where the tracker stands, not into where the frame is on the flange.
+The frame stays nearly in place while it turns. The tracker's smooth error over its volume is then the same in
+all poses, and affects the tracker's pose rather than the frame's on the flange.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ import numpy as np
 from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
 from ronna_hw.frames import Transform
 
-TILT_RAD = float(np.radians(35.0))  # more, and the arm or the frame's own edge hides markers
+TILT_RAD = float(np.radians(35.0))  # with more, the arm or the frame's own edge hides markers
 TURN_RAD = float(np.radians(70.0))
 
 
 def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:
-    """Poses ROBOT <- TOOL around a reference pose, each the nearest in orientation to the one before."""
+    """Poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
     in_tool = tool_from_marker.translation_mm
     place = reference.apply(in_tool)
     looks = turned_about(

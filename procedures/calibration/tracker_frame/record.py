@@ -1,4 +1,4 @@
-"""From looks to the record of the reference frame: solved, judged by looks kept apart, dated."""
+"""From measurements to the reference frame's record: solved, validated on held-out ones, dated."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ Array = NDArray[np.float64]
 
 MADE_BY = "ronna-procedure calibrate tracker-frame"
 LEAST_VALIDATION = 5
-ACCEPTED = 1e-4  # probability with which a good calibration is refused
-MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are no noise
-MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times what arm and tracker repeat to
-FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount is so far from its drawing
+ACCEPTED = 1e-4  # probability of rejecting a good calibration
+MODEL_SHARE = 0.25  # of the predicted variance: an arm's errors are not noise
+MOVED_MM, MOVED_RAD = 0.2, float(np.radians(0.1))  # ten times the repeatability of arm and tracker
+FAR_MM, FAR_RAD = 20.0, float(np.radians(10.0))  # no mount deviates this much from its drawing
 
 
 @dataclass(frozen=True)
 class FrameResult:
-    """The new record, and how good it is.
+    """The new record and its quality.
 
-    `misses_mm` and `misses_rad` (m, 3) of looks that were not used; `predicted_mm` and `predicted_rad`: what
-    is expected of them, rms in space. `arm_error_mm` is the share of the arm, which no look can tell from the
-    frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from the former
-    record.
+    `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`:
+    their expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate
+    from the frame: an error of its last link is a shift of the frame. `change_mm` and `change_rad`: from
+    the previous record.
     """
 
     fit: HandEye
@@ -55,7 +55,7 @@ class FrameResult:
 
 
 def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameResult:
-    """A dated record from looks. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
+    """A dated record from measurements. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
     _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
     fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
     kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
@@ -88,16 +88,16 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
 
 
 def arm_share_mm(record: ArmCalibration | None) -> float:
-    """Error of the frame on the flange, in space, that comes from the arm's own and that no look reveals.
+    """3-D error of the frame on the flange that comes from the arm itself and that no measurement reveals.
 
-    That of its last two links: A6 turns one against the other by too little to tell them from the frame.
+    That of its last two links: A6 turns them against each other too little to separate them from the frame.
     """
     link_mm = np.sqrt(3.0) * LINK_TRANSLATION_MM if record is None else record.stated_error_mm
     return float(np.sqrt(2.0) * link_mm)
 
 
 def _require_at_rest(returns: Sequence[FrameLook]) -> None:
-    """Raise CAL-002 without a return, CAL-016 when the frame was not where it was before."""
+    """Raise CAL-002 without a return measurement, CAL-016 if the frame was not where it was before."""
     if len(returns) < 2:
         raise TooFewPoses(
             "the arm did not return to its first pose, so tracker stability is unknown",
@@ -117,7 +117,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
 
 
 def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
-    """Misses (m, 6) at looks that the fit has not seen, and what they should be. Raises CAL-002, CAL-004."""
+    """Misses (m, 6) of held-out measurements, and their expected size. Raises CAL-002, CAL-004."""
     require_count(kept.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
     misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
     slopes = slopes_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
@@ -139,7 +139,7 @@ def _validated(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float
 
 
 def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
-    """How far apart two poses are, mm and rad; raises CAL-017 where that is limited and exceeded."""
+    """Distance between two poses, mm and rad; raises CAL-017 if it is limited and exceeded."""
     apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):

@@ -1,1 +1,1 @@
-"""Possible positions of the arm's cart: places judged as the path check judges them, and the best."""
+"""Possible positions of the arm's cart: judged as in the path check, and the best one."""

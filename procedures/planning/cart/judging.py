@@ -1,4 +1,4 @@
-"""Places judged in processes of their own, one for each processor."""
+"""Judges cart positions in separate processes, one per processor."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from procedures.planning.cart.place import CartCase, CartMove, Found, Verdict
 from procedures.planning.cart.place_map import Judge
 
 Asked = tuple[CartMove, tuple[Found, ...], bool]
-CHUNK = 4  # places in one request: a request takes a millisecond, a place some tenths of a second
+CHUNK = 4  # positions per request: a request takes a millisecond, a position some tenths of a second
 
 
 @contextmanager
 def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
-    """Judges many places at once; `workers` 1 stays in this process, None uses every processor."""
+    """Judges many positions at once; with `workers` 1 in this process, None uses every processor."""
     count = workers or len(os.sched_getaffinity(0))
     if count == 1:
 
@@ -27,7 +27,7 @@ def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
 
         yield here
         return
-    # fresh processes: a forked child would inherit locks of the libraries' threads
+    # fresh processes: a fork would inherit locks of library threads
     with ProcessPoolExecutor(count, get_context("spawn")) as pool:
 
         def there(asked: Sequence[Asked]) -> Sequence[Verdict]:

@@ -14,7 +14,7 @@ REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 
 def place_picture(found: PlaceProposal, case: CartCase) -> bytes:
-    """An SVG: what can be reached, the assumed place, the best one with what it may be missed by."""
+    """An SVG: the reachable area, the assumed position, the best one and its tolerance."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

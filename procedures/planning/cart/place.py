@@ -1,4 +1,4 @@
-"""One place of the cart, judged as the path check would: can the whole procedure be done from there?"""
+"""Judges one position of the cart as the path check would: can the whole procedure be done from there?"""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ HIDDEN = "the arm at home hides {} from the tracker"
 
 @dataclass(frozen=True)
 class CartMove:
-    """Offset of the cart from the assumed position: x and y in the assumed $ROBROOT, then turned there."""
+    """Offset of the cart from its assumed position: x and y in the assumed $ROBROOT, then rotated there."""
 
     x_mm: float
     y_mm: float
     turn_rad: float = 0.0
 
     def seen_from_cart(self, in_robot: RigidTransform) -> RigidTransform:
-        """What lies at this pose in the assumed $ROBROOT, in that of the moved cart."""
+        """A pose in the assumed $ROBROOT, transformed to that of the moved cart."""
         moved = RigidTransform.from_components(
             [self.x_mm, self.y_mm, 0.0], Rotation.from_rotvec([0.0, 0.0, self.turn_rad])
         )
@@ -48,7 +48,7 @@ class CartMove:
 
 @dataclass(frozen=True)
 class Found:
-    """How a place serves: the branch of the arm, and the turn of each axis about itself."""
+    """How a position serves: the arm's branch, and each trajectory's turn about its own axis."""
 
     branch: Branch
     turns_rad: tuple[tuple[str, float], ...]
@@ -56,7 +56,7 @@ class Found:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Whether a place serves, and how; otherwise the first pose that fails, and why."""
+    """Whether a position serves, and how; otherwise the first pose that fails, and why."""
 
     found: Found | None
     pose: str = ""
@@ -70,10 +70,10 @@ class Verdict:
 
 @dataclass(frozen=True, eq=False)
 class CartCase:
-    """The arm at its assumed place, with its scene, and what it is to do there.
+    """The arm at its assumed position, with its scene and its task.
 
     Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter.
-    What the cell describes in the robot's frame is taken to move with the cart.
+    Whatever the cell describes in the robot frame is assumed to move with the cart.
     """
 
     setting: ArmSetting
@@ -83,7 +83,7 @@ class CartCase:
     robot_from_tracker: Transform | None = None
 
     def judged(self, move: CartMove, known: Sequence[Found] = (), *, search: bool = True) -> Verdict:
-        """Whether a place serves. What served elsewhere is tried first; then, with `search`, everything."""
+        """Whether a position serves. Solutions from elsewhere are tried first; then, with `search`, all."""
         setting = self._at(move)
         hidden = self._hidden_from_tracker(setting, move)
         if hidden:
@@ -119,7 +119,7 @@ class CartCase:
         return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
-        """The axis with a pose that no branch reaches, at whatever turn: cheap, and before the search."""
+        """The axis with a pose that no branch reaches at any turn: cheap, and done before the search."""
         own = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(own)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
@@ -128,7 +128,7 @@ class CartCase:
             try:
                 turns = setting.strategy.turns_rad(axis, self.fiducials_mm, setting.robot_from_ct, arm)
             except LimitError:
-                return None  # the search will tell
+                return None  # left to the search
             for turn in turns:
                 try:
                     self._require_solutions(
@@ -157,7 +157,7 @@ class CartCase:
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
     def _hidden_from_tracker(self, setting: ArmSetting, move: CartMove) -> str:
-        """Which spheres the tracker does not see past the arm at home; empty when it sees all."""
+        """Which spheres the arm at home hides from the tracker; empty if none."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
@@ -172,7 +172,7 @@ class CartCase:
 
 
 def _by_joints(setting: ArmSetting) -> bool:
-    """Whether the strategy's orientations depend on the branch: then a pose in one says nothing of others."""
+    """Whether the strategy's orientations depend on the branch: then one says nothing about the others."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 

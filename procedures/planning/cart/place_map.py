@@ -1,7 +1,7 @@
-"""The map: places on a grid, refined where places that serve meet places that do not.
+"""The map: positions on a grid, refined where positions that serve meet positions that do not.
 
-A square is called reachable when all its corners serve; squares at the edge are halved twice. So the map errs
-on the side of refusing, by half a finest square along its edge.
+A square is reachable if all its corners serve; squares at the edge are halved twice. The map therefore errs
+on the side of refusal, by half a finest square along its edge.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ Judge = Callable[[Sequence[tuple[CartMove, tuple[Found, ...], bool]]], Sequence[
 
 COARSE = 4  # finest squares along the side of a coarsest one
 FINEST_MM = 15.0
-HALF_DIAGONAL = math.sqrt(0.5)  # of a square: so much nearer than its middle may the edge of the next one be
-MOST_KNOWN = 3  # ways that served nearby are tried before a place is refused
+HALF_DIAGONAL = math.sqrt(0.5)  # of a square: how much closer than its centre the edge of the next one may be
+MOST_KNOWN = 3  # solutions from nearby that are tried before a position is refused
 
 
 @dataclass(frozen=True, eq=False)
 class PlaceMap:
-    """What was judged, about the assumed place: `verdicts` by node, `allowed` (n, n) by square, x first.
+    """Judged relative to the assumed position: `verdicts` by node, `allowed` (n, n) by square, x first.
 
-    Everywhere the cart is turned by `turn_rad` from its assumed orientation.
+    The cart is rotated by `turn_rad` from its assumed orientation everywhere.
     """
 
-    half: int  # finest squares from the middle to the edge
+    half: int  # finest squares from the centre to the edge
     verdicts: dict[Node, Verdict]
     allowed: NDArray[np.bool_]
     turn_rad: float = 0.0
 
     @property
     def within_mm(self) -> float:
-        """How far the map extends each way."""
+        """Extent of the map in each direction."""
         return self.half * FINEST_MM
 
     def allows(self, x_mm: float, y_mm: float) -> bool:
-        """Whether the map calls a place reachable; outside the map none is."""
+        """Whether the map calls a position reachable; none outside the map is."""
         i, j = (int(np.floor(value / FINEST_MM)) + self.half for value in (x_mm, y_mm))
         inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
         return inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """The place farthest from any that does not serve, and by how much, mm, it may be missed; or None."""
+        """The position farthest from any that does not serve, and its tolerance in mm; or None."""
         if not self.allowed.any():
             return None
-        # beyond the map nothing is known
+        # nothing is known beyond the map
         room = ndimage.distance_transform_edt(np.pad(self.allowed, 1))[1:-1, 1:-1]
         centres = (np.indices(room.shape) - self.half + 0.5) * FINEST_MM
         away = np.hypot(*centres)
@@ -87,9 +87,10 @@ def map_places(
     progress: Callable[[float], None] = lambda share: None,
     turn_rad: float = 0.0,
 ) -> PlaceMap:
-    """Judge places up to `within_mm` from the assumed one in x and y; a whole number of coarse squares.
+    """Judge positions up to `within_mm` from the assumed one in x and y; a whole number of coarse squares.
 
-    With `turn_rad` the cart is turned by that everywhere, about the z of its base, left seen from above.
+    With `turn_rad` the cart is rotated by that everywhere, about the z axis of its base,
+    counter-clockwise from above.
     """
     coarse = max(1, round(within_mm / (COARSE * FINEST_MM)))
     half = coarse * COARSE
@@ -97,7 +98,7 @@ def map_places(
     search.ask([(0, 0)], lambda node: (), True)
     progress(0.05)
     lines = range(-half, half + 1, COARSE)
-    for ring in range(1, coarse + 1):  # outwards: what serves a place mostly serves the next one
+    for ring in range(1, coarse + 1):  # outwards: what serves one position mostly serves the next
         far = ring * COARSE
         nodes = [(i, j) for i in lines for j in lines if max(abs(i), abs(j)) == far]
         known = {node: search.known_at([*_inward(node), (0, 0)]) for node in nodes}
@@ -126,7 +127,7 @@ def map_places(
 
 
 def _inward(node: Node) -> list[Node]:
-    """The neighbours on the coarsest grid, the next ones first; those further out are not judged yet."""
+    """The inner neighbours on the coarsest grid, nearest first; outer ones are not judged yet."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
     return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]

@@ -1,4 +1,4 @@
-"""The best place of a map, checked by itself, and how far off it still serves."""
+"""The best position of a map, checked directly, and its tolerance."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from procedures.planning.cart.place_map import FINEST_MM, Judge, PlaceMap
 from procedures.planning.cart.proposed_place import TURNED_SHARE
 from procedures.planning.errors import NoPlace
 
-TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way, at the best place and around it
+TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way, at the best position and around it
 SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 
 
@@ -20,7 +20,7 @@ SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 class PlaceProposal:
     """Proposed offset of the cart from the assumed position, and its tolerance.
 
-    `free_mm` in any direction; or half of that and turned further by `turns_deg`, the other way and this.
+    `free_mm` in any direction; or half of that plus a further rotation by `turns_deg` (negative, positive).
     """
 
     best: CartMove
@@ -30,11 +30,11 @@ class PlaceProposal:
 
     @property
     def assumed(self) -> Verdict:
-        """Of the place where the cart was assumed to stand, turned as the map has it."""
+        """Verdict on the cart's assumed position, with the map's rotation."""
         return self.places.verdicts[(0, 0)]
 
     def as_payload(self) -> dict[str, Any]:
-        """Plain values for a file or a script; rows of the map run along x, from the lowest y up."""
+        """Plain values for a file or a script; rows of the map run along x, starting from the lowest y."""
         places = self.places
         return {
             "best_mm": [self.best.x_mm, self.best.y_mm],
@@ -59,7 +59,7 @@ class PlaceProposal:
 
 
 def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
-    """The best place. Raises PLAN-020 when none serves."""
+    """The best position. Raises PLAN-020 when none serves."""
     found = places.best()
     if found is None:
         why = Counter(one.reason for one in places.verdicts.values() if one.reason)
@@ -71,7 +71,7 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     (verdict,) = judge([(best, (), True)])
     if verdict.found is None:
         raise NoPlace(f"the best position of the map does not work: {verdict.pose}: {verdict.reason}")
-    free_deg = {-1.0: 0.0, 1.0: 0.0}  # by the side to which it is turned
+    free_deg = {-1.0: 0.0, 1.0: 0.0}  # by direction of rotation
     going = list(free_deg)
     for turn in TURNS_DEG:
         moves = [_beside(best, free_mm * TURNED_SHARE, way, side * turn) for side in going for way in SIDES]

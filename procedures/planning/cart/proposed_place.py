@@ -1,4 +1,4 @@
-"""The proposed position as a case reads it, and how far the cart is from it."""
+"""The proposed position as a case reads it, and the cart's deviation from it."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ronna_hw.calibration import Strict
 from ronna_hw.config import describe_mistakes
 from ronna_hw.frames import Frame, Transform
 
-LARGEST_FILE_BYTES = 4_000_000  # a map of the largest extent has some 18,000 squares and nodes
+LARGEST_FILE_BYTES = 4_000_000  # a map of maximum extent has some 18,000 squares and nodes
 MOST_VALUES = 400_000
-FURTHEST_MM = 10_000.0  # of any place in the room
+FURTHEST_MM = 10_000.0  # of any position in the room
 Coordinate = Annotated[float, Field(ge=-FURTHEST_MM, le=FURTHEST_MM)]
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Turn = Annotated[float, Field(ge=0.0, le=180.0)]
@@ -28,9 +28,10 @@ Turn = Annotated[float, Field(ge=0.0, le=180.0)]
 
 @dataclass(frozen=True)
 class BesideProposal:
-    """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and turned by.
+    """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and rotation.
 
-    `head_mm` and `head_deg` are what no cart on the floor can do: the head is higher, or tilted.
+    `head_mm` and `head_deg` are deviations that a cart on the floor cannot cause: the head
+    is higher, or tilted.
     """
 
     x_mm: float
@@ -46,7 +47,7 @@ class BesideProposal:
 
 
 class ProposedPlace(Strict):
-    """What a case needs of `place.json`; the map itself it leaves aside."""
+    """What a case needs from `place.json`; the map itself is ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -62,12 +63,12 @@ class ProposedPlace(Strict):
     turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
     def beside(self, robot_from_ct: Transform) -> BesideProposal:
-        """Where a cart stands from which the CT is seen in this pose ROBOT <- CT."""
+        """The cart's deviation if it sees the CT at this pose ROBOT <- CT."""
         assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
         then = Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
         )
-        moved = then.rigid * robot_from_ct.rigid.inv()  # the base of now in the base of then
+        moved = then.rigid * robot_from_ct.rigid.inv()  # the current base in the base assumed then
         x_mm, y_mm, z_mm = moved.translation.tolist()
         axes = moved.rotation.as_matrix()
         turned_deg = math.degrees(math.atan2(axes[1, 0], axes[0, 0]))
@@ -80,15 +81,15 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, beside: BesideProposal) -> bool:
-        """Whether it is near enough: turned at most as was tried, with the room that was left then."""
+        """Whether it is close enough: rotated no more than was tried, within the tolerance found there."""
         less, more = self.turns_deg
         turned = abs(beside.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
         return beside.off_mm <= free_mm and (not turned or -less <= beside.turned_deg <= more)
 
 
-UNTURNED_DEG = 0.5  # what the tracker cannot tell: 0.35 mm on spheres 80 mm apart, twice
-TURNED_SHARE = 0.5  # of what an unturned cart may miss its place by, at which turns are tried
+UNTURNED_DEG = 0.5  # what the tracker cannot resolve: 0.35 mm on spheres 80 mm apart, twice
+TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are tried
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class PlaceFile:
 
 
 def read_place(path: Path) -> PlaceFile | None:
-    """Read it; None where nothing is proposed. Raises PLAN-022."""
+    """Read it; None if nothing is proposed. Raises PLAN-022."""
     try:
         content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
         return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())

@@ -1,1 +1,1 @@
-"""The head of the CT: its shape, the tissue along a planned way, and what a way keeps clear of."""
+"""The head in the CT: its shape, the tissue along a planned trajectory, and structures to avoid."""

@@ -1,4 +1,4 @@
-"""Bars and foot of the x-shaped frame, where the CT shows its spheres: the arm keeps clear of them."""
+"""Bars and foot of the x-shaped frame, located by its spheres in the CT: obstacles for the arm."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.arm.clearance.surroundings import Obstacle
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 
-COARSE_MM = 1.25  # around them: what the coarse localization leaves open
+COARSE_MM = 1.25  # around them: error of the coarse localization
 
 
 def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """Its rods in the CT frame; none for free spheres. Raises REG-012 when it is not among the spheres."""
+    """Its rods in the CT frame; none for free spheres. Raises REG-012 if it is not among the spheres."""
     if fiducials is not FiducialKind.XFRAME:
         return ()
     place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout

@@ -1,7 +1,7 @@
-"""The head as one ellipsoid, from its CT: what the arm must not touch.
+"""The head as one ellipsoid, from its CT: an obstacle for the arm.
 
-Everything denser than air that is thick enough belongs to it. Thin things (posts and cables, the shell of a
-headrest, the tips of ears) are taken away first, so that they do not blow up the ellipsoid.
+Everything denser than air and thick enough is included. Thin objects (posts and cables, the shell of a
+headrest, the tips of ears) are removed first, so that they do not inflate the ellipsoid.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
-GRID_MM = 4.0  # a head is large: every so many millimetres is enough
-THIN_MM = 18.0  # what is thinner in any direction is no head
-LEAST_VOXELS = 500  # 32 ml: less is not a head
+GRID_MM = 4.0  # a head is large: this resolution is enough
+THIN_MM = 18.0  # anything thinner in any direction is not part of the head
+LEAST_VOXELS = 500  # 32 ml: anything smaller is not a head
 
 
 class HeadEllipsoid(Strict):
@@ -34,9 +34,9 @@ class HeadEllipsoid(Strict):
 
 
 def head_shape(volume: Volume) -> HeadEllipsoid:
-    """The least ellipsoid along the CT's axes that holds all of the head. Raises PLAN-014.
+    """The smallest ellipsoid along the CT's axes that contains the whole head. Raises PLAN-014.
 
-    A head that the CT cuts is taken as far as the CT shows it.
+    A head cut off by the CT is used as far as the CT shows it.
     """
     from scipy import ndimage
 
@@ -47,7 +47,7 @@ def head_shape(volume: Volume) -> HeadEllipsoid:
     rounds = max(1, round(THIN_MM / 2.0 / float(spacing_mm.mean())))
     # Filled first: air in sinuses and throat must not hollow it out.
     solid = ndimage.binary_fill_holes(solid)
-    # The border counts as solid, so that a head that the CT cuts keeps its cut face.
+    # The border counts as solid, so that a head cut off by the CT keeps its cut face.
     kept = ndimage.binary_erosion(solid, iterations=rounds, border_value=1)
     labels, count = ndimage.label(kept)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
@@ -57,15 +57,15 @@ def head_shape(volume: Volume) -> HeadEllipsoid:
     largest = ndimage.binary_dilation(largest, iterations=rounds)
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
     centre, semi = least_ellipsoid(points)
-    # the grid's step, and what opening rounds off
+    # plus the grid step, and what opening rounds off
     return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi + float(spacing_mm.max())))
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
-    """Centre and semi-axes, (3,) each, of the smallest ellipsoid along the axes that holds points (n, 3).
+    """Centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid around points (n, 3).
 
     Convex in reciprocal axes and scaled centre: min -sum(log b) under |b p - d| <= 1 (Boyd & Vandenberghe,
-    Convex Optimization, 8.4.1). Not the box of the points: half a head is no small whole one.
+    Convex Optimization, 8.4.1). Not simply the bounding box: half a head is not a small whole one.
     """
     from scipy.optimize import minimize
     from scipy.spatial import ConvexHull
@@ -83,14 +83,14 @@ def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
 
     found = minimize(
         lambda unknown: -np.log(unknown[:3]).sum(),
-        np.r_[np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)],  # the ball around the box holds them all
+        np.r_[np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)],  # the circumscribed ball contains them all
         jac=lambda unknown: np.r_[-1.0 / unknown[:3], np.zeros(3)],
         constraints={"type": "ineq", "fun": room, "jac": slope},
         bounds=[(0.1, 2.0)] * 3 + [(None, None)] * 3,
         method="SLSQP",
     )
     semi, centre = 1.0 / found.x[:3], found.x[3:] / found.x[:3]
-    # exactly around all of them, whatever was left of the search
+    # exactly around all points, whatever error the search left
     beyond = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
     return middle + half * centre, half * semi * beyond
 

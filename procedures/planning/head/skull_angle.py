@@ -1,7 +1,7 @@
-"""At which angle a planned way meets the skull: a drill slips on bone that it meets too flat.
+"""The angle at which a planned trajectory meets the skull: a drill slips on bone at too shallow an angle.
 
-Rays beside the way and parallel to it find the outer face of the bone; a plane through where they meet it
-gives the face's direction. Judged by HU alone.
+Parallel rays around the trajectory find the outer surface of the bone; a plane through the points where they
+meet it gives the surface's direction. Judged by HU alone.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 BONE_HU = 300.0  # brain and skin stay below 100, the outer face of the skull has 600 and more
-OUTSIDE_MM, INSIDE_MM = 40.0, 40.0  # along the way, about the entry: where the bone is looked for
+OUTSIDE_MM, INSIDE_MM = 40.0, 40.0  # along the trajectory, about the entry: the range searched for bone
 STEP_MM = 0.25
-RINGS_MM = (2.0, 4.0)  # about the way: the width of a burr hole
+RINGS_MM = (2.0, 4.0)  # about the trajectory: the width of a burr hole
 AROUND = 8
-LEAST_RAYS = 9  # of 17 that have to meet bone
-NEAR_MM = 15.0  # along the way, of where the middle ray meets it: farther off it is another bone
+LEAST_RAYS = 9  # of 17 that must meet bone
+NEAR_MM = 15.0  # along the trajectory, from where the central ray meets bone: farther off it is another bone
 
 
 def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
-    """Between a way and the skull's outer face, pi/2 where it meets it straight; None without bone."""
+    """Angle between a trajectory and the skull's outer surface, pi/2 if perpendicular; None without bone."""
     axis = np.asarray(trajectory.axis_ct, dtype=float)
     side = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     side /= np.linalg.norm(side)
@@ -52,7 +52,7 @@ def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
 
 
 def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
-    """How far along it a ray meets bone, with a share of a step; not a number where it meets none."""
+    """Distance along the ray at which it meets bone, interpolated; NaN if it meets none."""
     last = np.array(volume.geometry.shape) - 0.5
     index = volume.geometry.to_index(places_mm)
     held = np.all((index > -0.5) & (index < last), axis=1)

@@ -1,4 +1,4 @@
-"""What is wrong with the structures of a plan: too near a trajectory, of another place, or full of gaps."""
+"""Problems with the structures of a plan: too close to a trajectory, misplaced, or full of gaps."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from procedures.imaging.volume import Volume, VoxelGeometry
     from procedures.planning.plan.model import Plan
 
-MOST_OUTSIDE = 0.5  # of the points: with more it belongs to another CT, or its axes are others
+MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its axes differ
 
 
 def read_structure(
     content: bytes, file_name: str, name: str, margin_mm: float, geometry: VoxelGeometry
 ) -> Structure:
-    """The structure that the content of a point file describes. Raises PLAN-006, PLAN-028.
+    """The structure described by the content of a point file. Raises PLAN-006, PLAN-028.
 
-    Also pydantic's ValidationError, for a name that a plan does not take.
+    Also pydantic's ValidationError, for a name that a plan does not accept.
     """
     try:
         points_mm = parse_points(content, file_name)
@@ -40,7 +40,7 @@ def read_structure(
 def structure_findings(
     plan: Plan, distances: Sequence[StructureDistance], volume: Volume
 ) -> tuple[list[RonnaError], list[str]]:
-    """What refuses the plan, and what is for the surgeon to weigh."""
+    """Findings that refuse the plan, and warnings for the surgeon."""
     findings: list[RonnaError] = [
         NearStructure(
             f"trajectory {one.trajectory} comes too close to {one.structure}",
@@ -66,6 +66,6 @@ def structure_findings(
 
 
 def _outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
-    """Which share of points (n, 3) lies beyond the outer faces of the outermost voxels."""
+    """Fraction of points (n, 3) beyond the outer faces of the outermost voxels."""
     index = geometry.to_index(points_mm)
     return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())

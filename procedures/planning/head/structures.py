@@ -1,4 +1,4 @@
-"""Structures that trajectories keep away from, vessels before all, as points, and how near they come."""
+"""Structures that trajectories must avoid, above all vessels, as points, and how close they come."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 MOST_STRUCTURES = 20
-MOST_POINTS = 1000  # of one; a denser cloud is thinned, and what that costs is kept beside it
+MOST_POINTS = 1000  # of one structure; a denser cloud is thinned, and the loss of accuracy recorded
 MOST_POINTS_TOGETHER = 3000  # as many as a plan file has room for
 LARGEST_MARGIN_MM = 30.0
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9 _.-]*$"
-_THINNING = 1.25  # by which the cells grow until few enough points are left
+_THINNING = 1.25  # growth of the cells until few enough points remain
 _FINEST_CELL_MM = 0.5
 
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
 
 
 class Structure(Strict):
-    """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin kept to them."""
+    """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin to keep."""
 
     name: str = Field(min_length=1, max_length=32, pattern=NAME_PATTERN, description="Its name.")
     margin_mm: float = Field(
@@ -55,9 +55,9 @@ class Structure(Strict):
 
 @dataclass(frozen=True)
 class StructureDistance:
-    """How near the axis between entry and target may come to a structure; `nearest_mm` is its point there.
+    """How close the axis between entry and target may come to a structure; `nearest_mm` is the point there.
 
-    What may lie between the points is taken off: half the widest gap, and what was thinned.
+    What may be between the points is subtracted: half the widest gap, and the effect of thinning.
     """
 
     structure: str
@@ -68,12 +68,12 @@ class StructureDistance:
 
     @property
     def is_kept(self) -> bool:
-        """Whether the margin is."""
+        """Whether the margin is kept."""
         return self.distance_mm >= self.margin_mm
 
 
 def structure_distances(plan: Plan) -> tuple[StructureDistance, ...]:
-    """Of every trajectory to every structure."""
+    """From every trajectory to every structure."""
     return tuple(
         _distance(structure, one.id, one.entry_mm, one.target_mm)
         for structure in plan.structures or ()
@@ -108,10 +108,10 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
 
 
 def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
-    """A structure of any number of points (n, 3), thinned to as many as a plan keeps.
+    """A structure of any number of points (n, 3), thinned to as many as a plan stores.
 
-    All of it lies `within_mm` of these points. Raises pydantic's ValidationError for a name or a place that
-    a plan does not take.
+    All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
+    that a plan does not accept.
     """
     rounded = np.unique(np.round(np.asarray(points_mm, dtype=float).reshape(-1, 3), DECIMALS), axis=0)
     kept, cell_mm = rounded, _FINEST_CELL_MM
@@ -124,7 +124,7 @@ def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: f
 
 
 def _left_out_mm(points: Array, kept: Array) -> float:
-    """How far from a kept point one that was left out lies at most, rounded up."""
+    """Largest distance from a dropped point to the nearest kept one, rounded up."""
     from scipy.spatial import cKDTree
 
     if len(points) == len(kept):

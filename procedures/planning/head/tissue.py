@@ -1,7 +1,7 @@
-"""Does a planned way lead from the air outside, through the skin, to a target inside the head?
+"""Does a planned trajectory lead from the air outside, through the skin, to a target inside the head?
 
-Judged by HU of the CT alone. Points that are exchanged, or that belong to another place, show here: the
-target is in air, the way before the entry leads through the head, or most of the way inside is air.
+Judged by the CT's HU alone. Swapped points, or points that belong elsewhere, show up here: the target is in
+air, the line before the entry passes through the head, or most of the path inside is air.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ Array = NDArray[np.float64]
 
 AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
 TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
-OUTSIDE_MM = (15.0, 25.0)  # before the entry: beyond the scalp of a slanting way, still near the head
+OUTSIDE_MM = (15.0, 25.0)  # before the entry: beyond the scalp for an oblique trajectory, still near the head
 SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
-SKIN_WITHIN_MM = 40.0  # outwards from an entry that was planned on the bone
+SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
 AIR_RUN_MM = 5.0  # that is the room outside, not a fold of the skin
 
 
 def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
-    """The finding that refuses the way, or None, and a warning, or ''. Both points must lie in the CT.
+    """The finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
-    What lies beyond the CT is not known: it refuses nothing, but when nothing of the way before the entry is
-    in the CT, a warning says so.
+    What is beyond the CT is unknown and refuses nothing, but if the line before the entry is entirely outside
+    the CT, a warning says so.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
     wrong, unseen = _wrong(volume, entry, target)
@@ -45,7 +45,7 @@ def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotInt
 
 
 def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
-    """What is wrong, and whether the way before the entry is wholly outside the CT."""
+    """Problems, and whether the line before the entry is entirely outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
     wrong = []
@@ -68,9 +68,9 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
 def standoff_in_skin(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
-    """The finding that a guide held so far before the entry would end inside the skin, or None.
+    """The finding that a guide held this far before the entry would end inside the skin, or None.
 
-    Where the CT ends before the skin does, it is not known.
+    Unknown if the CT ends before the skin does.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
     outwards = (entry - target) / np.linalg.norm(entry - target)
@@ -89,7 +89,7 @@ def standoff_in_skin(
 
 
 def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:
-    """HU of the voxels that hold these points (n, 3), LPS mm; points outside the CT are left out."""
+    """HU of the voxels that contain these points (n, 3), LPS mm; points outside the CT are dropped."""
     index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
     held = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
     return np.asarray(volume.voxels[tuple(index[held].T)], dtype=float)

@@ -1,1 +1,1 @@
-"""Places of markers on the head: where they help most, whether they can be told apart, the template."""
+"""Marker positions on the head: where they help most, whether they are distinguishable, the template."""

@@ -1,4 +1,4 @@
-"""Whether the places of the fiducials tell them apart, before anybody looks for them in the room."""
+"""Whether the layout of the fiducials makes them distinguishable, before they are localized in the room."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 from procedures.registration import MatchStatus, match
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 
-LEAST_SIDE_DIFFERENCE_MM = 6.0  # of a triangle of fiducials: below it three points are often ambiguous
-CT_SIGMA_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
-ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker that the correspondence was studied with
+LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
+CT_SIGMA_MM = 0.10  # per axis: what the localizer achieves on a poor series, with margin
+ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
 
 
 def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
-    """The smallest difference of two sides of a triangle of fiducials (3, 3) in mm."""
+    """The smallest difference between two sides of a triangle of fiducials (3, 3) in mm."""
     points = np.asarray(triangle_mm, dtype=float)
     sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
     return float(np.diff(sides).min())
 
 
 def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
-    """Whether fiducials (n, 3) of a CT hold those of a template (k, 3), in one way only; both in mm."""
+    """Whether fiducials (n, 3) of a CT contain those of a template (k, 3), in one way only; both in mm."""
     found = match(
         template_mm,
         fiducials_mm,
@@ -35,7 +35,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
 
 
 def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
-    """What may make the correspondence of fiducials (n, 3) in mm ambiguous; empty where nothing does."""
+    """What may make the correspondence of fiducials (n, 3) in mm ambiguous; empty if nothing does."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)
         if smallest >= LEAST_SIDE_DIFFERENCE_MM:

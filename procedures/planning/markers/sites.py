@@ -1,8 +1,8 @@
 """Marker positions on a head that minimize the error at the planned targets.
 
-Markers serve a target best when their centroid is near it and they are far from the axes through it: eq. 39.
-What a free hand would choose, spread over the same skin, is drawn at random for comparison. The arm's own
-errors are not in it: they depend on how the head will lie.
+Markers serve a target best when their centroid is near it and they are far from the principal axes through
+it: eq. 39. For comparison, what a person would choose freehand is drawn at random, spread over the same skin.
+The arm's own errors are not included: they depend on the pose of the head.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ Array = NDArray[np.float64]
 
 FEWEST, MOST = 3, 8
 CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
-DIFFER_MM = 6.0  # the distances of three or four markers, which otherwise may be taken for one another
+DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
 TOLD_APART_BY_NUMBER = 5
-DRAWS = 20_000  # sets that are tried first, and stand for what a free hand chooses
+DRAWS = 20_000  # random sets tried first, representing freehand choices
 USUAL = 50.0  # per cent of them are better
-MOST_ROUNDS = 20  # of exchanges; three to five are usual
+MOST_ROUNDS = 20  # of exchanges; three to five is usual
 
 
 class ExpectedError(Strict):
-    """Of one target."""
+    """For one target."""
 
     target: str = Field(description="Trajectory of the plan.")
     expected_mm: float = Field(description="Rms error with the proposed markers.")
@@ -45,7 +45,7 @@ class ExpectedError(Strict):
 
 
 class ProposedMarkers(Strict):
-    """Places for markers, and what they are expected to do for each target."""
+    """Marker positions, and their expected effect on each target."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of this form."
@@ -71,9 +71,9 @@ def propose_markers(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> ProposedMarkers:
-    """Places for `count` spheres with the least mean square error over the targets.
+    """Positions for `count` spheres with the least mean square error over the targets.
 
-    On the skin that the CT shows, or on the ellipsoid without one; clear of the trajectories and of one
+    On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
@@ -110,7 +110,7 @@ def propose_markers(
 
 
 def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The set after exchanging markers for other places while that lowers the error."""
+    """The set after moving markers to other positions as long as that lowers the error."""
 
     def cost(points: Array) -> Array:
         return np.asarray(sum(np.square(expected_error(points, target)) for target in targets))
@@ -132,7 +132,7 @@ def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDA
 
 
 def allowed(points: Array) -> NDArray[np.bool_]:
-    """Which sets (s, n, 3) stand apart and, where their number does not tell them apart, differ enough."""
+    """Which sets (s, n, 3) are spaced apart and, if so few that they could be confused, differ enough."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
     good = distances[:, 0] >= APART_MM
@@ -142,7 +142,7 @@ def allowed(points: Array) -> NDArray[np.bool_]:
 
 
 def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
-    """Whether a place is aside of the line of every trajectory."""
+    """Whether a position is clear of every trajectory's line."""
     for one in trajectories:
         away = centre_mm - np.array(one.target_mm)
         if np.linalg.norm(away - (away @ one.axis_ct) * one.axis_ct) < CLEAR_OF_WAY_MM:

@@ -1,7 +1,7 @@
 """Proposes positions for three or four markers on a head such that all their distances differ by a margin.
 
-The thesis advises such a template for so few markers. Among the sites that it leaves, those with the least
-expected error in the middle of the head are taken (eq. 39).
+The thesis advises such a template for so few markers. Among the possible sites, those with the least expected
+error at the centre of the head are chosen (eq. 39).
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: what neither pillow nor face takes
+CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
 CAP_HALF_ANGLE_RAD = np.radians(50.0)
-STANDOFF_MM = 16.0  # skin to a sphere's centre: base and half a sphere
-APART_MM = 38.0  # two markers, so that the stereo head sees one at a time
+STANDOFF_MM = 16.0  # from the skin to a sphere's centre: base and half a sphere
+APART_MM = 38.0  # between two markers, so that the stereo head sees one at a time
 SITES, DRAWS = 600, 60_000
 SKIN_STEP_MM = 0.5
-SKIN_MM = (25.0, -40.0)  # where the skin is looked for: outside the ellipsoid, inside it
-AROUND, RING_MM = 8, 14.0  # places about a site: a sphere, post or bolt stands on few of them
-FREE_SKIN_MM = 4.0  # a site lies no higher and no lower than these
-SKIN_THICK_MM = 4.0  # what is thinner is a sheet or a cable
+SKIN_MM = (25.0, -40.0)  # range searched for skin: outside the ellipsoid, inside it
+AROUND, RING_MM = 8, 14.0  # points around a site: a sphere, post or bolt covers few of them
+FREE_SKIN_MM = 4.0  # a site is no higher and no lower than these
+SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
 
 
 def propose_template(
@@ -42,10 +42,10 @@ def propose_template(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> MarkerTemplate:
-    """Places for `markers` spheres (3 or 4) whose distances differ by `margin_mm` at least.
+    """Positions for `markers` spheres (3 or 4) whose distances differ by at least `margin_mm`.
 
-    On the skin that the CT shows, or on the ellipsoid without one. Raises PLAN-015 with the largest margin
-    that was found.
+    On the skin shown by the CT, or on the ellipsoid without one. Raises PLAN-015 with the
+    largest margin found.
     """
     random = np.random.default_rng(seed)
     centres, posts = sites_on(head, volume, random)
@@ -73,7 +73,7 @@ def propose_template(
 
 
 def expected_error(points: Array, target: Array) -> Array:
-    """TRE over FLE at a target by eq. 39, for sets of points (s, n, 3)."""
+    """Ratio TRE/FLE at a target by eq. 39, for sets of points (s, n, 3)."""
     middle = points.mean(axis=1, keepdims=True)
     inside = points - middle
     spread, axes = np.linalg.eigh(np.swapaxes(inside, 1, 2) @ inside)  # sums over the points
@@ -114,7 +114,7 @@ def _cap(random: np.random.Generator) -> Array:
 
 
 def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
-    """How far outwards from a point the skin is; not a number where the CT shows none, or something on it."""
+    """Distance outwards from a point to the skin; NaN if the CT shows none, or something on it."""
     side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
     side /= np.linalg.norm(side)
     turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
@@ -125,7 +125,7 @@ def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
 
 
 def _first_solid_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
-    """How far outwards from a point the first thing is that is no sheet; not a number without one."""
+    """Distance outwards from a point to the first object that is not a sheet; NaN without one."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
     hu = sampled_hu(volume, at_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):

@@ -1,4 +1,4 @@
-"""Files around a marker template: the head it is made for, and the template itself."""
+"""Files for a marker template: the head it is made for, and the template itself."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.records import write_whole
 
 
 class _Head(Strict):
-    """Of a scene, what a template needs; the rest of it is the simulator's."""
+    """What a template needs from a scene; the rest is the simulator's."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -26,7 +26,7 @@ class _Head(Strict):
 
 
 def head_of_scene(path: Path) -> HeadEllipsoid:
-    """The head's ellipsoid of a scene file. Raises PLAN-016."""
+    """The head's ellipsoid from a scene file. Raises PLAN-016."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
     except OSError as error:

@@ -1,1 +1,1 @@
-"""The plan: what it says, its file, lock and seal, and its check against CT and arm."""
+"""The plan: its content, file, lock and seal, and its check against CT and arm."""

@@ -1,4 +1,4 @@
-"""A plan against what it is about: the CT series, the fiducials found in it, the arm's reach."""
+"""Checks a plan against the CT series, the fiducials found in it, and the arm's reach."""
 
 from __future__ import annotations
 
@@ -46,18 +46,18 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
 
-WITHIN_ROUNDING_MM = 0.5  # what the check of a path leaves open between two samples
-FEWEST_THAT_TELL_A_MOVE = 4  # with three, one that moved cannot be told from the others
-KNOWN_TOOLS = ("guide",)  # the calibration records of a theatre know this one only
+WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
+FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be told from the others
+KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """What a check found: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+    """Result of a check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
 
-    `motions` are those of the whole procedure as the arm would drive them, when it was given and reaches all.
-    `turns_rad` say by trajectory how far it was turned about its axis for that, `paths` with which joints.
-    `distances` are those of every trajectory to every structure.
+    `motions` are those of the whole procedure as the arm would execute them, if an arm was given and reaches
+    everything; `turns_rad` gives each trajectory's turn about its axis, `paths` the joints. `distances` are
+    those from every trajectory to every structure.
     """
 
     plan: Plan
@@ -74,7 +74,7 @@ class PlanCheck:
         return not self.findings
 
     def require(self) -> None:
-        """Raises the finding, or one error that lists all of them."""
+        """Raise the finding, or one error listing all of them."""
         raise_together(self.findings, "the plan")
 
     def as_payload(self) -> dict[str, Any]:
@@ -124,11 +124,11 @@ def check_plan(
 ) -> PlanCheck:
     """Check a plan against its CT series, and against fiducials (n, 3) in LPS mm, arm and guide if given.
 
-    Without `to_fiducials` they are counted, but the arm's motions to them are left out.
-    With `sight` the arm may turn trajectories about their axes, as the procedure does, so that the stereo
-    head sees the fiducials and all motions are clear.
+    Without `to_fiducials` they are counted, but the arm's motions to them are omitted. With `sight` the arm
+    may turn trajectories about their axes, as the procedure does, so that the stereo head sees the fiducials
+    and all motions are clear.
 
-    Never raises for a wrong plan: all findings come back together; `PlanCheck.require` raises them.
+    Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
     findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
     warnings: list[str] = []
@@ -157,7 +157,7 @@ def check_plan(
 
 
 def _in_this_series(plan: Plan, volume: Volume) -> Judged:
-    """The plan belongs to this series, and every trajectory leads into the head that it shows."""
+    """The plan belongs to this series, and every trajectory leads into the head in it."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",
@@ -177,7 +177,7 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
 
 
 def _this_patient(plan: Plan, volume: Volume) -> Judged:
-    """The patient lay as the plan says, with enough fiducials to notice one that moves."""
+    """The patient's position is as planned, with enough fiducials to notice one that moves."""
     findings: list[RonnaError] = []
     warnings: list[str] = []
     if not volume.patient_position:
@@ -196,7 +196,7 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
 
 
 def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
-    """The CT shows as many fiducials (n, 3) as were implanted, in a layout that tells them apart.
+    """The CT shows as many fiducials (n, 3) as were implanted, in a distinguishable layout.
 
     For the x-shaped frame, it shows the frame; anything else that looks like a sphere is reported.
     """
@@ -232,7 +232,7 @@ def _driven(
     arm: ArmSetting,
     sight: StereoSight | None,
 ) -> _Driven:
-    """What keeps the arm from the plan; else its motions, where there is a scene, and what was turned."""
+    """What keeps the arm from carrying out the plan; else its motions, if there is a scene, and turns."""
     from procedures.planning.prediction.best_strategy import with_best_chosen
     from procedures.planning.reach.alternatives import advice, alternatives, unreached
     from procedures.planning.reach.free_angle import TurnedPaths, choose_free_angles
@@ -269,7 +269,7 @@ def _driven(
 
 
 def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
-    """Bodies that are nearer than the margin where a motion begins may stay or leave: is that so meant?"""
+    """Warnings of bodies closer than the margin when a motion begins: they may stay or move away."""
     told: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
@@ -284,7 +284,7 @@ def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
 
 
 def _unknown(plan: Plan) -> list[RonnaError]:
-    """What the plan asks for and this version does not have."""
+    """Whatever the plan requires that this version does not have."""
     found: list[RonnaError] = []
     if plan.tool not in KNOWN_TOOLS:
         found.append(
@@ -294,7 +294,7 @@ def _unknown(plan: Plan) -> list[RonnaError]:
 
 
 def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
-    """The depth stop must hold on the instrument."""
+    """The depth stop must fit on the instrument."""
     return [
         StopBeyondInstrument(
             f"trajectory {one.id}: the depth stop would be beyond the instrument's end",

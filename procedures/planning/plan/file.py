@@ -1,4 +1,4 @@
-"""Reads and writes `plan.toml`. All mistakes of a file are reported at once."""
+"""Reads and writes `plan.toml`. All mistakes in a file are reported at once."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import printable
 
-LEAST_MARGIN_MM = 0.05  # a third of the best error that is predicted
-# What plans of earlier versions do not have, and what to write.
+LEAST_MARGIN_MM = 0.05  # a third of the smallest predicted error
+# What plans of earlier versions lack, and what to write.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
     "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
@@ -36,7 +36,7 @@ ADDED = {
 
 
 def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
-    """Read and check a plan. Raises PLAN-001 and what `parse_plan` raises, with every mistake in it."""
+    """Read and check a plan. Raises PLAN-001 and the errors of `parse_plan`, listing every mistake."""
     path = Path(path)
     try:
         content = read_toml(path, PlanUnreadable)
@@ -46,19 +46,19 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
 
 
 def plan_of(content: bytes, name: str) -> Plan:
-    """The plan in the bytes of a file of that name. Raises as `read_plan`."""
+    """The plan in the content of a file with this name. Raises like `read_plan`."""
     return parse_plan(toml_of(content, name, PlanUnreadable), name)
 
 
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
-    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023 with every mistake in it.
+    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023, listing every mistake.
 
-    Without `sealed_only`, one altered under its seal is still read, for viewing.
+    Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
     found: list[PlanError] = []
     plan: Plan | None = None
     try:
-        # TOML has lists where the model has tuples and text where it has words; strict JSON mode takes both.
+        # TOML has lists where the model has tuples, text where it has enums; strict JSON mode accepts both.
         plan = Plan.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
         lines = describe_mistakes(error, Plan)
@@ -83,7 +83,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
 
 
 def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
-    """Write a plan whole or not at all, `notes` as comments above it. Raises PLAN-025."""
+    """Write a plan atomically, with `notes` as comments above it. Raises PLAN-025."""
     import tomli_w
 
     head = "".join(f"# {printable(line)}\n" for line in notes)
@@ -95,7 +95,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
 
 
 def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
-    """What no case can be done with, and what a plan in metres or centimetres says. Not asked of a record."""
+    """Mistakes typical of a plan in metres or centimetres, unusable in any case. Not checked for a record."""
     found = [
         PlanMistakes(
             f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
@@ -118,7 +118,7 @@ def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
 
 
 def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
-    """The line with the trajectory by its id, where it has one; without, by its number."""
+    """The line naming the trajectory by its id, if it has one; otherwise by its number."""
     match place:
         case ("trajectories", int(index), *_):
             row = content["trajectories"][index]
@@ -134,7 +134,7 @@ def _to_add(mistake: Mapping[str, Any]) -> str:
 
 
 def _ids(content: dict[str, Any]) -> Counter[str]:
-    """How often each id occurs; looks at the raw content, because other mistakes may hide the model."""
+    """How often each id occurs; uses the raw content, as other mistakes may prevent parsing the model."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
         return Counter()

@@ -1,4 +1,4 @@
-"""Where a guide halts before the skin, and what length of the instrument reaches from there to the target.
+"""Where a guide stops before the skin, and the instrument length from there to the target.
 
     upper end of the bore            lower end      skin          target
             |--------- length ---------|-- stand-off --|--- depth ---|
@@ -17,13 +17,13 @@ from ronna_hw.tool_record import GuideBore
 
 
 def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
-    """The trajectory, with where the tip frame comes to rest on it while the guide is held outside."""
+    """The trajectory, with the rest position of the tip frame on it while the guide is held outside."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
     return planned.trajectory.held(beyond_mm)
 
 
 def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
-    """All of a plan."""
+    """All trajectories of a plan."""
     return tuple(held_trajectory(plan, one, bore) for one in plan.trajectories)
 
 
@@ -33,7 +33,7 @@ def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> fl
 
 
 def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """The trajectories whose depth stop would sit beyond the instrument's end, and where."""
+    """The trajectories whose depth stop would be beyond the instrument's end, and where."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:

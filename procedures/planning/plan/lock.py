@@ -1,4 +1,4 @@
-"""Who has a plan: a case that runs on it, so that nobody saves another one in its place, or a planner."""
+"""Who holds a plan: a case running on it, so that it cannot be overwritten, or a planner."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 @dataclass(frozen=True)
 class HeldPlan:
-    """What a plan file held when a case took hold of it, whatever is written in its place since."""
+    """Content of a plan file when a case took hold of it, whatever has been written since."""
 
     content: bytes
 
@@ -28,7 +28,7 @@ class HeldPlan:
 
 @contextmanager
 def held_plan(path: Path) -> Iterator[HeldPlan]:
-    """Hold a plan file for a case, beside others that hold it too; free when the program ends, however.
+    """Hold a plan file for a case, shared with other cases; released when the program ends, in any way.
 
     Raises PLAN-001.
     """
@@ -44,9 +44,9 @@ def held_plan(path: Path) -> Iterator[HeldPlan]:
 
 @contextmanager
 def replaced_plan(path: Path) -> Iterator[None]:
-    """Keep cases from beginning on a plan file while another is put in its place. Raises PLAN-026.
+    """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-026.
 
-    A file that does not exist yet is nobody's.
+    A file that does not exist yet is held by no one.
     """
     try:
         file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -62,27 +62,27 @@ def replaced_plan(path: Path) -> Iterator[None]:
 
 
 def plan_in_use(path: Path) -> bool:
-    """Whether a case that is running holds this plan file."""
+    """Whether a running case holds this plan file."""
     try:
         file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except OSError:  # no plan, or none that could be saved: saving says so
+    except OSError:  # no plan, or one that cannot be saved: saving reports that
         return False
     os.close(file)
     return False
 
 
 class PlannerLock:
-    """Of several planners on a plan one may change it: from the first `take` that succeeds until `leave`."""
+    """Only one of several planners may change a plan: from the first successful `take` until `leave`."""
 
     def __init__(self, plan: Path) -> None:
-        self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when it is saved
+        self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
         self._file: int | None = None
         self._has_left = False
 
     def take(self) -> bool:
-        """Whether no other planner has the plan; so it is where no file can be locked."""
+        """Whether no other planner holds the plan; also true where files cannot be locked."""
         if self._has_left:
             return False
         if self._file is None:
@@ -99,31 +99,31 @@ class PlannerLock:
         return True
 
     def leave(self) -> None:
-        """Let the next one have it, for good."""
+        """Release it for good."""
         self._has_left = True
         if self._file is not None:
-            with suppress(OSError):  # of a folder that can no longer be written: the lock is what counts
+            with suppress(OSError):  # in a folder that is no longer writable; only the lock counts
                 self._path.unlink()
             os.close(self._file)
         self._file = None
 
 
 def _locked(path: Path, kind: int) -> int:
-    """The file that stands there once it is locked: one that was replaced meanwhile is nobody's."""
+    """The file at the path once it is locked; one that was replaced in the meantime does not count."""
     while True:
         file = _opened(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
             fcntl.flock(file, kind)
             if os.path.samestat(os.fstat(file), os.stat(path)):
                 return file
-        except BaseException:  # also an interruption: a lock lasts as long as its descriptor
+        except BaseException:  # including interruptions: a lock lasts as long as its descriptor
             os.close(file)
             raise
         os.close(file)
 
 
 def _opened(path: Path) -> int:
-    """Writable where it may be: on a network file system only such a file can be locked exclusively."""
+    """Writable if possible: on a network file system only then can it be locked exclusively."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:

@@ -1,6 +1,6 @@
 """The plan: what was planned on which CT, for which patient position, with which tool.
 
-Strict: unknown keys are errors, nothing that decides about a side or a patient has a default.
+Strict: unknown keys are errors, and nothing that decides side or patient has a default.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 SCHEMA_VERSION = 1
 FEWEST_MARKERS, MOST_MARKERS = 3, 8
 MOST_TRAJECTORIES = 100  # ten times a large implantation of electrodes
-LEAST_DEPTH_MM = 1.0  # entry and target nearer than this are one point to every instrument here
-MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; more is a slip of the pen
+LEAST_DEPTH_MM = 1.0  # entry and target closer than this are the same point to every instrument here
+MOST_DEPTH_MM = 150.0  # from one side of a head to far beyond its middle; anything longer is a typing error
 UID_PATTERN = r"^[0-9]+(\.[0-9]+)+$"  # DICOM: numbers and dots, at most 64 characters
 ID_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_.-]*$"  # usable in file and record names
 
 LONGEST_AUTHOR = 60
 DIGEST_PATTERN = r"^[0-9a-f]{64}$"  # SHA-256
-LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # what lies inside the skin, its check refuses by name
+LEAST_STANDOFF_MM, MOST_STANDOFF_MM = -50.0, 100.0  # a value inside the skin is refused by its own check
 MOST_INSTRUMENT_MM = 500.0  # twice the longest biopsy needle
 
 Coordinate = Annotated[float, Field(allow_inf_nan=False, ge=-10_000.0, le=10_000.0)]
@@ -37,7 +37,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PatientPosition(StrEnum):
-    """How the patient lay in the scanner, in DICOM's words: head or feet first; supine, prone, on a side."""
+    """How the patient lay in the scanner, in DICOM's terms: head or feet first; supine, prone, on a side."""
 
     HFS = "HFS"
     HFP = "HFP"
@@ -59,7 +59,8 @@ class FiducialKind(StrEnum):
 class PlannedTrajectory(Strict):
     """One trajectory: entry and target in CT coordinates (LPS, mm), the angle about the axis, the margin.
 
-    `margin_mm` is the target error the surgeon accepts; a larger predicted error refuses the trajectory.
+    `margin_mm` is the target error that the surgeon accepts; with a larger predicted error the
+    trajectory is refused.
     """
 
     id: str = Field(min_length=1, max_length=32, pattern=ID_PATTERN, description="Its name.")
@@ -100,14 +101,14 @@ class PlannedTrajectory(Strict):
 
 
 def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
-    # Not a length constraint of the field: that also complains when every trajectory is wrong in itself.
+    # Not a length constraint on the field: that would also complain when every trajectory is invalid.
     if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
         raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, got {len(trajectories)}")
     return trajectories
 
 
 class Seal(Strict):
-    """Who saved a plan on which voxels; a plan that was altered since is refused."""
+    """Who saved a plan, on which voxels; a plan altered since is refused."""
 
     author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
     ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
@@ -115,7 +116,7 @@ class Seal(Strict):
 
 
 class Plan(Strict):
-    """A whole plan, as `plan.toml` holds it."""
+    """A whole plan, as in `plan.toml`."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of the file format.")
     series_instance_uid: str = Field(

@@ -1,4 +1,4 @@
-"""A plan that is begun from its CT: everything the series tells, and the trajectories left to the planner."""
+"""A plan started from its CT: everything known from the series, with the trajectories left to the planner."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRAJECTORY = """
 def new_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """The text of a plan on the series `source`; its spheres (n, 3) LPS mm are in it as a comment."""
+    """The text of a plan on the series `source`, with its spheres (n, 3) LPS mm as a comment."""
     return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

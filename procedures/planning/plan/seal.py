@@ -1,4 +1,4 @@
-"""The seal under a plan: who saved it, on which voxels, and that nobody has altered it since."""
+"""The seal of a plan: who saved it, on which voxels, and that it has not been altered since."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ronna_hw.records import canonical_json
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
 
-UNSEALED = "0" * 64  # stands in the place of a plan's digest while it is computed
+UNSEALED = "0" * 64  # stands in for a plan's digest while it is computed
 
 
 def ct_digest(volume: Volume) -> str:
-    """SHA-256 of a CT's voxels and of where they lie."""
+    """SHA-256 of a CT's voxels and geometry."""
     geometry = volume.geometry
     place = {
         "series": volume.series_instance_uid,
@@ -27,7 +27,7 @@ def ct_digest(volume: Volume) -> str:
         "spacing_mm": geometry.spacing_mm.tolist(),
     }
     digest = hashlib.sha256(canonical_json(place))
-    for one in volume.voxels:  # slice by slice: no copy of the whole
+    for one in volume.voxels:  # slice by slice, without copying the whole
         digest.update(one.astype("<i2", order="C", copy=False).data)
     return digest.hexdigest()
 
@@ -42,7 +42,7 @@ def sealed(plan: Plan, author: str, volume: Volume) -> Plan:
 
 
 def require_unaltered(plan: Plan, name: str) -> None:
-    """Raises PLAN-023 for a plan that does not agree with its seal."""
+    """Raises PLAN-023 if a plan does not match its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
         raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
 

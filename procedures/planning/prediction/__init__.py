@@ -1,1 +1,1 @@
-"""The error to expect at a target while it is planned, and the strategy for which it is least."""
+"""The error expected at a target during planning, and the strategy that minimizes it."""

@@ -1,4 +1,4 @@
-"""For `best`: the strategy of each trajectory, by the error that is predicted at the poses it would use."""
+"""For `best`: the strategy of each trajectory, by the predicted error at the poses it would use."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from procedures.strategies.trajectory import Trajectory
 def with_best_chosen(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> ArmSetting:
-    """The setting with the strategy `best` decided for each trajectory; any other strategy is left as it is.
+    """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.
 
-    Trajectories and fiducials (n, 3) are in CT mm. Only what is seen, reached and clear is a candidate.
+    Trajectories and fiducials (n, 3) are in CT mm. Only what is visible, reachable and clear is a candidate.
     """
     if not isinstance(setting.strategy, BestOfEach):
         return setting
@@ -40,10 +40,10 @@ def with_best_chosen(
 
 
 def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
-    """Rms of what the arm's own errors leave at the target of a trajectory, from the check of it alone.
+    """Rms of the arm's own errors at a trajectory's target, from a check of that trajectory alone.
 
-    The instrument's tip is there, wherever on the axis the guide is held. CT and stereo head err alike in
-    whatever orientation.
+    Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
+    not depend on the orientation.
     """
     looks, target = poses_for(setting, check, trajectory.identifier)
     spheres = np.array([one.visit.pose.translation_mm for one in looks])

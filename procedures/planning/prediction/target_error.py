@@ -1,7 +1,7 @@
-"""The error to expect at a target while it is planned: what the registration of the case will predict.
+"""The error expected at a target during planning: what the registration of the case will predict.
 
-The case predicts by what it has measured of the spheres; here stand the markers of the CT alone, or with the
-arm in the poses that a check of the paths found. The stereo measurement itself is not known yet.
+The case predicts from what it has measured of the spheres; here only the markers in the CT are known, or,
+with an arm, also the poses found by a path check. The stereo measurement itself is not known yet.
 """
 
 from __future__ import annotations
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 SEATING = "seating of the spheres"
-USUAL_SEATING_MM = 0.05  # per axis, as a theatre file has it by default
+USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 
 def predicted_by_markers(
     markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
 ) -> TargetPrediction:
-    """What CT and seating of the markers (n, 3), with covariances (n, 3, 3), leave at a target; CT frame."""
+    """Error at a target from CT and seating of the markers (n, 3), with covariances (n, 3, 3); CT frame."""
     return predict_target_error(
         markers_mm, target_mm, [ct_errors(covariances_mm2), _seating(len(markers_mm), USUAL_SEATING_MM)]
     )
@@ -50,7 +50,7 @@ def predicted_by_markers(
 def predicted_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
-    """The same with arm, tool frame, calibrations and instrument, at the poses of a check that passed."""
+    """The same including arm, tool frame, calibrations and instrument, at the poses of a passed check."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     looks, target = poses_for(setting, check, identifier)
@@ -70,7 +70,7 @@ def predicted_with_arm(
 
 
 def poses_for(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
-    """The localizations that serve a target, and the target, of a check that passed."""
+    """The localizations that serve a target, and the target, from a passed check."""
     target = next(
         one
         for one in check.reached
@@ -86,7 +86,7 @@ def arm_error_sources(
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """The arm's own errors and the tool frame's between localizations and a tip (3,) mm, robot frame.
 
-    Where a strategy does not control the approach, nobody knows on which side of its backlash a joint rests.
+    If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
     """
     signs = np.array(
         [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)],
@@ -105,7 +105,7 @@ def arm_error_sources(
             ),
             ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
             setting.sizes,
-            servo_mm=0.0,  # what the servo leaves is measured
+            servo_mm=0.0,  # the servo's residual is measured
         ),
     )
 

@@ -1,4 +1,4 @@
-"""Which other strategies would serve a trajectory that the one of the case does not."""
+"""Alternative strategies for a trajectory that the case's own cannot serve."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from procedures.strategies.free_turns import OUTWARDS_RAD
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import Trajectory
 
-BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an arm that is not calibrated
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
 
 
 def alternatives(
@@ -27,9 +27,9 @@ def alternatives(
     sight: StereoSight,
     tried: Collection[str] = (),
 ) -> tuple[Strategy, ...]:
-    """Strategies by which this trajectory alone is seen, reached and clear, the best first.
+    """Strategies with which this trajectory alone is visible, reachable and clear, best first.
 
-    The trajectory and the fiducials (n, 3) are in CT mm. That of the case and those tried are left out.
+    The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
     if not _target_reached(setting, trajectory):
         return ()
@@ -45,9 +45,9 @@ def alternatives(
 
 
 def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """Which of the trajectories a check does not reach, and the first reason for each.
+    """The trajectories that a check does not reach, with the first reason for each.
 
-    What belongs to none of them, such as a neutral orientation, keeps all of them from being reached.
+    A failure that belongs to none of them, such as in a neutral orientation, applies to all.
     """
     reasons: dict[str, str] = {}
     for unmet in check.unmet:
@@ -60,7 +60,7 @@ def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str,
 
 
 def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Which strategies would serve, by trajectory; None, for the usual advice, when none would."""
+    """Which strategies would serve, by trajectory; None, for the usual advice, if none would."""
     told = [
         f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
     ]

@@ -1,8 +1,8 @@
-"""Use the free angle of a trajectory: turn about its axis until everything is seen and reached well.
+"""Uses a trajectory's free angle: turn about its axis until everything is visible and well reachable.
 
-Turns are tried in the order of the strategy. The first that keeps the wrist clear of its singularity is
-taken; if none does, the clearest. The choice is a result, not a change of the plan: entry, target and axis
-stay as they are.
+Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used; if
+none does, the one that is clearest. The choice is a result, not a change of the plan: entry, target and
+axis stay as they are.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TurnedPaths:
-    """The paths along the axes as turned; `turns_rad` is how far each stands from the planned angle."""
+    """The paths along the turned axes; `turns_rad` is the deviation of each from the planned angle."""
 
     check: PathCheck
     axes: Axes
@@ -37,11 +37,11 @@ class TurnedPaths:
 def choose_free_angles(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> TurnedPaths:
-    """Find an angle for each axis in which all is seen and one branch drives all.
+    """Find an angle for each axis at which everything is visible and one branch reaches everything.
 
-    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) comes
-    before one that only passes. When there is none, `check` names what is unmet at the planned
-    angles, or at the nearest ones that are seen.
+    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) is
+    preferred to one that merely passes. If there is none, `check` lists what fails at the planned angles, or
+    at the nearest ones with visibility.
     """
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     axes = Axes.of(setting, trajectories, fiducials)
@@ -80,7 +80,7 @@ def _in_branch(
     options: Mapping[str, Iterable[float]],
     branch: Branch,
 ) -> TurnedPaths | None:
-    """The best turns that this branch drives, one axis after the other; None when it cannot."""
+    """The best turns in this branch, one axis after the other; None if it cannot serve."""
     ranked = {
         name: _ranked(setting, axes.only(name), fiducials_mm, turns, branch)
         for name, turns in options.items()
@@ -96,7 +96,7 @@ def _in_branch(
         check = drive(setting, turned, fiducials_mm, branch)
         if check.passed:
             return TurnedPaths(check, turned, chosen)
-        # Each passes alone, but here it is approached from elsewhere: whole turns of an axis may differ.
+        # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
         failed = {problem.pose.partition("/")[0] for problem in check.unmet}
         for name in [one for one in chosen if one in failed]:
             other = next(ranked[name], None)
@@ -108,7 +108,7 @@ def _in_branch(
 def _ranked(
     setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
 ) -> Iterator[float]:
-    """The turns this branch drives: those with a good wrist in their order, then the others, best first."""
+    """The turns reachable in this branch: those with a good wrist in order, then the others, best first."""
     others: list[tuple[float, float]] = []
     for turn in turns:
         check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
@@ -126,10 +126,9 @@ def _ranked(
 def _seen_along(
     setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
 ) -> dict[str, Iterator[float]]:
-    """By axis, the turns in which every sphere is seen, in the order of the strategy.
+    """By axis, the turns in which every sphere is visible, in the strategy's order.
 
-    Mostly the first will do, and to look along the others takes most of the time: each is looked at when
-    it is asked for.
+    Usually the first will do, and checking the others takes most of the time, so each is computed on demand.
     """
     arm = setting.in_branch(branch)
 

@@ -1,6 +1,6 @@
-"""Every motion of the procedure with the tool it carries, previewed and checked for clearance.
+"""Every motion of the procedure with the mounted tool, previewed and checked for clearance.
 
-A move between two approach points that is not clear goes via home, when that is clear.
+A move between two approach points that is not clear goes via home if that is clear.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ HOME = "home"
 class Motion:
     """One motion of the procedure: a joint move or a straight line, from one named place to another.
 
-    `clear` where it was swept, and was, before it was chosen.
+    `clear` if it was already swept, and found clear, when it was chosen.
     """
 
     start: str
@@ -62,9 +62,9 @@ def unclear(
     *,
     first_only: bool = False,
 ) -> tuple[Unmet, ...]:
-    """The motions of a procedure that are not clear, when all its poses are reached; empty when all are.
+    """The motions of a procedure that are not clear, given that all its poses are reached; empty if all are.
 
-    With `first_only` it stops at the first, without its worst place: for trying many angles.
+    With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
     found: dict[str, Unmet] = {}
     for motion in motions_of(setting, scene, check, trajectories):
@@ -93,7 +93,7 @@ def previews_of(
 def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
-    """The motions from home through all visits and back home; retreats are the lines backwards."""
+    """The motions from home through all visits and back home; retreats are the reversed lines."""
     limits = setting.limits or working_limits(setting.kinematics)
     by_name = {one.identifier: one for one in trajectories}
     stands: tuple[str, JointVector] = (HOME, setting.start_rad)
@@ -108,7 +108,7 @@ def motions_of(
             trajectory = by_name[visit.trajectory]
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
-        if kind is not None and visit.kind is not kind:  # the tool is exchanged at home
+        if kind is not None and visit.kind is not kind:  # tools are exchanged at home
             yield from _home(setting, stands, limits, before)
             stands = (HOME, setting.start_rad)
         kind = visit.kind

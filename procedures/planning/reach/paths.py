@@ -1,6 +1,6 @@
-"""Whether the arm can drive the whole procedure: every pose, approach and line in one branch.
+"""Whether the arm can execute the whole procedure: every pose, approach and line in one branch.
 
-Positions are checked in the order in which the procedure visits them: all localizations, then every target.
+Positions are checked in the order of the procedure: all localizations, then every target.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from ronna_hw.frames import Transform
 def check_paths(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
 ) -> PathCheck:
-    """Find one branch in which the arm can drive every pose and line of the procedure.
+    """Find one branch in which the arm can execute every pose and line of the procedure.
 
-    Trajectories and fiducials (n, 3) are in CT mm. Branches are tried with the start's own first, then by
-    how little the joints turn. When none works, the result names what is unmet in the best of them.
+    Trajectories and fiducials (n, 3) are in CT mm. The start's own branch is tried first, then the others by
+    how little the joints turn. If none works, the result lists the failures in the best of them.
     """
     return check_axes(setting, Axes.of(setting, trajectories, fiducials_mm), fiducials_mm)
 
 
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """The same for axes, as they were turned about themselves."""
+    """The same for axes that have already been turned."""
     best: PathCheck | None = None
     for branch in branches_for(setting, axes, fiducials_mm):
         checked = drive(setting, axes, fiducials_mm, branch)
@@ -61,7 +61,7 @@ def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tu
     own = setting.kinematics.branch_of(setting.start_rad)
     try:
         visits = visits_of(setting, axes, fiducials_mm, own)
-    except LimitError:  # poses that are for a branch: there are none in the start's own
+    except LimitError:  # poses depend on the branch: the start's own has none
         visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
     flanges = [_flange(setting, visit) for visit in visits]
     return ranked_branches(setting.kinematics, flanges, setting.start_rad)
@@ -69,7 +69,7 @@ def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tu
 
 @dataclass
 class _Journey:
-    """The joints and moves collected on the way through the visits."""
+    """The joints and moves collected while going through the visits."""
 
     near_rad: JointVector
     last: str = "start"
@@ -86,10 +86,10 @@ def drive(
     *,
     first_only: bool = False,
 ) -> PathCheck:
-    """Joints for every pose, one after the other, in this branch, and what is unmet in it.
+    """Joints for every pose in order, in this branch, and what fails in it.
 
-    Clearance of the motions between them is checked last, when all poses are reached. With `first_only` it
-    ends with the first that is unmet.
+    Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
+    stops at the first failure.
     """
     limits = setting.limits or working_limits(setting.kinematics)
     journey = _Journey(setting.start_rad)
@@ -115,7 +115,7 @@ def drive(
 def _poses(
     journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
 ) -> Iterator[Visit]:
-    """The visits; axes along which the strategy finds no poses in this branch are unmet."""
+    """The visits; axes for which the strategy finds no poses in this branch are failures."""
     for axis in axes.localized:
         try:
             yield from localizations_along(setting, axis, fiducials_mm, branch)

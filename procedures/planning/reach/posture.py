@@ -33,7 +33,7 @@ def ranked_branches(
 ) -> tuple[Branch, ...]:
     """All branches, the one that reaches most of the flange poses first; the start's own wins a tie.
 
-    Among the others that reach equally many, the one whose joints stay closest to the start comes first.
+    Among others that reach equally many, the one whose joints stay closest to the start comes first.
     """
     own = kinematics.branch_of(start_rad)
     served = dict.fromkeys(kinematics.branches, 0)
@@ -58,15 +58,15 @@ def place(
     near_rad: JointVector,
     limits: MotionLimits,
 ) -> Posture:
-    """Joint angles in `branch` at both ends of the approach line, turns nearest to `near_rad`.
+    """Joint angles in `branch` at both ends of the approach line, choosing turns nearest to `near_rad`.
 
-    Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line cannot be driven.
+    Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable.
     """
     back = flange_from_tool.inverse()
     begin = kinematics.solve_branch(Pose.from_transform(approach @ back), branch, near_rad)
     plan_joint_move(
         kinematics, near_rad, begin, limits
-    )  # raises where the ranges' margin forbids to go there
+    )  # raises if the margin of the joint ranges forbids it
     x, y, z = flange_from_tool.translation_mm.tolist()
     line = plan_line(kinematics, begin, Pose.from_transform(pose @ back), limits, (x, y, z))
     return Posture(begin, line)

@@ -27,7 +27,7 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 
-APPROACH_MM = 60.0  # before the fiducial, or before where the guide is held
+APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
 
 
 class VisitKind(StrEnum):
@@ -42,7 +42,7 @@ class Visit:
     """One pose of the procedure, ROBOT <- TOOL, and its approach point back along the tool axis.
 
     `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
-    distance of the approach point from the pose; retreat is the same line backwards.
+    distance of the approach point from the pose; the retreat is the same line reversed.
     """
 
     identifier: str
@@ -60,7 +60,7 @@ class Visit:
 
 @dataclass(frozen=True)
 class Reached:
-    """A visit with the joint angles chosen at its approach point, and the line from there to the pose."""
+    """A visit with the joint angles at its approach point, and the line from there to the pose."""
 
     visit: Visit
     approach_rad: JointVector
@@ -74,7 +74,7 @@ class Reached:
 
 @dataclass(frozen=True)
 class JointMove:
-    """A joint move between two approach points, and the largest turn of any axis in it."""
+    """A joint move between two approach points, and its largest turn of any axis."""
 
     start: str
     end: str
@@ -91,7 +91,7 @@ class Unmet:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """The result: every visit with its joints in one branch, or what is unmet in the best branch."""
+    """The result: every visit with its joints in one branch, or the failures in the best branch."""
 
     branch: Branch | None
     reached: tuple[Reached, ...]
@@ -100,12 +100,12 @@ class PathCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether the whole procedure can be driven in this branch."""
+        """Whether the whole procedure can be executed in this branch."""
         return not self.unmet
 
     @property
     def joint_ranges_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle per axis over all poses; empty when nothing is reached."""
+        """Lowest and highest angle per axis over all poses; empty if nothing is reached."""
         angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
@@ -117,7 +117,7 @@ class PathCheck:
         raise KeyError(identifier)
 
     def require(self, advice: str | None = None) -> None:
-        """Raises PLAN-007 with every unmet precondition, and with advice other than the usual."""
+        """Raises PLAN-007 listing every failed precondition, with `advice` instead of the usual one."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
             raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
@@ -125,11 +125,11 @@ class PathCheck:
 
 @dataclass(frozen=True)
 class ArmSetting:
-    """The arm as the check needs it: where the CT is assumed to be, what is mounted, the start.
+    """The arm as the check needs it: the assumed pose of the CT, what is mounted, the start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
-    head's tool centre point (by design the same; None takes the guide's). With a `scene`, every motion must
-    also be clear of what is in it. `sizes` are those of the errors that are left in the arm.
+    head's tool centre point (the same by design; None uses the guide's). With a `scene`, every motion must
+    also be clear of everything in it. `sizes` are those of the arm's remaining errors.
     """
 
     kinematics: Kinematics
@@ -166,7 +166,7 @@ class ArmSetting:
 class Axes:
     """The axes of a procedure: those along which the spheres are localized, and those of the targets.
 
-    They are the same where the strategy localizes for every trajectory.
+    They are the same if the strategy localizes for every trajectory.
     """
 
     localized: tuple[Trajectory, ...]
@@ -174,7 +174,7 @@ class Axes:
 
     @classmethod
     def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
-        """As the strategy has them, at the planned free angles."""
+        """As the strategy chooses them, at the planned free angles."""
         along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
         return cls(along, tuple(trajectories))
 
@@ -191,7 +191,7 @@ class Axes:
         )
 
     def turned(self, turns_rad: Mapping[str, float]) -> Axes:
-        """Each axis turned about itself by the angle that stands under its name."""
+        """Each axis turned about itself by the angle under its name."""
 
         def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
             return tuple(
@@ -204,7 +204,7 @@ class Axes:
 def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
     """All poses in the order of the procedure: localizations, then, after the tool change, targets.
 
-    Raises what the strategy raises when it finds no poses in this branch.
+    Raises the strategy's errors when it finds no poses in this branch.
     """
     localizations = [
         visit for axis in axes.localized for visit in localizations_along(setting, axis, fiducials_mm, branch)
@@ -215,7 +215,7 @@ def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: 
 def localizations_along(
     setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """The poses of all fiducials (n, 3) in CT mm along one axis; raises as `visits_of`."""
+    """The poses of all fiducials (n, 3) in CT mm along one axis; raises like `visits_of`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)

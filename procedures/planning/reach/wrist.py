@@ -1,8 +1,8 @@
-"""The wrist over the poses of one trajectory: how close to its singularity, how far turned.
+"""The wrist over the poses of one trajectory: distance from its singularity, and how far it turns.
 
-Near the singularity small errors of a pose become large turns of two joints, and what the joints' own errors
-do to the tool changes from pose to pose. A registration takes out what is common to the localizations and the
-target, so the wrist should be turned alike at both.
+Near the singularity small pose errors become large turns of two joints, and the effect of the joints' own
+errors on the tool varies from pose to pose. Registration removes what localizations and target have in
+common, so the wrist should have the same configuration at both.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from typing import Self
 from procedures.planning.reach.visits import PathCheck, VisitKind
 from ronna_hw.arm.kinematics import Kinematics
 
-LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was seen, three times the usual
+LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
 MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
 
 
 @dataclass(frozen=True)
 class WristState:
-    """The least bend of the wrist over all poses and approaches; how far it turns from target to spheres.
+    """The least bend of the wrist over all poses and approaches, and its turn from target to spheres.
 
     A whole turn counts as a change: the arm would have to make it in between.
     """
@@ -30,7 +30,7 @@ class WristState:
 
     @classmethod
     def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
-        """Of the poses of one trajectory; the check must have reached its target."""
+        """For the poses of one trajectory; the check must have reached its target."""
         turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
         for one in check.reached:
             turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
@@ -48,5 +48,5 @@ class WristState:
 
     @property
     def good(self) -> bool:
-        """Whether the wrist stays clear of its singularity and is turned alike at spheres and target."""
+        """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
         return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD

@@ -1,1 +1,1 @@
-"""What stereo head and tracker see from where a plan puts them."""
+"""What stereo head and tracker see from the planned poses."""

@@ -1,7 +1,7 @@
 """Do both cameras of the stereo head see every sphere, or is another sphere in the way?
 
-Spheres are compared by their outlines on a camera's sky: two of them must not touch, whichever is nearer,
-because a bright neighbour behind the rim spoils it as surely as one in front.
+Spheres are compared by their outlines as seen from a camera: two outlines must not touch, whichever sphere is
+nearer, because a bright neighbour behind the rim is as harmful as one in front.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ronna_hw.frames import Frame
 Array = NDArray[np.float64]
 
 SPHERE_RADIUS_MM = 5.75
-CLEARANCE_MM = 3.0  # around each sphere, for what the coarse positions do not know
+CLEARANCE_MM = 3.0  # around each sphere, for the error of the coarse positions
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class StereoSight:
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
         """Localizations in which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
 
-        Row k of the spheres is the one that a visit with `fiducial` k looks at.
+        Row k of the spheres is the one measured by a visit with `fiducial` k.
         """
         spheres = np.asarray(spheres_mm, dtype=float).reshape(-1, 3)
         found = []
@@ -54,7 +54,7 @@ class StereoSight:
 
 
 def _centre(camera: CameraCalibration) -> Array:
-    """Centre of projection in the tool frame; which camera frame it is named by does not matter here."""
+    """Centre of projection in the tool frame; either camera's frame name will do."""
     return camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse().translation_mm
 
 

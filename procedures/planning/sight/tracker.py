@@ -1,6 +1,6 @@
-"""Which spheres the tracker sees past the arm, by the bodies that every path is checked against.
+"""Which spheres the tracker sees past the arm, using the bodies of the path check.
 
-An estimate that says why nothing is seen, and never that something is: that only a reading says.
+An estimate that can explain why nothing is seen, but never proves that something is: only a reading does.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from ronna_hw.frames import Transform
 Array = NDArray[np.float64]
 
 # The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
-# where both see it. An estimate: the makers publish the outer size of their units, 0.6 m.
+# if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
 SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
 
 
 @dataclass(frozen=True)
 class TrackerSight:
-    """The tracker where the global localization found it; `spheres_mm` (n, 3) in its frame."""
+    """The tracker at the pose found by global localization; `spheres_mm` (n, 3) in its frame."""
 
     robot_from_tracker: Transform
     spheres_mm: Array
 
     def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> NDArray[np.bool_]:
-        """Which spheres (n,) both sensors see past the arm and its tool. What stands still hides none.
+        """Which spheres (n,) both sensors see past the arm and its tool. Static bodies hide none.
 
-        The head hid none of them where they were localized from, and no more do clamp and table.
+        The head hid none of them when they were localized, nor do clamp and table.
         """
         bodies = Bodies(arm, surroundings)
         ends = moving_ends(bodies, np.array([joints_rad]))[0]  # (bodies, 2, 3)

@@ -1,1 +1,1 @@
-"""Arm and surroundings, as the theatre file describes them."""
+"""Arm and surroundings as described by the theatre file."""

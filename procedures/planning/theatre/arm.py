@@ -1,4 +1,4 @@
-"""The arm of a theatre file, as planning needs it: nothing is opened."""
+"""The arm of a theatre file as planning needs it, without opening any device."""
 
 from __future__ import annotations
 
@@ -37,22 +37,22 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class TheatreArm:
-    """The arm of a theatre file with its surroundings, and what the file states of errors."""
+    """The arm of a theatre file with its surroundings, and the errors that the file states."""
 
     arm: ArmSetting
     cell: CollisionConfig
     sight: StereoSight
     bore: GuideBore
-    reserve_mm: float  # more clearance for the stereo head: its own error, as the servo goes beside the path
+    reserve_mm: float  # extra clearance for the stereo head's error: the servo leaves the path
     seating_error_mm: float  # per axis
-    guide_direction_rad: float  # stated of the bore's direction
-    at_target_mm: tuple[tuple[str, float], ...]  # what calibrations state, 3-D rms, by source
+    guide_direction_rad: float  # stated error of the bore's direction
+    at_target_mm: tuple[tuple[str, float], ...]  # stated by calibrations, 3-D rms, by source
 
     def in_its_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
         """The arm with its surroundings and the head and markers of this CT. Raises PLAN-014."""
         try:
             frame = frame_bodies(fiducials, markers_mm)
-        except LayoutNotFound:  # which the check refuses by itself
+        except LayoutNotFound:  # refused by the check itself
             frame = ()
         scene = PlanningScene(self.cell, head_shape(volume), markers_mm, frame).with_reserve(self.reserve_mm)
         return replace(self.arm, scene=scene)
@@ -61,7 +61,7 @@ class TheatreArm:
 def theatre_arm(
     config: Path, robot_from_ct: SixNumbers, home_deg: SixNumbers | None, strategy: Strategy
 ) -> TheatreArm:
-    """Of a theatre file, with the CT at a pose in $ROBROOT (mm, deg) and the arm beginning at `home_deg`."""
+    """From a theatre file, with the CT at a pose in $ROBROOT (mm, deg) and the arm starting at `home_deg`."""
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")

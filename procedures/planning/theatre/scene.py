@@ -1,4 +1,4 @@
-"""What surrounds the arm when a motion is planned: the head of the CT with its spheres, and the cell."""
+"""The arm's surroundings when a motion is planned: the head in the CT with its spheres, and the cell."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Points = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True)
 class PlanningScene:
-    """The head as the CT shows it, and the cell of the theatre file around it."""
+    """The head as shown by the CT, and the cell of the theatre file around it."""
 
     cell: CollisionConfig
     head: HeadEllipsoid
@@ -25,7 +25,7 @@ class PlanningScene:
     head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """The same, with so much more clearance asked for while the stereo head is mounted."""
+        """The same, with this much additional clearance required while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(
