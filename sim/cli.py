@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 
     for command in (theatre, polaris, kuka, basler, phantom, scene, mount, stand, fault, verify):
         app.command()(command)
-    app.command(context_settings={"ignore_unknown_options": True})(work)  # joints of -40 are no options
+    app.command(context_settings={"ignore_unknown_options": True})(work)  # for negative joint angles
 
 
 register(app)
@@ -39,7 +39,7 @@ register(app)
 
 def main() -> None:
     """Entry point of the console script."""
-    begin_start()  # it ends with the READY line
+    begin_start()  # ends with the READY line
     run(app)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ronna_hw.errors import ConfigurationError, ConnectError, DataError, RefusedError
 
-SEE_PHANTOM = "See ronna-sim phantom --help."  # for what is an option of it, not a line of a file
+SEE_PHANTOM = "See ronna-sim phantom --help."  # for an option of it rather than a line of a file
 
 
 class BadScene(ConfigurationError):
@@ -78,7 +78,7 @@ class BadCalibrationFile(DataError):
 
 
 class StandNotReady(RefusedError):
-    """The dials of the calibration stand cannot be read in its current state."""
+    """The dials of the calibration stand cannot be read in its present state."""
 
     code = "SIM-015"
     action = "Put the divot on the stand, mount the guide and bring its tip to the divot."

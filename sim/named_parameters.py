@@ -1,7 +1,7 @@
-"""Parameters of a simulated device that are set by NAME=VALUE: fields of a frozen dataclass.
+"""Parameters of a simulated device set by NAME=VALUE: fields of a frozen dataclass.
 
-Each field is annotated with its meaning and, where there is one, its largest value. A number that is 0 by
-default may be 0; every other one is above it.
+Each field is annotated with its meaning and optionally its largest value. A number that is 0 by default may
+be 0; every other one is positive.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Most:
 def changed(
     defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
 ) -> Parameters:
-    """The parameters with some set by `NAME=VALUE`; raises `refusal` for an unknown name or a wrong value."""
+    """The parameters with `NAME=VALUE` applied; raises `refusal` for an unknown name or an invalid value."""
     values: dict[str, Any] = {}
     kinds = _kinds(type(defaults))
     for assignment in assignments:
@@ -60,13 +60,13 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
 
 
 def _kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
-    """Type, meaning and, where there is one, the largest value of each parameter."""
+    """Type, meaning and, if any, largest value of each parameter."""
     hints = get_type_hints(parameters, include_extras=True)
     return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
 
 
 def _value(kind: Any, text: str, default: Any, most: list[Most]) -> tuple[Any, str]:
-    """The value, None for a wrong text, and what was expected."""
+    """The value, None for an invalid text, and what was expected."""
     if get_origin(kind) is Literal:
         return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
     if kind is bool:

@@ -17,7 +17,7 @@ BROADCAST_ADDRESSES = ("255.255.255.255", "127.255.255.255")
 
 
 def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
-    """Control sockets on two given addresses, or without any on a free pair; raises SIM-004."""
+    """Control sockets on two given addresses, or on a free pair if none are given; raises SIM-004."""
     if addresses:
         left, right = addresses
         return _bind(left, right)
@@ -31,14 +31,14 @@ def bind_pair(addresses: Sequence[str]) -> tuple[socket.socket, socket.socket]:
 
 
 def bind_broadcast() -> list[socket.socket]:
-    """Sockets that hear what clients send to everybody; several programs may listen side by side."""
+    """Sockets that receive broadcasts from clients; several programs may listen in parallel."""
     sockets = []
     for address in BROADCAST_ADDRESSES:
         listener = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             listener.bind((address, GVCP_PORT))
-        except OSError:  # a program that does not share: cameras are then found by address only
+        except OSError:  # a program that does not share: cameras can then be found by address only
             listener.close()
             continue
         sockets.append(listener)

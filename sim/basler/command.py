@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 CAMERAS = 2
-FAULTS_OF = ("camera", "room")  # that this simulator alone can have
+FAULTS_OF = ("camera", "room")  # the ones this simulator can have on its own
 
 
 def basler(

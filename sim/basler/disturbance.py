@@ -21,7 +21,7 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True)
 class Disturbances:
-    """Asks the cameras' fault board on behalf of one camera."""
+    """Queries the cameras' fault board on behalf of one camera."""
 
     world: World
     board: FaultBoard
@@ -40,7 +40,7 @@ class Disturbances:
 
     @cached_property
     def worn(self) -> Disturbance:
-        """What is always there: spots at which a film is rubbed off, dark as a stain."""
+        """Permanent defects: spots of worn film, dark like a stain."""
         scene = self.world.scene
         spots = tuple(
             (one.number, drawn_stains(scene.seed, one.number, one.worn_percent * PERCENT))
@@ -50,7 +50,7 @@ class Disturbances:
         return Disturbance(stains=spots) if spots else CLEAR
 
     def now(self) -> Disturbance:
-        """What acts at this moment; at the price of one question while there is no fault at all."""
+        """The currently active disturbances; costs one query when there are no faults."""
         room = self.room.now()
         if self.board.empty:
             return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
@@ -74,7 +74,7 @@ class Disturbances:
         return [fault for fault in self.board.active(kind) if fault.argument == self.side]
 
     def _crept_rad(self, fault: Fault) -> float:
-        """Of a fault that acts: since its moment, or since its step was entered."""
+        """How far a drift fault has progressed, since it began or since its step was entered."""
         begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
         acting_s = self.world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE

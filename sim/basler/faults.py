@@ -1,4 +1,4 @@
-"""The fault script's current effects on one camera, for each affected part."""
+"""The fault script's current effects on one camera."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class EmptyBoard:
 
 
 class CameraFaults:
-    """Asks the board on behalf of one camera. One object per thread: each has a board of its own."""
+    """Queries the board on behalf of one camera. One object per thread: each has its own board."""
 
     def __init__(self, world: World, camera: CameraTruth, side: str) -> None:
         self._world = world
@@ -47,11 +47,11 @@ class CameraFaults:
 
     @property
     def scripted(self) -> bool:
-        """True while there are faults of cameras at all."""
+        """Whether there are any camera faults."""
         return not self._board.empty
 
     def lost(self, block_id: int, packets: int) -> Collection[int]:
-        """Packet ids that get lost on the way."""
+        """Ids of packets that are lost."""
         if self._board.empty:
             return ()
         gone: set[int] = set()
@@ -69,7 +69,7 @@ class CameraFaults:
         return gone
 
     def order(self, block_id: int, packets: int) -> Sequence[int]:
-        """Packet ids in the order in which they arrive, some perhaps twice."""
+        """Packet ids in order of arrival, possibly with duplicates."""
         if self._board.empty:
             return range(packets)
         ids = np.arange(packets)
@@ -81,7 +81,7 @@ class CameraFaults:
         return [int(number) for number in ids]
 
     def passes(self, packet_bytes: int) -> bool:
-        """True when the network carries a packet of that size."""
+        """Whether the network passes packets of this size."""
         if self._board.empty:
             return True
         if self.active("unplug"):
@@ -90,7 +90,7 @@ class CameraFaults:
         return packet_bytes <= min(limits, default=packet_bytes)
 
     def active(self, kind: str) -> bool:
-        """True while a fault of that kind acts on this camera."""
+        """Whether a fault of this kind is active on this camera."""
         return bool(self._mine(kind))
 
     def happened(self, kind: str) -> bool:
@@ -99,15 +99,15 @@ class CameraFaults:
         return any(fault.argument in ("", self._side, BOTH) for fault in happened)
 
     def amount(self, kind: str) -> float:
-        """The largest number of the faults of that kind that act; 0 without one."""
+        """The largest amount among active faults of this kind; 0 without one."""
         return max((float(fault.arguments[1]) for fault in self._mine(kind)), default=0.0)
 
     def drift_ppm(self) -> float:
-        """How much the time stamp counter runs too fast."""
+        """How much too fast the time stamp counter runs."""
         return sum(float(fault.arguments[1]) for fault in self._mine("drift"))
 
     def answer_lost(self) -> bool:
-        """True when the next answer to a command gets lost."""
+        """Whether the next answer to a command is lost."""
         share = self.amount("lose_answers")
         if not share:
             return False
@@ -115,7 +115,7 @@ class CameraFaults:
         return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
 
     def message_lost(self) -> bool:
-        """True when the next message with events gets lost."""
+        """Whether the next event message is lost."""
         share = self.amount("lose_events")
         if not share:
             return False
@@ -123,14 +123,14 @@ class CameraFaults:
         return bool(self._noise(self._messages, MESSAGE_LANE).uniform(0.0, WHOLE) < share)
 
     def on_lens(self) -> tuple[tuple[str, float], ...]:
-        """What acts on the light, by name and amount; to compare, and for `spoil`."""
+        """Active disturbances of the light, by name and amount; for comparison and for `spoil`."""
         if self._board.empty:
             return ()
         found = [(kind, self.amount(kind)) for kind in ("defocus", "dust") if self.active(kind)]
         return (*found, *((kind, 1.0) for kind in ("darken", "saturate") if self.active(kind)))
 
     def spoil(self, light: Light, left_px: int, top_px: int) -> Light:
-        """Light (height, width) of an area of the sensor as it is with that."""
+        """Light (height, width) of an area of the sensor with these disturbances applied."""
         for kind, amount in self.on_lens():
             match kind:
                 case "defocus":
@@ -165,7 +165,7 @@ class CameraFaults:
 
 
 class NoFaults(CameraFaults):
-    """A camera to which nothing happens."""
+    """A camera without faults."""
 
     def __init__(self) -> None:
         self._board = EmptyBoard()

@@ -1,4 +1,4 @@
-"""The stereo head's two cameras in one process, over one world."""
+"""The stereo head's two cameras in one process, sharing one world."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SIDES = ("left", "right")
 
 
 class CameraPair:
-    """Two cameras that serve until they are ended."""
+    """Two cameras that serve until ended."""
 
     def __init__(self, world: World, addresses: Sequence[str] = ()) -> None:
         sockets = bind_pair(addresses)
         moments = TriggerMoments(world.clock)
         self._cameras = []
         for side, truth, control in zip(SIDES, (world.scene.left, world.scene.right), sockets, strict=True):
-            # a board for the server's thread, one for the thread that takes pictures
+            # one board for the server's thread, one for the thread that takes images
             faults, seen = (CameraFaults(world, truth, side) for _ in range(2))
             self._cameras.append(
                 Camera(
@@ -40,14 +40,14 @@ class CameraPair:
 
     @property
     def endpoints(self) -> dict[str, str]:
-        """Where clients find the cameras."""
+        """Addresses of the cameras for clients."""
         return {
             side: f"gev://{camera.identity.address}"
             for side, camera in zip(SIDES, self._cameras, strict=True)
         }
 
     def serve(self) -> None:
-        """Answer clients until `end`."""
+        """Serve clients until `end`."""
         for camera in self._cameras:
             camera.open()
         try:

@@ -19,13 +19,13 @@ from sim.basler.message.channel import MessageChannel
 
 DATAGRAM_BYTES = 2048
 IDLE_CHECK_S = 0.5
-SCRIPTED_CHECK_S = 0.01  # while a fault script is there: how soon what it says happens
-# A datagram is answered before the next is read, so a stall of one camera's client cannot starve others.
+SCRIPTED_CHECK_S = 0.01  # while there is a fault script: how quickly its events take effect
+# A datagram is answered before the next is read, so one camera's backlog cannot starve the other.
 DATAGRAMS_AT_ONCE = 64
 
 
 class ControlServer:
-    """`sockets` are the control sockets of `cameras`, in the same order; `shared` hear broadcasts."""
+    """`sockets` are the control sockets of `cameras`, in the same order; `shared` receive broadcasts."""
 
     def __init__(
         self,
@@ -39,9 +39,7 @@ class ControlServer:
         self._selector = selectors.DefaultSelector()
         self._waker, self._sleeper = socket.socketpair()
         self._ended = False
-        self._late: list[
-            tuple[float, int, socket.socket, bytes, Peer]
-        ] = []  # answers that a fault holds back
+        self._late: list[tuple[float, int, socket.socket, bytes, Peer]] = []  # answers delayed by a fault
         self._numbers = itertools.count()
         for each in (*sockets, *shared, self._sleeper, self._waker):
             each.setblocking(False)
@@ -54,7 +52,7 @@ class ControlServer:
         self._selector.register(self._sleeper, selectors.EVENT_READ, None)
 
     def serve(self) -> None:
-        """Answer until `end`."""
+        """Serve until `end`."""
         while not self._ended:
             self._receive_all(self._patience_s())
             self._send_late()
@@ -63,7 +61,7 @@ class ControlServer:
                 camera.messages.repeat_overdue()
                 left_s = camera.privilege.seconds_left()
                 if left_s is not None and left_s <= 0.0:
-                    # a sign of life may have come while this process had no time to look
+                    # a command may have arrived while this process had no time to look
                     self._receive_all(0.0)
                     camera.privilege.expire()
 
@@ -73,12 +71,12 @@ class ControlServer:
         self._wake()
 
     def _wake(self) -> None:
-        """Make the server look again at what is due. May be called from another thread."""
+        """Make the server re-check what is due. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
     def _patience_s(self) -> float:
-        """Until the next owner may lose control."""
+        """Time until the next owner may lose control."""
         left = [camera.privilege.seconds_left() for camera, _ in self._cameras]
         check_s = SCRIPTED_CHECK_S if self._cameras[0][0].faults.scripted else IDLE_CHECK_S
         due_s = [self._late[0][0] - time.monotonic()] if self._late else []
@@ -106,7 +104,7 @@ class ControlServer:
         for _ in range(DATAGRAMS_AT_ONCE):
             try:
                 datagram, peer = source.recvfrom(DATAGRAM_BYTES)
-            except OSError:  # nothing more, or the word that an earlier receiver is gone
+            except OSError:  # nothing more, or an error because an earlier receiver is gone
                 return
             for camera, own in cameras:
                 if _same_network(camera.identity.address, peer[0]):
@@ -117,7 +115,7 @@ class ControlServer:
             return
         try:
             answer = camera.port.answer(datagram, peer)
-        except Exception as problem:  # a mistake here must cost one answer, not both cameras
+        except Exception as problem:  # an error here must cost one answer, not both cameras
             self._tell(f"{camera.identity.user_name}: {type(problem).__name__}: {problem}")
             return
         if answer is None:
@@ -128,7 +126,7 @@ class ControlServer:
 
 
 def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """What comes of an answer under the faults that act: delay in host time, and datagram."""
+    """What becomes of an answer under active faults: delay in host time, and datagram."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer

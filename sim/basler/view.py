@@ -13,7 +13,7 @@ from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Fiducial, Hea
 from sim.theatre.scene.seating import spheres_in_theatre
 from sim.theatre.world import World
 
-FURTHEST_MM = 1000.0  # beyond, a sphere is a faint spot far out of focus
+FURTHEST_MM = 1000.0  # beyond this, a sphere is a faint spot far out of focus
 
 Pose = NDArray[np.float64]
 
@@ -21,8 +21,8 @@ Pose = NDArray[np.float64]
 class View:
     """What one camera sees of the theatre.
 
-    In the scene `bench`, while no arm moves the head, the first fiducial stands in the tool centre point
-    with its post along the tool's z axis, so that any client sees a sphere in both images.
+    In the scene `bench`, until an arm moves the head, the first fiducial is at the tool centre point with its
+    post along the tool's z axis, so that any client sees a sphere in both images.
     """
 
     def __init__(self, world: World, camera: CameraTruth) -> None:
@@ -37,13 +37,13 @@ class View:
         self._stand_number = 1 + max((each.number for each in self._balls), default=0)
 
     def pose(self) -> Pose | None:
-        """True pose (4, 4) of the head in the robot's frame; None while no arm has said where it is."""
+        """True pose (4, 4) of the head in the robot frame; None until an arm has published it."""
         pose = self._world.robot_from_tool()
         return pose if np.any(pose[:3, :3]) else None
 
     @property
     def head_mounted(self) -> bool:
-        """True while the stereo head, not the guide, is mounted."""
+        """Whether the stereo head, not the guide, is mounted."""
         return self._world.mounted_tool() == self._world.scene.mount.tool_number_stereo
 
     @property
@@ -57,10 +57,10 @@ class View:
         """Spheres in front of the camera for a pose that `pose` returned, camera frame.
 
         `twist_rad` turns the camera in its mount, about an axis through its centre of projection across the
-        plane of both cameras: the tool's x axis. `room` says how far the spheres are moved.
+        plane of both cameras: the tool's x axis. `room` is the displacement of the spheres.
         """
         if not self.head_mounted:
-            return ()  # the head hangs on its stand and looks at nothing
+            return ()  # the head is on its stand and sees nothing
         if robot_from_tool is None:
             return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
         camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)

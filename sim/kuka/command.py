@@ -13,11 +13,11 @@ if TYPE_CHECKING:
     from ronna_hw.wire.kuka_context import RsiContext
 
 RSI_DEFAULT = "udp://127.0.0.1:59152"
-FAULTS_OF = ("robot",)  # that this simulator alone can have
+FAULTS_OF = ("robot",)  # the ones this simulator can have on its own
 
 
 class Corrections(StrEnum):
-    """How corrections add up."""
+    """How corrections accumulate."""
 
     ABSOLUTE = "absolute"
     RELATIVE = "relative"
@@ -90,7 +90,7 @@ def kuka(
         return
     parameters = changed_parameters(parameter or ())
     context = _context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
-    TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # refuses at the start
+    TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
     where = rsi or (_file_address(context) if rsi_config is not None else RSI_DEFAULT)
     client = parse_endpoint(where).require("udp")
     address = resolve(client)
@@ -99,7 +99,7 @@ def kuka(
     left = room.arm() if room.has_arm else None
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, left)
     controller = Controller(context, arm, room.mounted_tool, parameters)
-    # In lock-step the theatre's time stands while the submit interpreter loops: there it answers at once.
+    # In lock-step theatre time stands still while the submit interpreter loops: there it answers at once.
     project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
     sdk_server = EkiServer(eki_address, SUBMIT_CYCLE_S)
     cycle_loop = CycleLoop(
@@ -140,7 +140,7 @@ def _context(
 
 
 def _summary(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
-    """Facts about the link for the client, and whether the wiring was only inferred from tags."""
+    """Facts about the link for the client, and whether the wiring was inferred from tags."""
     return {
         "wiring": "inferred" if inferred else "context",
         "wired": sorted({wire.object for wire in context.wiring}),
@@ -156,7 +156,7 @@ def _file_address(context: RsiContext) -> str:
 
 
 def _listening(text: str) -> Endpoint:
-    """An endpoint to listen on, where port 0 asks for a free one."""
+    """An endpoint to listen on; port 0 requests a free one."""
     from ronna_hw.endpoints import parse_endpoint
 
     return parse_endpoint(text, listening=True).require("tcp")

@@ -17,7 +17,7 @@ from sim.named_parameters import Most, changed
 
 @dataclass(frozen=True)
 class ControllerParameters:
-    """Behaviour of this controller for which public sources are silent or disagree. Degrees, seconds, cycles.
+    """Behaviour of this controller on which public sources are silent or disagree. Degrees, seconds, cycles.
 
     A number with default 0 may be 0; every other number is positive.
     """
@@ -34,12 +34,12 @@ class ControllerParameters:
         float, "Resolution of the measured axes; 0: finer than the reported digits."
     ] = 0.0
     rest_error_deg: Annotated[float, "The servo is in position within this distance of its command."] = 0.0005
-    # One held value after one lost reply at 1/8 of full speed is a step of 2/8, which passes.
+    # One value held over one lost reply at 1/8 of full speed makes a step of 2/8, which passes.
     step_share: Annotated[
         float, "Fraction of the axis's full-speed step above which a commanded step trips the drives."
     ] = 0.25
     overspeed_cycles: Annotated[int, "Consecutive cycles above the axis limit that trip the drives."] = 3
-    # Over a time and not from cycle to cycle, so that one held value and the step after it pass.
+    # Over a time rather than from cycle to cycle, so that one held value and the step after it pass.
     acceleration_window_s: Annotated[float, "Time over which an acceleration is judged."] = 0.040
     acceleration_share: Annotated[
         float,
@@ -54,10 +54,10 @@ class ControllerParameters:
     ] = "stop"
     path_stop_share: Annotated[float, "Fraction of the axis accelerations used by a stop."] = 1.0
     fast_stop_share: Annotated[float, "The same for STOP FAST."] = 2.0
-    # A joint reverses its flank when the command comes back by more than this from its extreme.
+    # A joint changes flanks when the command moves back by more than this from its extreme.
     reversal_deg: Annotated[float, "Reversal after which a joint rests on its other flank."] = 0.0005
-    # Above the last step of a jerk-limited profile (1.2 thousandths of a degree in 4 ms), so that motions
-    # are counted by what is commanded and not by how long the arm waited between them.
+    # Above the last step of a jerk-limited profile (1.2 thousandths of a degree in 4 ms), so that the number
+    # of motions depends on the commands and not on the pauses between them.
     motion_speed_deg_s: Annotated[float, "Speed of the command at which a new motion begins."] = 0.3
     stick_breakaway_deg: Annotated[
         float, "A sticking axis slips when the command is this far ahead of it."
@@ -139,10 +139,10 @@ class ControllerParameters:
 
 
 def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
-    """The parameters with some set by `NAME=VALUE`; raises KRC-003 for an unknown name or a wrong value."""
+    """The parameters with `NAME=VALUE` applied; raises KRC-003 for an unknown name or an invalid value."""
     return changed(ControllerParameters(), assignments, UnknownParameter)
 
 
-IPO_FAST_S = 0.004  # cycle of #IPO_FAST, in which the drives work before a program sets another
-AUTOSTART_PAUSE_S = 2.0  # an autostarted program begins again this long after its run ended
+IPO_FAST_S = 0.004  # cycle of #IPO_FAST, used by the drives until a program sets another
+AUTOSTART_PAUSE_S = 2.0  # pause before an autostarted program restarts after a run
 SUBMIT_CYCLE_S = 0.012  # the submit interpreter reads and writes at most one EKI telegram per loop

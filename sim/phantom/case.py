@@ -1,4 +1,4 @@
-"""Writes a whole phantom case: CT series, plan, and the truth."""
+"""Writes a complete phantom case: CT series, plan, and ground truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ TRUTH_FILE = "truth.json"
 PLAN_SCHEMA = 1
 TOOL = "guide"
 INSTRUMENT_LENGTH_MM = 250.0  # a biopsy needle
-WORKERS = 2  # NumPy works outside the interpreter lock; more only compete for memory
+WORKERS = 2  # NumPy releases the interpreter lock; more would only compete for memory
 
 Progress = Callable[[float], None]
 
@@ -47,9 +47,8 @@ def write_case(
 ) -> PhantomCase:
     """Scan the head of a scene and plan on it. Raises SIM-001 when the scene cannot be scanned.
 
-    `scan` says what lies around that head; without it the scene is scanned as it is.
-
-    Plan and truth are written last, so a folder with a plan holds a whole series.
+    `scan` adds the surroundings of that head; without it the scene is scanned as it is. Plan and truth are
+    written last, so a folder with a plan has a complete series.
     """
     scan = scan or plain_scan(scene)
     grid = scan.grid

@@ -21,7 +21,7 @@ DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
 
 
 class Instrument(StrEnum):
-    """What is in the head when it is scanned after the operation."""
+    """What is in the head when it is scanned postoperatively."""
 
     ELECTRODE = "electrode"
     NEEDLE = "needle"
@@ -170,7 +170,7 @@ def phantom(
 def _scan_after(
     run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
-    """The CT of a run's head after the operation."""
+    """The postoperative CT of a run's head."""
     from sim.phantom.families.drawn_scan import protocol_named
     from sim.phantom.postoperative.case import write_postoperative
     from sim.phantom.postoperative.instruments import Kind, instruments_of

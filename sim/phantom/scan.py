@@ -1,4 +1,4 @@
-"""One scan: contents of the field, voxel grid, and the truth beyond the scene."""
+"""One scan: contents of the field, voxel grid, and truth beyond the scene."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["FREE", "XFRAME", "XFRAME_CLOSE", "Scan", "plain_scan"]
 
 @dataclass(frozen=True)
 class Scan:
-    """Everything to paint. `truth` is added to the truth file, `marks` (by number) to the fiducials in it."""
+    """Everything to paint. `truth` is added to the truth file, `marks` (by number) to its fiducials."""
 
     scene: Scene
     grid: CtGrid

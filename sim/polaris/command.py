@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 SERIAL_PTY = "serial-pty"
-FAULTS_OF = ("tracker", "room")  # that this simulator alone can have
+FAULTS_OF = ("tracker", "room")  # the ones this simulator can have on its own
 
 
 class ModelName(StrEnum):
@@ -60,7 +60,7 @@ def polaris(
     kind = UNIT_MODELS[model.value]
     tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and model is ModelName.VICRA:
-        scene = "bench-near"  # the other bench is beyond its volume
+        scene = "bench-near"  # the other bench is outside its volume
     room = open_world(world, scene, faults, FAULTS_OF)
     unit = Unit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)

@@ -1,4 +1,4 @@
-"""Errors when the simulated tracker is set up; later errors are codes on its line."""
+"""Errors in setting up the simulated tracker; later errors are codes on its line."""
 
 from __future__ import annotations
 

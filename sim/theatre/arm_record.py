@@ -1,4 +1,4 @@
-"""The calibration record of an arm as a laboratory has it: the truth, and what a calibration leaves over."""
+"""The calibration record of an arm as a laboratory would have it: the truth plus residual errors."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vec
 from sim.theatre.scene.model import ArmResidual, ArmTruth, Mount
 
 Array = NDArray[np.float64]
-# Of a point among others by such a record, in space: the residuals through the chain, on 200 random arms.
+# 3-D error of one point among others with such a record: residuals through the chain, on 200 random arms.
 STATED_ERROR_MM = 0.10
-# What such an arm does to the points of one head when all are approached alike, per axis: what its links and
-# offsets have left of those of an uncalibrated one, 15 and 16 %, of that one's 0.10 mm.
+# Effect of such an arm on the points of one head, all approached alike, per axis: its links and offsets
+# retain 15 and 16 % of an uncalibrated arm's errors, whose effect is 0.10 mm.
 ARM_ERROR_MM = 0.016
 
 
 def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
-    """The deviations of the record by the names of `ronna_hw.calibration.ArmCalibration`."""
+    """The deviations of the record, named as in `ronna_hw.calibration.ArmCalibration`."""
 
     def off(values: Any, sigma: float) -> Array:
         exact = np.asarray(values, dtype=float)
         return exact + generator.normal(0.0, sigma, exact.shape)
 
-    # The scene puts the error of the last link into the frame of the flange, the record before it.
+    # The scene expresses the error of the last link in the flange frame, the record in the one before.
     flange = rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0))
     translations = np.array([link.translation_mm for link in truth.links])
     rotations = np.array([link.rotation_rad for link in truth.links])
@@ -48,6 +48,6 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
 
 
 def measured_mount(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
-    """FLANGE <- TOOL of the head as a calibration finds it, instead of the nominal one."""
+    """FLANGE <- TOOL of the head as found by a calibration, instead of the nominal one."""
     beside = matrix_from(generator.normal(0.0, residual.tool_mm, 3), np.eye(3))
     return pose_of(matrix_of(mount.flange_from_tool_true) @ beside)

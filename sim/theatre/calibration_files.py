@@ -1,4 +1,4 @@
-"""Calibration records that take the place of a theatre's own: as the calibration commands leave them."""
+"""Calibration records that replace a theatre's own, as written by the calibration commands."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ CALIBRATION_FILE = "calibration.toml"
 
 
 def read_calibrations(paths: Iterable[Path]) -> dict[str, Any]:
-    """Records by their names in the theatre file; of two of one name the later counts. Raises SIM-014.
+    """Records by their names in the theatre file; the later of two with the same name wins. Raises SIM-014.
 
-    What is in them is checked by whoever reads the theatre file.
+    Their content is checked by readers of the theatre file.
     """
     records: dict[str, Any] = {}
     for path in paths:

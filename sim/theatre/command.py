@@ -18,9 +18,7 @@ if TYPE_CHECKING:
 
     from sim.theatre.launch import Theatre
 
-CONTROL = (
-    "RONNA_CONTROL"  # in the environment; on the command line everybody on this computer reads the token
-)
+CONTROL = "RONNA_CONTROL"  # in the environment; on the command line every user here could read the token
 
 
 class CycleMs(StrEnum):
@@ -31,7 +29,7 @@ class CycleMs(StrEnum):
 
 
 class Speed(StrEnum):
-    """Pace of the theatre's time."""
+    """Pace of theatre time."""
 
     MAX = "max"
     REAL = "1"
@@ -134,7 +132,7 @@ def theatre(
 
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
-    """Serve until it is to end; returns why, when a device has ended by itself."""
+    """Serve until asked to end; returns the reason if a device has ended by itself."""
     from sim.theatre.process import announce
 
     reasons: list[str] = []

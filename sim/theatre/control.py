@@ -1,9 +1,8 @@
 """Requests accepted at the control port, the scripted operator's only access to the simulated room.
 
-`{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`,
-`{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and
-`{"do": "work", "task": "insert", "trajectory": "T1", "numbers": []}`, whose answer has `readings`. An
-instrument that is inserted samples the truth at that target.
+`{"do": "step", "name": "..."}`, `{"do": "mount", "number": 2}`, `{"do": "stand", "holds": "divot"}`, `{"do":
+"fault", "line": "now: ..."}`, `{"do": "clear_faults"}`, and `{"do": "work", "task": "insert", "trajectory":
+"T1", "numbers": []}`, whose answer has `readings`. Inserting an instrument samples the truth at that target.
 """
 
 from __future__ import annotations
@@ -24,14 +23,14 @@ LONGEST_REASON = 500  # characters: it may quote the request
 
 
 class NoSuchTool(Exception):
-    """The number is of no tool in this room."""
+    """No tool in this room has this number."""
 
 
 class Room:
-    """What the operator can do in the room. Truth at a target is kept in `folder`, where there is one.
+    """What the operator can do in the room. Truth at a target is stored in `folder`, if there is one.
 
-    `devices` are those that are simulated here: faults of another one are refused. `loaded` tells the tools
-    that a client has loaded into the tracker, where it is in this process.
+    `devices` are those simulated here: faults of others are refused. `loaded` returns the tools that a client
+    has loaded into the tracker, if it is in this process.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class Room:
         self._one_at_a_time = threading.Lock()  # several connections may ask
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
-        """Carry out one request; an unknown or wrong one is answered with the reason."""
+        """Carry out one request; an unknown or invalid one is answered with the reason."""
         actions: dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]] = {
             "step": self._step,
             "work": self._work,

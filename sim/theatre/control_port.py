@@ -1,9 +1,9 @@
 """The control port: JSON lines over TCP on loopback, one answer per line, for clients with the token.
 
-A theatre has one, and so has each simulator that was started alone. Everybody on this computer can connect to
-it, a page in a browser included, so a connection is believed only when its first line is `{"token": "..."}`
-with the token that the READY line told. It is over at the first line that is no JSON object or too long, and
-when no line comes for a while. Those who have not shown the token keep nobody out who has it.
+A theatre has one, and so does each simulator started alone. Every process on this computer can connect to it,
+including a page in a browser, so a connection is trusted only if its first line is `{"token": "..."}` with
+the token from the READY line. It is closed at the first line that is too long or no JSON object, and when no
+line arrives for a while. Connections without the token cannot keep out those with it.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from sim.theatre.control import Room
 
-TOKEN_BYTES = 16  # from the system's random source: not to be guessed
+TOKEN_BYTES = 16  # from the system's random source: unguessable
 MOST_CONNECTIONS = 8
-FIRST_LINE_LIMIT_S = 2.0  # host time, from the connection to the whole first line
-IDLE_LIMIT_S = 10.0  # host time, from one line to the whole of the next
+FIRST_LINE_LIMIT_S = 2.0  # host time, from the connection to the complete first line
+IDLE_LIMIT_S = 10.0  # host time, from one line to the complete next one
 NO_TOKEN = {"ok": False, "reason": "expected the token from the READY line in the first line"}
 
 
@@ -46,7 +46,7 @@ class ControlPort:
 
     @property
     def endpoint(self) -> str:
-        """Where the operator connects, with the token: a secret."""
+        """Where the operator connects, including the token: a secret."""
         where = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
         return ControlAddress(where, self._server.token).text()
 
@@ -65,12 +65,12 @@ class _Server(socketserver.ThreadingTCPServer):
         self.room = room
         self.token = token
         self.limits_s = limits_s
-        self.strangers: list[socket.socket] = []  # have not shown the token yet, the oldest first
+        self.strangers: list[socket.socket] = []  # have not shown the token yet, oldest first
         self.trusted: list[socket.socket] = []
         self.changing = threading.Lock()
 
     def verify_request(self, request: socket.socket | tuple[bytes, socket.socket], _address: Any) -> bool:
-        """Room for one more: the stranger who has waited longest gives way."""
+        """If there are too many, the stranger who has waited longest is dropped."""
         assert isinstance(request, socket.socket)
         with self.changing:
             if len(self.trusted) == MOST_CONNECTIONS:
@@ -88,7 +88,7 @@ class _Conversation(socketserver.BaseRequestHandler):
 
     def handle(self) -> None:
         self._received = b""
-        with contextlib.suppress(OSError, _HangUp):  # the operator went away without a farewell
+        with contextlib.suppress(OSError, _HangUp):  # the operator disconnected abruptly
             first_line_limit_s, idle_limit_s = self.server.limits_s
             token = self._next(first_line_limit_s).get(TOKEN_KEY)
             if not hmac.compare_digest(str(token).encode(errors="replace"), self.server.token.encode()):
@@ -108,12 +108,12 @@ class _Conversation(socketserver.BaseRequestHandler):
     def _trust(self) -> None:
         with self.server.changing:
             if self.request not in self.server.strangers:
-                raise _HangUp  # had to give way in this very moment
+                raise _HangUp  # was dropped at this very moment
             self.server.strangers.remove(self.request)
             self.server.trusted.append(self.request)
 
     def _next(self, limit_s: float) -> dict[str, Any]:
-        """The next line, a JSON object; hangs up on anything else, and when it is not there in time."""
+        """The next line, a JSON object; hangs up on anything else, and if it does not arrive in time."""
         deadline = time.monotonic() + limit_s
         while b"\n" not in self._received:
             self.request.settimeout(max(deadline - time.monotonic(), 0.001))

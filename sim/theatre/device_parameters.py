@@ -1,4 +1,4 @@
-"""Parameters of single devices, given to the whole theatre: `robot.lag_s=0.03`."""
+"""Parameters of single devices, passed to the whole theatre: `robot.lag_s=0.03`."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from sim.errors import BadDeviceParameter
 from sim.kuka.controller_parameters import changed_parameters
 from sim.polaris.unit.behaviour import changed_behaviour
 
-COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by the names that fault scripts use
+COMMANDS = {"robot": "kuka", "tracker": "polaris"}  # devices by their names in fault scripts
 
 
 def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
-    """NAME=VALUE of each device, by its command.
+    """NAME=VALUE settings per device command.
 
-    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for one that the device does not have.
+    Raises SIM-010 for a device without parameters, KRC-003 or PSU-001 for an unknown parameter.
     """
     found: dict[str, tuple[str, ...]] = {}
     for setting in settings:

@@ -1,7 +1,6 @@
-"""What the room's hands do with guide and instrument, and what they read off: `{"do": "work", ...}`.
+"""Manual work with guide and instrument, and its readings: `{"do": "work", ...}`.
 
-Tasks are named as the procedure names them. What is only done with the patient's skin and skull leaves
-nothing here.
+Tasks are named as in the procedure. Work that affects only skin and skull has no effect here.
 """
 
 from __future__ import annotations
@@ -40,12 +39,12 @@ from sim.theatre.world import World
 
 Readings = tuple[float, ...]
 STOP, DIAL = "depth stop", "gauge"  # keys of the noise
-SCALE_MM = 0.05  # the divisions of the depth stop's scale: a vernier's
+SCALE_MM = 0.05  # divisions of the depth stop's scale: a vernier
 DIAL_MM = 0.001  # of the gauge: a digital one
 
 
 class NoSuchTask(Exception):
-    """Hands know no task of that name."""
+    """The hands know no task with this name."""
 
     def __init__(self, task: str, known: Iterable[str]) -> None:
         near = get_close_matches(task, tuple(known), n=1)
@@ -54,7 +53,7 @@ class NoSuchTask(Exception):
 
 
 class Hands:
-    """One pair, for the life of a theatre. Truth at a target is kept in `folder`, where there is one."""
+    """One pair, for the life of a theatre. Truth at a target is stored in `folder`, if there is one."""
 
     def __init__(self, world: World, folder: Path | None) -> None:
         self._world = world
@@ -62,10 +61,10 @@ class Hands:
         self._guide = TrueGuide(world)
         self._board = FaultBoard(world, DEVICE)
         self._stop_mm: float | None = None
-        self._done: Counter[str] = Counter()  # how often each task was done, so that no two times are alike
+        self._done: Counter[str] = Counter()  # how often each task was done, so that no two are alike
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task; raises NoSuchTask, ValueError for one that cannot be done."""
+        """Carry out one task; raises NoSuchTask, or ValueError if it cannot be done."""
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
@@ -100,7 +99,7 @@ class Hands:
         return ()
 
     def _push_cart(self) -> Readings:
-        """A cart that stands locked stays; another one rolls, and stays there."""
+        """A locked cart stays; an unlocked one rolls, and stays there."""
         for fault in self._board.active(UNLOCKED.name):
             way = " ".join(fault.arguments)
             _, text = self._world.fault_script()
@@ -111,7 +110,7 @@ class Hands:
     def _read_gauge(self, numbers: Sequence[float]) -> Readings:
         """Dials at the mandrel's end along x, y and z, and higher up along x and y, mm.
 
-        `numbers` are the arm's joints in deg at which the gauge stands, and the height between the dials.
+        `numbers` are the arm's joints in deg at the gauge, and the height between the dials.
         """
         *joints_deg, base_mm = numbers
         seen = inverse(self._place_of_gauge(joints_deg)) @ self._guide.mandrel()
@@ -124,7 +123,7 @@ class Hands:
         return tuple(_on_scale(float(value), DIAL_MM) for value in read)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
-        """Where the good mandrel's end was, with the arm there, when the gauge was set to zero."""
+        """Where the correct mandrel's end was, with the arm there, when the gauge was zeroed."""
         from sim.kuka.arm.true_arm import TrueArm
 
         arm = TrueArm(self._world.scene.arm, self._world.scene.seed)

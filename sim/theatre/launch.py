@@ -1,4 +1,4 @@
-"""Starts one process per device over one world, and writes the theatre file when all are ready."""
+"""Starts one process per device over one world, and writes the theatre file once all are ready."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from sim.theatre.truth import SCENE_FILE
 from sim.theatre.world import World
 
 THEATRE_FILE = "theatre.toml"
-# In all: whoever started the theatre gives it READY_TIMEOUT_S, and is to hear which device does not come.
+# In all: the caller gives the theatre READY_TIMEOUT_S, and must learn which device does not start.
 DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0
-STOP_LIMIT_S = 0.5  # for a device that does not become ready: it keeps nothing yet
-CLOSE_LIMIT_S = 1.0  # for all devices; one that is halted is then ended hard, before this process must go
+STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has no state to save yet
+CLOSE_LIMIT_S = 1.0  # for all devices; one that hangs is then killed, before this process must exit
 REST_LIMIT_S = 0.3  # host time
 REST_LOOK_S = 0.005
 SILENCE_LIMIT_PACED_S = 0.25
-# In lock-step the controller waits up to 2 s for a reply, so silence is judged above that.
+# In lock-step the controller waits up to 2 s for a reply, so the silence limit must be higher.
 SILENCE_LIMIT_LOCK_STEP_S = 5.0
 NO_RECORDS: Mapping[str, Any] = {}
 NO_PARAMETERS: Mapping[str, Sequence[str]] = {}
@@ -55,8 +55,8 @@ class Theatre:
     ) -> None:
         """`cycle_ms` of the robot, None for its context's; `parameters`: NAME=VALUE by device command.
 
-        `left` is how another theatre left its world, for this one to go on with; `records` take the place of
-        the theatre's own calibrations. Raises PRC-001 when a device does not become ready.
+        `left` is the state in which another theatre left its world, to continue from; `records` replace the
+        theatre's own calibrations. Raises PRC-001 when a device does not become ready.
         """
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
@@ -83,7 +83,7 @@ class Theatre:
             content["calibration"] |= records
             refer_to_tip(content)
             write_theatre_file(content, self.file)
-        except BaseException:  # also an interruption: no device process is left behind
+        except BaseException:  # including interruptions: no device process is left behind
             self.close()
             raise
 
@@ -115,7 +115,7 @@ class Theatre:
         self._control.close()
 
     def _leave_world(self) -> None:
-        """Give an arm that is on its way the time to come to rest: whoever moved it may just have died."""
+        """Give a moving arm time to come to rest: its client may just have died."""
         limit_s = time.monotonic() + REST_LIMIT_S
         alive = bool(self._children) and all(child.alive for child in self._children)
         while alive and self.world.has_arm and not self.world.arm().at_rest and time.monotonic() < limit_s:
@@ -159,7 +159,7 @@ class Theatre:
 
 
 def _show_pendant(line: str) -> None:
-    """A message of the robot's pendant is one of the theatre."""
+    """A message on the robot's pendant is one of the theatre."""
     if line.startswith(PENDANT):
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()

@@ -1,7 +1,7 @@
-"""How a theatre left its world, so that another one can go on with it: the arm, the tool on it, the time.
+"""The state in which a theatre left its world, for another one to continue: the arm, its tool, the time.
 
-The file is written when the theatre ends, also when its parent died, and at each change of tools. It keeps
-what faults have moved, bent or turned; a world that goes on has no other fault until one is injected.
+The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
+faults have moved, bent or rotated; a continued world has no other fault until one is injected.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class LeftArm(Strict):
-    """How the robot was left: by its encoders, and by what they do not tell."""
+    """The last state of the robot: its encoders, and what they do not show."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
     flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
@@ -43,7 +43,7 @@ class LeftArm(Strict):
 
 
 class LeftWorld(Strict):
-    """What changes in a world, as it was last."""
+    """The last state of what changes in a world."""
 
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
@@ -54,7 +54,7 @@ class LeftWorld(Strict):
 
     @classmethod
     def of(cls, world: World) -> LeftWorld:
-        """A world as it is now."""
+        """The present state of a world."""
         arm = world.arm() if world.has_arm else None
         return cls(
             theatre_time_ns=world.clock.now_ns(),
@@ -71,12 +71,12 @@ class LeftWorld(Strict):
         )
 
     def go_on(self, scene: Scene, *, paced: bool) -> World:
-        """A world of that scene that begins as this one was left."""
+        """A world of that scene that starts from this state."""
         world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
         world.mount_tool(self.mounted_tool)
         world.set_fault_script(self.standing_faults)
         if (arm := self.arm) is not None:
-            # Where the flange truly is, the robot simulator says before anybody can look.
+            # The robot simulator publishes the flange's true pose before anyone can read it.
             world.publish_arm(
                 ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s)
             )
@@ -89,7 +89,7 @@ def write_left_world(world: World, folder: Path) -> None:
 
 
 def read_left_world(folder: Path) -> LeftWorld | None:
-    """How the last theatre there left its world; None when it wrote nothing. Raises SIM-003, SIM-012."""
+    """The last state of the theatre there; None if it wrote nothing. Raises SIM-003, SIM-012."""
     path = folder / LEFT_WORLD_FILE
     if not path.exists():
         return None
@@ -115,7 +115,7 @@ def folder_held(folder: Path) -> Iterator[None]:
             except BlockingIOError:
                 if time.monotonic() > limit_s:
                     raise TheatreRunning(f"another theatre is running in {folder}") from None
-                time.sleep(LOOK_AGAIN_S)  # a lock on a file cannot be awaited with a time limit
+                time.sleep(LOOK_AGAIN_S)  # a file lock cannot be awaited with a time limit
         yield
     finally:
         os.close(file)

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class OnStand(StrEnum):
-    """What it holds: its ball, or in the ball's place the divot on a slide with three dials."""
+    """Its content: the ball, or in its place the divot on a slide with three dials."""
 
     NOTHING = "nothing"
     BALL = "ball"

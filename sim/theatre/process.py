@@ -1,4 +1,4 @@
-"""What every device process of the theatre does alike: find its world, say READY, end in time."""
+"""What all device processes of the theatre share: find the world, print READY, end in time."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sim.theatre.scene.named_scenes import SCENES, named_scene
 from sim.theatre.world import World
 
 PARENT_GONE = "stopping: the parent process has ended\n"
-END_LIMIT_S = 1.5  # then what hangs in a system call, or waits for a halted child, is ended hard
+END_LIMIT_S = 1.5  # then anything stuck in a system call, or waiting for a hung child, is killed
 PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
 
 
@@ -46,8 +46,8 @@ def announce(device: str, endpoint: str | None = None, control: str | None = Non
 def end_with_parent(end: Callable[[], None]) -> None:
     """Call `end` once on SIGTERM or SIGINT, or when the parent process is gone.
 
-    `end` must make the process leave its main loop; if it is still there 1.5 s later, it is ended hard, and
-    everything that it has started.
+    `end` must make the process leave its main loop; if it is still running 1.5 s later, it is killed with
+    everything it has started.
     """
 
     def leave() -> None:
@@ -66,7 +66,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
     def watch() -> None:
         while not PARENT.gone:
             time.sleep(PARENT_CHECK_S)
-        with contextlib.suppress(OSError):  # nobody may be left to read it
+        with contextlib.suppress(OSError):  # there may be no reader left
             sys.stderr.write(PARENT_GONE)
             sys.stderr.flush()
         leave()
@@ -78,7 +78,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
 
 
 def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
-    """A device with a dead thread would only fall silent: report the reason and end the process."""
+    """A device with a dead thread would merely fall silent: report the reason and end the process."""
     traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
     sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
     sys.stderr.flush()
@@ -88,10 +88,10 @@ def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
 def open_world(
     world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
 ) -> World:
-    """The theatre's world, or for a simulator that was started alone a world of its own.
+    """The theatre's world, or for a simulator started alone a world of its own.
 
-    A world of its own follows the host's clock. `scene` is a built-in name or a file; `devices` are those
-    that are simulated in it.
+    A world of its own follows the host's clock. `scene` is a built-in name or a file; `devices` are
+    those simulated in it.
     """
     if world is not None:
         return World.open(world)
@@ -109,7 +109,7 @@ def own_control_port(
     devices: Sequence[str],
     loaded: Callable[[], Sequence[str]] | None = None,
 ) -> str | None:
-    """The control port of a simulator that was started alone; None in a theatre, whose own it is."""
+    """The control port of a simulator started alone; None in a theatre, which has its own."""
     return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
 
 
@@ -126,8 +126,8 @@ def load_scene(
 ) -> Scene:
     """A named scene, or a scene file; raises SIM-001.
 
-    On request its arm has a calibration record, frame and tip have none that is valid, and there is a ball at
-    each target.
+    On request its arm has a calibration record, frame and tip have no valid one, and there is a
+    ball at each target.
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME

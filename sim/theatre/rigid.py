@@ -103,5 +103,5 @@ def rotation_towards(z_axis: ArrayLike, x_hint: ArrayLike) -> Matrix:
     x = x - (x @ z) * z
     x = x / np.linalg.norm(x)
     (x0, x1, x2), (z0, z1, z2) = x.tolist(), z.tolist()
-    y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross takes ten times the time
+    y = (z1 * x2 - z2 * x1, z2 * x0 - z0 * x2, z0 * x1 - z1 * x0)  # np.cross takes ten times as long
     return np.array([x, y, z]).T.copy()

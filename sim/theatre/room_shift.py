@@ -1,4 +1,4 @@
-"""Current displacement of objects in the room, and push on the arm, by the faults of device `room`."""
+"""Current displacement of objects in the room, and push on the arm, by faults of the device `room`."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ SECONDS_PER_MINUTE = 60.0
 
 @dataclass(frozen=True)
 class RoomShift:
-    """Ways of head and tracker as the robot sees them, whose frame is that of its base.
+    """Displacements of head and tracker relative to the robot base.
 
-    `spheres_mm` by number: further ways of single ones on the head.
+    `spheres_mm` by number: additional displacements of single spheres on the head.
     """
 
     head_mm: Vector = STILL
     tracker_mm: Vector = STILL
-    guide_mm: Vector = STILL  # by which a hand displaces what hangs on the arm
+    guide_mm: Vector = STILL  # displacement of the mounted tool by a hand
     spheres_mm: tuple[tuple[int, Vector], ...] = ()
 
     def of_spheres_mm(self, numbers: Sequence[int]) -> Array:
-        """Ways (n, 3) of the spheres with these numbers."""
+        """Displacements (n, 3) of the spheres with these numbers."""
         alone = dict(self.spheres_mm)
         return np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3) + self.head_mm
 
@@ -40,7 +40,7 @@ NOTHING_MOVED = RoomShift()
 
 
 class ShiftedRoom:
-    """Asks the fault board of the room; cheap while it has no fault."""
+    """Queries the fault board of the room; cheap if there are no faults."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -48,7 +48,7 @@ class ShiftedRoom:
         self._stiffness_N_mm = world.scene.arm.stiffness_N_mm
 
     def now(self) -> RoomShift:
-        """What is moved at this moment."""
+        """The current displacements."""
         if self._board.empty:
             return NOTHING_MOVED
         faults = self._board.active(SHIFT.name)
@@ -66,7 +66,7 @@ class ShiftedRoom:
 
 
 def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:
-    """How far the cart has rolled since its brakes were open, by each fault of the room that says so."""
+    """How far the cart has rolled since its brakes were released, per fault that makes it roll."""
     return tuple(
         _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
         for fault, onset_s in board.acting_since()

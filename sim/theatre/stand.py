@@ -1,7 +1,7 @@
-"""The calibration stand on the table: a ball that can be lifted off, or a divot with three dials.
+"""The calibration stand on the table: a removable ball, or a divot with three dials.
 
-The staff raise the divot to the tip of a guide and read by how much it then lies beside the place of the
-ball's centre, along the stand's own axes.
+Staff raise the divot to the tip of a guide and read its offset from the position of the ball's centre, along
+the stand's own axes.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim.theatre.world import World
 
 
 def read_dials(world: World) -> tuple[float, float, float]:
-    """The three dials with the divot raised to the guide's tip, in mm; raises SIM-015 where it cannot be."""
+    """The three dials with the divot raised to the guide's tip, mm; raises SIM-015 if that is impossible."""
     stand, mount = world.scene.stand, world.scene.mount
     if world.on_stand() is not OnStand.DIVOT:
         raise StandNotReady("the divot is not on the stand", got=world.on_stand())

@@ -1,8 +1,8 @@
-"""Writes the theatre file: the endpoints that the devices announced, and calibration records.
+"""Writes the theatre file: the endpoints announced by the devices, and calibration records.
 
-A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would have
-measured it. The tool frame is the exception that the field knows: the record holds the nominal pose, and
-the mount is where it is.
+A record is the truth plus an error of the stated size, drawn from the seed, as a laboratory would
+have measured it. The tool frame is the well-known exception: the record has the nominal pose, and the
+mount deviates from it.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from sim.theatre.tool_records import refer_to_tip, tool_records
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"
-# What an arm of parameter set S does to the points of one head when all are approached alike. Chosen on seeds
-# 0 to 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
+# Effect of an arm of parameter set S on the points of one head, all approached alike. Chosen on seeds 0 to
+# 19, where the targets show 0.20 mm rms; on unseen seeds 100 to 111 they show 0.19 mm.
 ARM_ERROR_MM = 0.10
-# Of a frame and a guide that were mounted by their drawing and never measured, per axis.
+# For a frame and a guide mounted according to their drawing and never measured, per axis.
 DRAWN_FRAME_MM, DRAWN_FRAME_RAD, DRAWN_TIP_MM = 2.0, 0.01, 1.0
-DRAWN_DIRECTION_RAD = 1.2e-3  # of the bore about either axis: 0.1 degrees in all
+DRAWN_DIRECTION_RAD = 1.2e-3  # of the bore about either axis: 0.1 degrees in total
 DRAWN = "drawing"
-LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be believed
+LEAST_SCATTER_MM = 0.003  # a record of an arm without any random error would not be credible
 BANNER = "SIMULATED THEATRE"
 FLANGE = "changer of the simulated arm"
 
@@ -51,8 +51,7 @@ def theatre_content(
 ) -> dict[str, Any]:
     """The content of the theatre file as plain data, in the form of `ronna_hw.config.TheatreFile`.
 
-    `cycle_ms` where the robot runs at another cycle than its context's; `calibrated` where the records were
-    not made now.
+    `cycle_ms` if the robot's cycle differs from its context's; `calibrated` if the records were not made now.
     """
     made = calibrated or datetime.now(UTC).replace(microsecond=0)
     content: dict[str, Any] = {
@@ -100,18 +99,18 @@ def theatre_content(
 
 
 def _tool(name: str, rom: Path) -> dict[str, str]:
-    """A tool with its definition; one that is there is held to its hash: no other takes its place."""
+    """A tool with its definition; an existing one is pinned by its hash, so that no other replaces it."""
     option = {"name": name, "rom": str(rom)}
     return {**option, "sha256": hashlib.sha256(rom.read_bytes()).hexdigest()} if rom.is_file() else option
 
 
 def write_theatre_file(content: dict[str, Any], path: Path) -> None:
-    """Write the theatre file whole."""
+    """Write the theatre file atomically."""
     write_whole(path, _toml(content).encode())
 
 
 def calibrated_at(theatre_file: Path) -> datetime | None:
-    """When the calibration records of a theatre file were made; None when there is no such file."""
+    """When the calibration records of a theatre file were made; None if there is no such file."""
     try:
         content = read_toml(theatre_file, InputRefused)
         made: datetime = content["calibration"]["stereo_head"]["created"]
@@ -149,7 +148,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
         }
 
     def mounted(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
-        """Of a part on the mount: on the first day it holds its drawing, which is no calibration."""
+        """For a part on the mount: on the first day it has its drawing, which is not a calibration."""
         made = record(name, stated_error_mm, **more)
         if not error.first_day:
             return made
@@ -208,7 +207,7 @@ def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.G
         generator.normal(0.0, error.camera_translation_mm, 3),
         rotation_from_vector(generator.normal(0.0, error.camera_rotation_rad, 3)),
     )
-    # The error is the camera's own: a turn in its mount moves what it sees at the working distance.
+    # The error is the camera's own: a rotation in its mount shifts what it sees at the working distance.
     seen = twist @ matrix_of(camera.camera_from_tool)
     scale = 1.0 + float(generator.normal(0.0, error.focal_relative))
     return {

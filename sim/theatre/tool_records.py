@@ -1,4 +1,4 @@
-"""Records of the tools in the theatre file, as a laboratory has them: measured when all was well."""
+"""Records of the tools in the theatre file, as a laboratory would have them: measured in good order."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from sim.theatre.scene.guide_frame import NAME as GUIDE_FRAME
 from sim.theatre.scene.model import Scene
 
 STEREO_HEAD_KG = 2.1
-CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool with the common mount, flange frame
-# From home, the arm turned aside: the gauge stands on the table beside the patient.
+CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame
+# From home, with the arm turned aside: the gauge is on the table next to the patient.
 GAUGE_TURN_DEG = -40.0
 GAUGE_BASE_MM = 60.0
 
 
 def refer_to_tip(content: dict[str, Any]) -> None:
-    """Have the guide's record in a theatre file refer to the calibration of its tip that is in it."""
+    """Make the guide's record in a theatre file refer to the calibration of its tip in it."""
     content["tools"]["guide"]["tip"] = content["calibration"]["tool_tip"]["identifier"]
 
 
 def tool_records(
     scene: Scene, dated: Callable[[str], dict[str, Any]], flange: str
 ) -> dict[str, dict[str, Any]]:
-    """By name; `dated` makes the fields that all dated records have."""
+    """By name; `dated` creates the fields common to all dated records."""
     mount = scene.mount
     guide = mount.guide
     A1, *others = scene.arm.home_deg
@@ -55,7 +55,7 @@ def tool_records(
 
 
 def _frame(tip_from_frame: PoseRecord | None) -> dict[str, Any]:
-    """How the tracker sees the guide, where it bears a frame."""
+    """How the tracker sees the guide, if it has a frame."""
     if tip_from_frame is None:
         return {}
     return {"frame": {"tool": GUIDE_FRAME, "tip_from_frame": tip_from_frame.model_dump(mode="json")}}

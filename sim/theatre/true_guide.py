@@ -19,7 +19,7 @@ SEAT, PLAY = "changer", "bore"  # keys of the noise
 
 
 class TrueGuide:
-    """Asks the world and the room's faults. Poses are (4, 4), of the tip frame in the robot's."""
+    """Queries the world and the room's faults. Poses are (4, 4), of the tip frame in the robot frame."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -28,29 +28,26 @@ class TrueGuide:
         self._room = ShiftedRoom(world)
 
     def tip_frame(self, flange: Matrix | None = None) -> Matrix:
-        """Of the mandrel's end, as if the mandrel were the one of the calibration.
+        """Of the mandrel's end, as if the mandrel were the calibrated one.
 
-        `flange` as the arm alone would hold it, by default where it is now.
+        `flange` as the arm alone would hold it, by default its present pose.
         """
         return self.bore_frame(flange) @ self._bent()
 
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
-        """The same of a guide that is not bent: what of it sits above the bore."""
+        """The same for an unbent guide: for what is above the bore."""
         pose = (self._world.arm().robot_from_flange if flange is None else flange).copy()
         pose[:3, 3] += self._room.now().guide_mm
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._acting(WRONG_LOAD))
         return pose @ calibrated_tip(self._world) @ self._seated()
 
     def mandrel(self, flange: Matrix | None = None) -> Matrix:
-        """Of the end of the mandrel that is in it."""
+        """Of the end of the mandrel in use."""
         longer_mm = sum(float(one.argument) for one in self._acting(WRONG_MANDREL))
         return self.tip_frame(flange) @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
-        """The tip (3,) of an instrument that is in up to its depth stop, wherever in the bore's play it lies.
-
-        `stop_mm` from its tip to the stop, which rests on the upper end of the bore.
-        """
+        """The tip (3,) of an instrument inserted up to its depth stop, anywhere within the bore's play."""
         guide = self._scene.mount.guide
         beyond_mm = stop_mm - guide.bore_mm
         upper, lower = _in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
@@ -85,14 +82,14 @@ class TrueGuide:
 
 
 def calibrated_tip(world: World) -> Matrix:
-    """FLANGE <- tip, (4, 4), as it truly was when the records were made."""
+    """FLANGE <- tip, (4, 4), the truth when the records were made."""
     mount = world.scene.mount
     pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
     return pose
 
 
 def _in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
-    """Two points (2,), each anywhere in a disc."""
+    """Two random points (2,) in a disc."""
     radii = radius_mm * np.sqrt(generator.uniform(size=2))
     angles = generator.uniform(0.0, 2.0 * np.pi, 2)
     one, other = (

@@ -17,12 +17,12 @@ from sim.theatre.world import World
 
 TRUTH_FILE = "truth.jsonl"
 SCENE_FILE = "scene.json"
-LARGEST_TRUTH_BYTES = 1_000_000  # of four thousand samples
-MOST_MISTAKES = 5  # that an error lists
+LARGEST_TRUTH_BYTES = 1_000_000  # for four thousand samples
+MOST_MISTAKES = 5  # listed in an error
 
 
 class TipSample(Strict):
-    """Where the tip of the instrument really was at one moment, robot frame."""
+    """True position of the instrument's tip at one moment, robot frame."""
 
     target: str
     theatre_time_s: float
@@ -30,13 +30,13 @@ class TipSample(Strict):
     arm_at_rest: bool
     tip_mm: Numbers3
     axis: Numbers3  # direction of the guide's bore, unit vector
-    head_shift_mm: Numbers3 = STILL  # by which the head lay beside its place in the scene, robot frame
+    head_shift_mm: Numbers3 = STILL  # displacement of the head from its place in the scene, robot frame
 
 
 def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
-    """Take the true tip of an instrument that is in up to its stop, at a target of the plan by any name.
+    """Sample the true tip of an instrument inserted up to its stop, at a target of the plan by any name.
 
-    `draw` tells one insertion there from another: where in the play of the bore it lies.
+    `draw` distinguishes insertions there: each has a different position within the bore's play.
     """
     return TipSample(
         target=target,

@@ -1,6 +1,6 @@
 """Compares a finished run with the truth: what the CT localizer missed, where the guide's tip really was.
 
-Reads the records that the run left and the truth that the theatre sampled; neither knows the other.
+Uses the run's records and the truth sampled by the theatre; neither knows the other.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; sphe
 
 
 def verify_run(run: Path) -> dict[str, Any]:
-    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare,
-    SIM-007 when the truth cannot be read, PRO-033 for a run that was changed.
+    """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare, SIM-007
+    when the truth cannot be read, PRO-033 for a run that was altered.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
     lateral_mm, axial_mm, axis_error_rad), as plain data.
@@ -48,7 +48,7 @@ def verify_run(run: Path) -> dict[str, Any]:
 
 
 def _planned(found: Inspection) -> list[dict[str, Any]]:
-    """The trajectories of the plan that the run followed; the scene may know others by other names."""
+    """The trajectories of the plan that the run followed; the scene may use other names."""
     plan = _standing(found, "plan_check")
     return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 

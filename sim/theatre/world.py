@@ -1,11 +1,11 @@
 """The shared world: the scene, the clock, and what changes while the theatre runs.
 
-One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`:
-it vanishes with the last process that holds it, however that process ends. The clock lies in a block of its
-own: the procedure opens the clock, and nothing of the scene lies beside it.
+One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`: it
+disappears with the last process that holds it, however that process ends. The clock has a block of its own,
+so that the procedure can open the clock without access to the scene.
 
-What changes has one writer each: the arm is written by the robot simulator, the mounted tool, the step and
-the fault script by the theatre's control port.
+Each changing part has a single writer: the robot simulator writes the arm, the theatre's control port the
+mounted tool, the step and the fault script.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ FAULTS_CAPACITY_BYTES = 32 * 1024
 
 
 class ClockRow(NamedTuple):
-    """Where the clock's own block is."""
+    """Location of the clock's own block."""
 
     path: Annotated[str, text(100)]
 
@@ -62,7 +62,7 @@ _CLOCK = _MAP.rows(ClockRow)
 _ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
 _ARM = _MAP.rows(ArmRow)
 _TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
-_STAND = _MAP.word("I")  # what the calibration stand holds: its place in `OnStand`
+_STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
 _STEP = _MAP.rows(StepRow)
 _FAULTS_VERSION = _MAP.word()
 _FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
@@ -72,18 +72,18 @@ _SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
 
 @dataclass(frozen=True)
 class ArmState:
-    """Where the arm truly is: encoder angles, and the flange in the robot frame."""
+    """The arm's true state: encoder angles, and the flange in the robot frame."""
 
     joints_rad: Numbers6
     robot_from_flange: NDArray[np.float64]  # (4, 4)
     motion_number: int
     at_rest: bool
-    flanks: Numbers6 = (0.0,) * 6  # where each joint is in its backlash, -1 to 1
+    flanks: Numbers6 = (0.0,) * 6  # position of each joint in its backlash, -1 to 1
     moved_s: float = 0.0  # time in motion so far
 
 
 class World:
-    """A view of the shared block. Made by `create` in the process that owns it, by `open` elsewhere."""
+    """A view of the shared block. Made by `create` in the owning process, by `open` elsewhere."""
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
@@ -103,9 +103,9 @@ class World:
 
     @classmethod
     def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
-        """Make a world of `scene`; `paced` worlds follow the host's clock. `begins_ns` is its first time.
+        """Make a world of `scene`; `paced` worlds follow the host's clock. `begins_ns` is its start time.
 
-        Others can open it as long as this object is kept.
+        Others can open it as long as this object exists.
         """
         content = scene.model_dump_json(by_alias=True).encode()
         clock_file, clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
@@ -130,16 +130,16 @@ class World:
 
     @property
     def endpoint(self) -> str:
-        """Where the devices open this world."""
+        """Endpoint of this world for devices."""
         return f"shm://{self._path}"
 
     @property
     def clock_endpoint(self) -> str:
-        """Where the clock of this world, and nothing else, is opened."""
+        """Endpoint of this world's clock alone."""
         return f"shm://{self._clock_path}"
 
     def publish_arm(self, state: ArmState) -> None:
-        """Publish where the arm is. For the robot simulator only."""
+        """Publish the arm's state. For the robot simulator only."""
         memory = self._memory
         sequence = _ARM_SEQUENCE.read(memory)
         _ARM_SEQUENCE.write(memory, sequence + 1)
@@ -149,7 +149,7 @@ class World:
         _ARM_SEQUENCE.write(memory, sequence + 2)
 
     def arm(self) -> ArmState:
-        """Where the arm truly is, read whole (seqlock); its writer may have died while it wrote."""
+        """The arm's true state, read consistently (seqlock); its writer may have died while writing."""
         for _ in range(LOOKS_AT_ARM):
             before = _ARM_SEQUENCE.read(self._memory)
             row = _ARM.read(self._memory)
@@ -184,7 +184,7 @@ class World:
         return tuple(OnStand)[_STAND.read(self._memory)]
 
     def put_on_stand(self, what: OnStand) -> None:
-        """Have it hold something else. For the control port only."""
+        """Put something else on it. For the control port only."""
         _STAND.write(self._memory, tuple(OnStand).index(what))
 
     def step(self) -> tuple[str, int]:
@@ -208,7 +208,7 @@ class World:
                 return version, content.decode()
 
     def set_fault_script(self, script: str) -> None:
-        """Replace the fault script. For the control port only; the text has been checked before."""
+        """Replace the fault script. For the control port only; the text was checked before."""
         content = script.encode()
         if len(content) > FAULTS_CAPACITY_BYTES:
             raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
@@ -221,7 +221,7 @@ class World:
 
 
 def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
-    """A new anonymous block: its file, the path for other processes while that is open, and its memory."""
+    """A new anonymous block: its file, its path for other processes while that is open, and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)
     return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

@@ -1,1 +1,1 @@
-"""One camera: its settings, what its features allow, and when it exposes."""
+"""One camera: its settings, the limits of its features, and the timing of its exposures."""

@@ -32,13 +32,13 @@ from sim.basler.stream.block import Frame
 from sim.basler.stream.channel import StreamChannel
 
 IDLE_CHECK_S = 0.5
-FRAMES_UNDER_WAY = 2  # one being drawn or sent, one exposed
-FRAMES_LATE = 3  # of a free-running camera, until it leaves frames out
+FRAMES_UNDER_WAY = 2  # one being drawn or sent, one being exposed
+FRAMES_LATE = 3  # of a free-running camera, before it drops frames
 
 
 @dataclass(frozen=True)
 class _Exposure:
-    """One frame to take: the session it belongs to, its number there, when and how."""
+    """One frame to take: its session, its number within the session, its time and settings."""
 
     session: int
     number: int
@@ -47,10 +47,10 @@ class _Exposure:
 
 
 class Acquisition:
-    """Takes frames on a thread of its own and gives them to the stream channel.
+    """Takes frames on its own thread and passes them to the stream channel.
 
-    `moments` is shared by the cameras of a pair; `report` takes what happens: kind, block id, theatre time
-    in ns. All public methods may be called from any thread.
+    `moments` is shared by the cameras of a pair; `report` is called for every event: kind, block id, theatre
+    time in ns. All public methods may be called from any thread.
     """
 
     def __init__(
@@ -88,11 +88,11 @@ class Acquisition:
         self._thread = threading.Thread(target=self._work, name=f"{name} acquisition", daemon=True)
 
     def open(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self._thread.start()
 
     def close(self) -> None:
-        """End the thread after at most the frame under way."""
+        """End the thread, at the latest after the current frame."""
         with self._changed:
             self._running, self._closed = False, True
             self._changed.notify_all()
@@ -104,12 +104,12 @@ class Acquisition:
 
     @property
     def missed_triggers(self) -> int:
-        """Triggers since AcquisitionStart that came while the camera was busy."""
+        """Triggers since AcquisitionStart that arrived while the camera was busy."""
         return self._missed_triggers
 
     @property
     def awaits_trigger(self) -> bool:
-        """True when a frame trigger would be obeyed now."""
+        """Whether a frame trigger would be accepted now."""
         with self._changed:
             return (
                 self._running
@@ -119,7 +119,7 @@ class Acquisition:
             )
 
     def start(self) -> None:
-        """AcquisitionStart; does nothing while already running."""
+        """AcquisitionStart; no effect while running."""
         with self._changed:
             if self._running or self._closed:
                 return
@@ -135,19 +135,19 @@ class Acquisition:
             self._changed.notify_all()
 
     def stop(self) -> None:
-        """AcquisitionStop: a frame that is being sent is sent whole, no other follows."""
+        """AcquisitionStop: a frame being sent is completed, no other follows."""
         with self._changed:
             self._running = False
             self._session += 1
             self._waiting.clear()
 
     def software_trigger(self) -> None:
-        """TriggerSoftware: fires the trigger that TriggerSelector points at, if it listens to software."""
+        """TriggerSoftware: fires the trigger selected by TriggerSelector, if its source is software."""
         selected = Trigger(self._settings().trigger_selector)
         self._fire(selected, TriggerSource.SOFTWARE)
 
     def action(self) -> None:
-        """An action command that is meant for this camera."""
+        """An action command for this camera."""
         for trigger in Trigger:
             self._fire(trigger, TriggerSource.ACTION_1)
 
@@ -190,7 +190,7 @@ class Acquisition:
         return len(self._waiting) >= FRAMES_UNDER_WAY or self._clock.now_ns() < self._ready_ns
 
     def _exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
-        """The next frame. Ends the acquisition or the permission when it is the last one."""
+        """The next frame. Ends the acquisition or the permission if it is the last one."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
         if self._permitted is not None:
@@ -224,7 +224,7 @@ class Acquisition:
         settings = self._settings()
         now_ns = self._clock.now_ns()
         period_ns = round(free_running_period_us(settings) * 1e3)
-        # A frame is sent while the next ones are taken; only a stall makes the camera leave frames out.
+        # A frame is sent while the next ones are exposed; only a stall makes the camera drop frames.
         lag_ns = round((settings.exposure_us + readout_us(settings.frame())) * 1e3) + FRAMES_LATE * period_ns
         start_ns = self._free_due_ns if now_ns - self._free_due_ns < lag_ns else now_ns
         self._free_due_ns = start_ns + period_ns
@@ -240,7 +240,7 @@ class Acquisition:
             frame, image = self._source.running(frame, exposure.number)
         exposed_ns = exposure.start_ns + frame.exposure_us * 1000
         read_ns = exposed_ns + round(readout_us(frame) * 1e3)
-        # In real time the rows are sent while they are read out, in lock-step when the time has passed.
+        # In real time rows are sent while they are read out, in lock-step once the time has passed.
         self._clock.wait_until_ns(exposed_ns if self._clock.paced else read_ns)
         with self._changed:
             if exposure.session != self._session:
@@ -252,6 +252,6 @@ class Acquisition:
             self._report(EventKind.EXPOSURE_END, block.block_id, exposed_ns)
             self._channel.send(block, (read_ns - self._clock.now_ns()) / 1e9)
         if not triggered and not self._clock.paced:
-            # Free running in lock-step advances the theatre, but never faster than life.
+            # A free run in lock-step advances the theatre, but never faster than real time.
             spare_s = free_running_period_us(self._settings()) * 1e-6 - (time.monotonic() - begun_s)
             time.sleep(max(0.0, spare_s))

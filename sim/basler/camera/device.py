@@ -1,4 +1,4 @@
-"""One camera put together: settings, acquisition, stream, registers, control port."""
+"""One assembled camera: settings, acquisition, stream, registers, control port."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sim.basler.stream.channel import StreamChannel
 class Camera:
     """A GigE Vision camera without its control socket: `port` answers what arrives there.
 
-    `now_s` is the host's monotonic clock, which the heartbeat runs by.
+    `now_s` is the host's monotonic clock, used for the heartbeat.
     """
 
     def __init__(
@@ -75,36 +75,36 @@ class Camera:
         )
 
     def open(self) -> None:
-        """Begin to serve."""
+        """Start serving."""
         self.acquisition.open()
 
     def close(self) -> None:
-        """Stop at once and let go of everything."""
+        """Stop at once and release everything."""
         self.acquisition.close()
         self.channel.shut()
         self.messages.shut()
 
     @property
     def acquiring(self) -> bool:
-        """True while AcquisitionStart is in force."""
+        """True while the acquisition is active."""
         return self.acquisition.running
 
     def load_user_set(self) -> None:
-        """Take over the selected user set; a set that was never saved holds the power-on values."""
+        """Load the selected user set; one that was never saved has the power-on values."""
         selected, locked = self.settings.user_set_selector, self.settings.parameters_locked
         settings = self._user_sets.get(selected, self._user_sets[UserSet.DEFAULT]).copy()
         settings.user_set_selector, settings.parameters_locked = selected, locked
         self.settings = settings
 
     def save_user_set(self) -> None:
-        """Keep the present settings as the selected user set; the default set cannot be replaced."""
+        """Save the present settings as the selected user set; the default set cannot be overwritten."""
         selected = self.settings.user_set_selector
         if selected == UserSet.DEFAULT:
             raise Refusal(GevStatus.WRITE_PROTECT)
         self._user_sets[selected] = self.settings.copy()
 
     def befall(self) -> None:
-        """Let happen what the fault script says has happened since the last call."""
+        """Apply what has happened according to the fault script since the last call."""
         if self.faults.happened("restart"):
             self.restart()
         if self.faults.happened("pulse"):
@@ -125,7 +125,7 @@ class Camera:
         return None if owner is None else owner[0]
 
     def _abandoned(self) -> None:
-        """Control has ended: nothing may go on without an owner."""
+        """Control has ended: nothing may continue without an owner."""
         self.acquisition.stop()
         self.channel.shut()
         self.messages.shut()

@@ -1,4 +1,4 @@
-"""Features that choose which events are reported."""
+"""Features that select which events are reported."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ EXPOSURE_LIMITS: dict[str, Any] = {
     "maximum": always(EXPOSURE_MAXIMUM_US),
 }
 ANALOG = "AnalogControls"
-INSIDE_C = 45.0  # a camera that has warmed up on its mount; it never changes here
+INSIDE_C = 45.0  # a camera warmed up on its mount; constant here
 EXPOSURE_FEATURES: tuple[Feature, ...] = (
     constant("ExposureMode", CONTROL, "Exposure mode.", 0, **only("Timed")),
     constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **only("Off")),

@@ -1,6 +1,6 @@
 """The features of a camera: names of the family, limits, and the values behind them.
 
-One table serves both the registers and the XML that describes them, so every register that the XML names
+One table serves both the registers and the XML that describes them, so every register named in the XML
 exists. Numbers are 32-bit integers or 32-bit floats.
 """
 
@@ -19,7 +19,7 @@ Number = int | float
 
 
 class Commands(Protocol):
-    """What features do or know beyond the settings."""
+    """What features can do or query beyond the settings."""
 
     @property
     def settings(self) -> Settings: ...
@@ -54,10 +54,10 @@ Setter = Callable[[Commands, Any], None]
 
 @dataclass(frozen=True)
 class Feature:
-    """One feature with a register of its own.
+    """One feature with its own register.
 
-    Without `write` it is read-only; a command has only `write`. `locked` features cannot be written while
-    the acquisition runs. `selects` names the features that change with this selector.
+    Without `write` it is read-only; a command has only `write`. `locked` features cannot be written during
+    acquisition. `selects` names the features that depend on this selector.
     """
 
     name: str
@@ -76,7 +76,7 @@ class Feature:
     visibility: str = "Beginner"
 
     def accepts(self, commands: Commands, value: Number) -> bool:
-        """True when a value may be written."""
+        """Whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
         if self.kind is Kind.BOOLEAN:
@@ -85,13 +85,13 @@ class Feature:
             return True
         low = self.minimum(commands) if self.minimum else 0
         high = self.maximum(commands) if self.maximum else 0xFFFFFFFF
-        # A value that is not a number fails every comparison.
+        # NaN fails every comparison.
         within = low <= value <= high
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
 def of_settings(name: str) -> tuple[Getter, Setter]:
-    """Reading and writing of an attribute of the settings."""
+    """Getter and setter of an attribute of the settings."""
     return (
         lambda commands: getattr(commands.settings, name),
         lambda commands, value: setattr(commands.settings, name, value),
@@ -99,7 +99,7 @@ def of_settings(name: str) -> tuple[Getter, Setter]:
 
 
 def of_trigger(name: str) -> tuple[Getter, Setter]:
-    """Reading and writing of an attribute of the selected trigger."""
+    """Getter and setter of an attribute of the selected trigger."""
     return (
         lambda commands: getattr(commands.settings.selected_trigger, name),
         lambda commands, value: setattr(commands.settings.selected_trigger, name, value),
@@ -107,29 +107,29 @@ def of_trigger(name: str) -> tuple[Getter, Setter]:
 
 
 def always(value: Number) -> Getter:
-    """A value that never changes."""
+    """A constant value."""
     return lambda _commands: value
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """A feature that is an attribute of the settings; an integer unless `kind` is given."""
+    """A feature backed by an attribute of the settings; an integer unless `kind` is given."""
     read, write = of_settings(attribute)
     kind = more.pop("kind", Kind.INTEGER)
     return Feature(name, kind, category, about, read=read, write=write, **more)
 
 
 def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: Any) -> Feature:
-    """A feature that is an attribute of the selected trigger."""
+    """A feature backed by an attribute of the selected trigger."""
     read, write = of_trigger(attribute)
     return Feature(name, kind, "AcquisitionTrigger", about, read=read, write=write, **more)
 
 
 def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
-    """A feature that never changes; an integer unless `kind` is given."""
+    """A constant feature; an integer unless `kind` is given."""
     kind = more.pop("kind", Kind.INTEGER)
     return Feature(name, kind, category, about, read=always(value), **more)
 
 
 def only(entry: str) -> dict[str, Any]:
-    """An enumeration with a single entry: a name of the family with one choice here."""
+    """An enumeration with a single entry: the family's name, with one choice here."""
     return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}

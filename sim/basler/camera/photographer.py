@@ -1,4 +1,4 @@
-"""Takes images: one per trigger, or from a ring of prepared ones when the camera runs free."""
+"""Takes images: one per trigger, or from a ring of prepared ones when free-running."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from sim.theatre.noise import noise
 from sim.theatre.scene.model import CameraTruth
 from sim.theatre.world import World
 
-RING_SIZE = 6  # enough that consecutive frames never carry the same noise
-REFRESH_PAUSE_S = 0.05  # between two pictures for the ring: what it costs must leave time for the stream
+RING_SIZE = 6  # enough that consecutive frames never have the same noise
+REFRESH_PAUSE_S = 0.05  # between two images for the ring, so that drawing leaves time for the stream
 TRIGGERED_LANE, RING_LANE = 0, 1  # of the noise
 
 
 class FrameSource(Protocol):
-    """Where an acquisition gets its images from."""
+    """Source of an acquisition's images."""
 
     def place(self) -> bytes | None:
-        """Where the camera is, to compare; None when that is unknown. May be called from any thread."""
+        """Camera position, for comparison; None if unknown. May be called from any thread."""
         ...
 
     def triggered(self, frame: FrameSettings, number: int) -> bytes:
@@ -34,14 +34,14 @@ class FrameSource(Protocol):
         ...
 
     def running(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        """A frame without trigger, which may have been taken with settings of a moment ago."""
+        """A frame without a trigger, possibly taken with slightly older settings."""
         ...
 
 
 class Photographer:
-    """The pictures of one camera of the theatre.
+    """The images of one camera of the theatre.
 
-    The same trigger number, settings and pose of the head give the same bytes.
+    The same trigger number, settings and head pose yield the same bytes.
     """
 
     def __init__(self, world: World, camera: CameraTruth, faults: CameraFaults = NO_FAULTS) -> None:
@@ -87,7 +87,7 @@ class Photographer:
         return to_wire(pixels, frame.pixel_format)
 
     def sight(self, frame: FrameSettings) -> tuple[object, Pose | None]:
-        """What a picture depends on, to compare, and the head's pose in it."""
+        """What an image depends on, for comparison, and the head pose in it."""
         pose = self._view.pose()
         place = None if pose is None else pose.tobytes()
         on_lens = self._faults.on_lens()
@@ -96,9 +96,9 @@ class Photographer:
 
 
 class Ring:
-    """Ready pictures for a free-running camera, renewed in the background when the sight has changed.
+    """Prepared images for a free-running camera, renewed in the background when the view has changed.
 
-    Until then the stream goes on with the old ones: it never waits for the drawing.
+    Until then the stream continues with the old ones: it never waits for drawing.
     """
 
     def __init__(self, photographer: Photographer) -> None:
@@ -108,7 +108,7 @@ class Ring:
         self._painter: threading.Thread | None = None
 
     def picture(self, frame: FrameSettings, number: int) -> tuple[FrameSettings, bytes]:
-        """The picture for frame `number`; the first of a new format is drawn at once."""
+        """The image for frame `number`; the first of a new format is drawn at once."""
         geometry = (frame.area.width, frame.area.height, frame.pixel_format)
         shown = self._pictures[0][0] if self._pictures else None
         if shown is None or (shown.area.width, shown.area.height, shown.pixel_format) != geometry:

@@ -1,4 +1,4 @@
-"""Pixel values to the bytes of the wire, and the camera's own test images."""
+"""Pixel values as bytes on the wire, and the camera's own test images."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:
 
 
 def depth_bits(pixel_format: PixelFormat) -> int:
-    """Bits that a pixel value has."""
+    """Bits per pixel value."""
     return 8 if bits_per_pixel(pixel_format) == 8 else 12
 
 
 def ramp_image(frame: FrameSettings, number: int) -> Pixels:
-    """A diagonal ramp that repeats every 256 (or 4096) pixels; the moving one starts one later each frame."""
+    """A diagonal ramp that repeats every 256 (or 4096) pixels; the moving one shifts by one each frame."""
     shift = number if frame.test_image is RampImage.MOVING else 0
     rows = np.arange(frame.area.y, frame.area.y + frame.area.height)[:, None]
     columns = np.arange(frame.area.x, frame.area.x + frame.area.width)[None, :]

@@ -1,4 +1,4 @@
-"""Settings of a camera: the values behind its features, and those that one frame uses."""
+"""Settings of a camera: the values behind its features, and those used by one frame."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class TriggerSettings:
 
 @dataclass(frozen=True)
 class FrameSettings:
-    """What one frame is taken with."""
+    """The settings of one frame."""
 
     area: Area
     pixel_format: PixelFormat
@@ -90,7 +90,7 @@ class FrameSettings:
 
 @dataclass
 class Settings:
-    """Power-on values of everything that a user set holds, and the selectors."""
+    """Power-on values of everything in a user set, and the selectors."""
 
     width: int = SENSOR_WIDTH_PX
     height: int = SENSOR_HEIGHT_PX
@@ -121,11 +121,11 @@ class Settings:
 
     @property
     def selected_trigger(self) -> TriggerSettings:
-        """The trigger that TriggerSelector points at."""
+        """The trigger selected by TriggerSelector."""
         return self.triggers[self.trigger_selector]
 
     def frame(self) -> FrameSettings:
-        """What a frame that starts now is taken with."""
+        """The settings of a frame that starts now."""
         return FrameSettings(
             Area(self.offset_x, self.offset_y, self.width, self.height),
             PixelFormat(self.pixel_format),
@@ -141,5 +141,5 @@ class Settings:
 
 
 def bits_per_pixel(pixel_format: PixelFormat) -> int:
-    """Bits that a pixel takes on the wire."""
+    """Bits per pixel on the wire."""
     return pixel_format >> PIXEL_FORMAT_BITS_SHIFT & PIXEL_FORMAT_BITS_MASK

@@ -14,14 +14,14 @@ FULL_FRAME_RATE_HZ = 50.0
 ROW_US = 1e6 / FULL_FRAME_RATE_HZ / SENSOR_HEIGHT_PX  # read-out of one row
 LINK_BYTES_PER_S = 115e6  # image data on 1 Gbit/s: 50 frames/s of 8 bits, 26 of 12, 34 of 12 packed
 NS_PER_TICK = 1_000_000_000 // TICK_FREQUENCY_HZ
-# In lock-step two triggers within this host time belong together, and theatre time between them is at
-# most what separates two software triggers on a real network.
+# In lock-step two triggers within this host time belong together, and the theatre time between them is at
+# most that between two software triggers on a real network.
 SAME_PAIR_HOST_NS = 500_000_000
 SOFTWARE_TRIGGER_SKEW_NS = 1_000_000
 
 
 class TheatreClock(Protocol):
-    """What the cameras need of the theatre's clock."""
+    """What the cameras need from the theatre clock."""
 
     @property
     def paced(self) -> bool: ...
@@ -32,12 +32,12 @@ class TheatreClock(Protocol):
 
 
 def readout_us(frame: FrameSettings) -> float:
-    """Time from the end of the exposure until the image has left the sensor."""
+    """Time from the end of exposure until the image has left the sensor."""
     return frame.area.height * ROW_US
 
 
 def shortest_period_us(frame: FrameSettings) -> float:
-    """Shortest time between two frames: exposure, read-out and transfer overlap, the slowest counts."""
+    """Shortest time between two frames: exposure, read-out and transfer overlap, the slowest decides."""
     return max(float(frame.exposure_us), readout_us(frame), frame.payload_bytes / LINK_BYTES_PER_S * 1e6)
 
 
@@ -51,8 +51,8 @@ class TriggerMoments:
     """Theatre time of a trigger, for both cameras of the pair.
 
     In real time a trigger acts when it arrives. In lock-step the first camera's frame may already have
-    advanced the theatre when the second trigger comes: the second is then dated back to the first, so
-    that a pair taken one after the other stays a pair and does not take twice the time.
+    advanced the theatre when the second trigger comes: the second is then backdated to the first, so that a
+    pair triggered sequentially stays a pair and does not take twice the time.
     """
 
     def __init__(self, clock: TheatreClock) -> None:
@@ -61,7 +61,7 @@ class TriggerMoments:
         self._alone: tuple[str, int, int] | None = None  # camera, host time, theatre time of a first half
 
     def of(self, camera: str) -> int:
-        """Theatre time in ns of a trigger that this camera receives now."""
+        """Theatre time in ns of a trigger that this camera is receiving now."""
         now = self._clock.now_ns()
         if self._clock.paced:
             return now
@@ -76,7 +76,7 @@ class TriggerMoments:
 
 
 class Ticks:
-    """The camera's time stamp counter, which runs with the theatre's clock."""
+    """The camera's time stamp counter, driven by the theatre clock."""
 
     def __init__(self, clock: TheatreClock, faults: CameraFaults = NO_FAULTS) -> None:
         self._clock = clock
@@ -88,20 +88,20 @@ class Ticks:
         self.latched = 0
 
     def stamp(self, moment_ns: int) -> int:
-        """Ticks at a theatre time; never twice the same, for frames that theatre time does not tell apart."""
+        """Ticks at a theatre time; never repeats, even for frames at the same theatre time."""
         self._last_stamp = max(self._at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
     def count(self, moment_ns: int) -> int:
-        """Ticks at a theatre time, for what is no frame."""
+        """Ticks at a theatre time, for anything but frames."""
         return self._at(moment_ns)
 
     def latch(self) -> None:
-        """Keep the present value for reading."""
+        """Latch the present value for reading."""
         self.latched = self._at(self._clock.now_ns())
 
     def reset(self) -> None:
-        """Count from zero again."""
+        """Restart from zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 

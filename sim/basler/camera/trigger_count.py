@@ -1,14 +1,14 @@
-"""Numbers the triggers since AcquisitionStart, so that a picture that is taken again is the same picture."""
+"""Numbers the triggers since AcquisitionStart, so that a retaken image is the same image."""
 
 from __future__ import annotations
 
 
 class TriggerCount:
-    """The counter of a picture's noise.
+    """The counter behind an image's noise.
 
-    A client that has lost a picture starts the acquisition again and triggers once more. As long as it has
-    changed neither the settings nor where the camera is, that trigger gets the number of the last one: a
-    picture lost on its way to the client changes none of those that follow.
+    A client that has lost an image restarts the acquisition and triggers again. As long as it has changed
+    neither the settings nor the camera's position, that trigger gets the previous number: an image lost on
+    its way to the client changes none of those that follow.
     """
 
     def __init__(self) -> None:
@@ -21,7 +21,7 @@ class TriggerCount:
         self._started = False
 
     def next(self, sight: object) -> int:
-        """Number of a trigger. `sight` is what the picture shows, to compare; None when that is unknown."""
+        """Number of a trigger. `sight` is what the image shows, for comparison; None if unknown."""
         if self._started:
             self._number += 1
         elif sight is None or sight != self._sight:

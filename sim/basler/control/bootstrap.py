@@ -1,4 +1,4 @@
-"""The registers that the standard gives every camera."""
+"""The registers that the standard requires of every camera."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ SERIAL_DIGITS_IN_MAC = 24  # bits
 IP_CONFIGURATION_SUPPORTED, IP_CONFIGURATION = 7, 5  # persistent, DHCP, link-local; persistent, link-local
 NETMASK = 0xFF000000  # of the loopback network
 PENDING_TIMEOUT_MS = 5000
-CHANNEL_CAPABILITY = 0x8000_0000  # of streams and messages: the source port can be read
+CHANNEL_CAPABILITY = 0x8000_0000  # of streams and messages: the source port is readable
 DEVICE_VERSION = "1.0"
 CAPABILITIES = (
     GvcpCapability.MULTIPLE_REGISTERS
@@ -63,7 +63,7 @@ CAPABILITIES = (
 
 @dataclass
 class Identity:
-    """Who a camera is. `user_name` can be changed by the client."""
+    """A camera's identity. `user_name` can be changed by the client."""
 
     address: str
     serial: str
@@ -220,7 +220,7 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
     registers.add(Bootstrap.SCDA, Word(destination, set_destination))
     registers.add(Bootstrap.SCSP, Word(lambda: channel.source_port))
     registers.add(Bootstrap.SCC, Word(lambda: 0))
-    configuration = _Stored(allowed=0)  # clients offer modes here that this camera does not have
+    configuration = _Stored(allowed=0)  # clients request modes here that this camera does not have
     registers.add(Bootstrap.SCCFG, Word(configuration.read, configuration.write))
 
 
@@ -243,7 +243,7 @@ def _constant(value: int) -> Word:
 
 
 class _Stored:
-    """A register that keeps what is written, as far as it is allowed, and does nothing else."""
+    """A register that stores what is written, as far as allowed, without any effect."""
 
     def __init__(self, allowed: int) -> None:
         self._allowed = allowed

@@ -1,6 +1,6 @@
-"""The events in the GenICam description: what they carry, and where in a message.
+"""The events in the GenICam description: their data, and its position in a message.
 
-The nodes live on ports of their own, one per kind of event, which a client fills from its messages; their
+The nodes are on ports of their own, one per kind of event, which a client fills from messages; their
 addresses are offsets in an item of the message.
 """
 
@@ -26,17 +26,17 @@ class EventData:
 
     @property
     def name(self) -> str:
-        """As the family spells it."""
+        """Spelled as in the family."""
         return f"{self.kind.feature_name}Event{self.what}"
 
     @property
     def category(self) -> str:
-        """Where a client finds it."""
+        """Its category for clients."""
         return f"{self.kind.feature_name}EventData"
 
     @property
     def port(self) -> str:
-        """The port of that kind of event."""
+        """The port of this kind of event."""
         return f"{self.kind.feature_name}EventPort"
 
 

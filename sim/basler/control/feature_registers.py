@@ -1,4 +1,4 @@
-"""Gives every feature its register: value, smallest, largest and step, four words each."""
+"""Assigns each feature its registers: value, smallest, largest and step, four words."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.basler.camera.feature_table import FEATURES
 from sim.basler.camera.features import Commands, Feature, Kind, Number, always
 from sim.basler.control.registers import Refusal, RegisterMap, Word
 
-FEATURES_ADDRESS = 0x20000  # the standard's own addresses end at 0xA000
+FEATURES_ADDRESS = 0x20000  # the standard's own addresses end below 0xA000
 BYTES_PER_FEATURE = 16
 MINIMUM_OFFSET, MAXIMUM_OFFSET, STEP_OFFSET = 4, 8, 12
 
@@ -37,7 +37,7 @@ def add_features(registers: RegisterMap, commands: Commands) -> None:
 
 def _value(feature: Feature, commands: Commands) -> Word:
     def read() -> int:
-        # A command is never left pending: it is done when its register has been written.
+        # A command is never pending: it is done once its register has been written.
         return 0 if feature.read is None else _encode(feature, feature.read(commands))
 
     def write(word: int) -> None:

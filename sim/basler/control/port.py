@@ -42,7 +42,7 @@ ADDRESS_BYTES = 4
 
 
 class Ignored(Exception):
-    """A command that gets no answer at all."""
+    """A command that gets no answer."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Actions:
     resend: Callable[[int, int, int], None]
     """Block id, first and last packet."""
     act: Callable[[int, int, int], bool]
-    """Device key, group key, group mask; True when the camera was meant."""
+    """device key, group key, group mask; True if addressed to this camera"""
 
 
 class ControlPort:
@@ -88,7 +88,7 @@ class ControlPort:
         }
 
     def answer(self, datagram: bytes, peer: Peer) -> bytes | None:
-        """The answer to a datagram, or None for what deserves none."""
+        """The answer to a datagram, or None if it gets none."""
         if len(datagram) < GVCP_HEADER_BYTES or datagram[0] != GVCP_KEY:
             return None
         _, flags, command, length, request_id = struct.unpack_from(GVCP_COMMAND_HEADER, datagram)
@@ -117,7 +117,7 @@ class ControlPort:
             return None
         except Refusal as refusal:
             status = refusal.status
-            # What a write command says beside its status: how far it came.
+            # A write command's answer also states how far it got.
             writes = command in (GvcpCommand.WRITEREG, GvcpCommand.WRITEMEM)
             content = struct.pack(WRITE_ACK, 0, refusal.written) if writes else b""
         except struct.error:
@@ -128,7 +128,7 @@ class ControlPort:
         return self._registers.read(0, DISCOVERY_BYTES)
 
     def _force_ip(self, payload: bytes, _peer: Peer, _flags: int) -> bytes:
-        """The address of a simulated camera is that of its socket: only what it has already is accepted."""
+        """A simulated camera's address is that of its socket: only its present one is accepted."""
         if len(payload) != FORCEIP_BYTES:
             raise Refusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
@@ -177,7 +177,7 @@ class ControlPort:
         return struct.pack(WRITE_ACK, 0, len(data))
 
     def _packet_resend(self, payload: bytes, peer: Peer, flags: int) -> bytes:
-        # The stream's receiver asks from a port of its own, so the address alone must be the owner's.
+        # The stream's receiver requests from a port of its own, so only the address must be the owner's.
         owner = self._privilege.owner
         if owner is None or owner[0] != peer[0]:
             raise Ignored

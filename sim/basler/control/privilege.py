@@ -12,14 +12,14 @@ Peer = tuple[str, int]
 """Address and port of an application."""
 
 SOMEBODY_ELSE: Peer = ("0.0.0.0", 0)
-"""An application that is in control because a fault says so; it never falls silent."""
+"""An application that is in control because of a fault; it never times out."""
 
 
 class Privilege:
     """The control channel privilege (CCP) and its heartbeat.
 
-    Any command of the owner is a sign of life. `released` is called when control ends, by the owner's will
-    or by its silence. `now_s` is the host's monotonic clock.
+    Any command of the owner counts as a heartbeat. `released` is called when control ends, by the owner's
+    request or by time-out. `now_s` is the host's monotonic clock.
     """
 
     def __init__(self, now_s: Callable[[], float], released: Callable[[], None]) -> None:
@@ -42,7 +42,7 @@ class Privilege:
 
     @property
     def heartbeat_ms(self) -> int:
-        """Silence after which the owner loses control."""
+        """Time without a command after which the owner loses control."""
         return self._heartbeat_ms
 
     @heartbeat_ms.setter
@@ -50,11 +50,11 @@ class Privilege:
         self._heartbeat_ms = max(HEARTBEAT_MINIMUM_MS, value)
 
     def may_read(self, peer: Peer) -> bool:
-        """True unless another application has exclusive access."""
+        """False if another application has exclusive access."""
         return self._owner in (None, peer) or not self._value & CCP_EXCLUSIVE
 
     def may_write(self, peer: Peer) -> bool:
-        """True for the owner only."""
+        """Whether this is the owner."""
         return self._owner == peer
 
     def request(self, peer: Peer, value: int) -> GevStatus:
@@ -72,12 +72,12 @@ class Privilege:
         return GevStatus.SUCCESS
 
     def sign_of_life(self, peer: Peer) -> None:
-        """A command came from this application."""
+        """Record a command from this application."""
         if peer == self._owner:
             self._last_sign_s = self._now_s()
 
     def seize(self, wanted: bool) -> None:
-        """Put another application in control while `wanted`, whatever the state before."""
+        """Put another application in control while `wanted`, whatever the previous state."""
         if wanted and self._owner != SOMEBODY_ELSE:
             self.drop()
             self._owner, self._value = SOMEBODY_ELSE, CCP_CONTROL
@@ -85,18 +85,18 @@ class Privilege:
             self.drop()
 
     def drop(self) -> None:
-        """End control, as if the owner had given it back."""
+        """End control as if the owner had released it."""
         if self._owner is not None:
             self._release()
 
     def seconds_left(self) -> float | None:
-        """Time until the owner loses control; None without owner."""
+        """Time until the owner loses control; None without an owner."""
         if self._owner in (None, SOMEBODY_ELSE):
             return None
         return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
 
     def expire(self) -> None:
-        """Take control away from an owner that has been silent for too long."""
+        """Release the control of an owner that has timed out."""
         left_s = self.seconds_left()
         if left_s is not None and left_s <= 0.0:
             self._release()

@@ -1,4 +1,4 @@
-"""The registers of a camera: single words and blocks of memory, each with its own reading and writing."""
+"""The registers of a camera: single words and blocks of memory, each with its own read and write."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.wire.gige_vision import REGISTER_BYTES, GevStatus
 
 
 class Refusal(Exception):
-    """An access that the camera answers with a status code; `written` counts the bytes done before."""
+    """An access refused with a status code; `written` counts the bytes written before."""
 
     def __init__(self, status: GevStatus, written: int = 0) -> None:
         super().__init__(status.name)
@@ -20,7 +20,7 @@ class Refusal(Exception):
 
 @dataclass(frozen=True)
 class Word:
-    """A register of 32 bits. Without `write` it is read-only; `write` raises Refusal for a bad value."""
+    """A 32-bit register. Without `write` it is read-only; `write` raises Refusal for an invalid value."""
 
     read: Callable[[], int]
     write: Callable[[int], None] | None = None
@@ -28,7 +28,7 @@ class Word:
 
 @dataclass(frozen=True)
 class Memory:
-    """A block of memory; its size is a multiple of 4. `write` gets the whole new content."""
+    """A block of memory; its size is a multiple of 4. `write` receives the whole new content."""
 
     address: int
     size: int
@@ -36,7 +36,7 @@ class Memory:
     write: Callable[[bytes], None] | None = None
 
     def content(self) -> bytes:
-        """What is stored, filled up with zeros."""
+        """The content, padded with zeros."""
         return self.read().ljust(self.size, b"\0")[: self.size]
 
 
@@ -48,7 +48,7 @@ class RegisterMap:
         self._blocks: list[Memory] = []
 
     def add(self, address: int, word: Word) -> None:
-        """Add a register; an address may be taken only once."""
+        """Add a register; each address may be used only once."""
         if address % REGISTER_BYTES or address in self._words:
             raise ValueError(f"register address 0x{address:X} is odd or taken")
         self._words[address] = word
@@ -85,7 +85,7 @@ class RegisterMap:
             word.write(value)
 
     def read(self, address: int, count: int) -> bytes:
-        """`count` bytes, over as many registers and blocks as they span; raises Refusal."""
+        """`count` bytes, across all registers and blocks they span; raises Refusal."""
         _check_alignment(address, count)
         content = bytearray()
         while len(content) < count:
@@ -98,7 +98,7 @@ class RegisterMap:
         return bytes(content)
 
     def write(self, address: int, data: bytes) -> None:
-        """Write bytes, register by register; raises Refusal with the number of bytes done before."""
+        """Write bytes, register by register; raises Refusal with the number of bytes written before."""
         _check_alignment(address, len(data))
         done = 0
         while done < len(data):

@@ -1,4 +1,4 @@
-"""The GenICam description of the camera, made from the feature table and a list of standard registers."""
+"""The GenICam description of the camera, generated from the feature table and the standard registers."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ LOCK = "TLParamsLocked"
 
 @dataclass(frozen=True)
 class Standard:
-    """A feature whose register belongs to the standard; `command` is the value that a command writes."""
+    """A feature whose register is defined by the standard; `command` is the value that a command writes."""
 
     name: str
     category: str
@@ -118,7 +118,7 @@ STANDARD_FEATURES = (
 
 @cache
 def camera_xml() -> bytes:
-    """The description; its version changes with its content, so that no client uses an old copy."""
+    """The description; its version depends on its content, so that no client uses an outdated copy."""
     root = ElementTree.Element(
         "RegisterDescription",
         {
@@ -264,7 +264,7 @@ def _place(
     _child(node, "Length", str(size))
     _child(node, "AccessMode", access)
     _child(node, "pPort", PORT)
-    # Values change by themselves (limits, status, payload size): a client must always ask.
+    # Values change on their own (limits, status, payload size): a client must always read them.
     _child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
         _child(node, "pInvalidator", invalidator)

@@ -1,1 +1,1 @@
-"""The message channel of a camera: events to the application in control, repeated until acknowledged."""
+"""The message channel of a camera: events to the controlling application, repeated until acknowledged."""

@@ -1,4 +1,4 @@
-"""Sends events one message at a time, and again until it is acknowledged or the repetitions are used up."""
+"""Sends events one message at a time, repeating each until it is acknowledged or retries run out."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.message.events import Event
 
 DEFAULT_TIMEOUT_MS, DEFAULT_RETRIES = 200, 3  # of the register map at power-on; the family's are unconfirmed
-EVENTS_KEPT = 32  # waiting behind a message under way; more are lost
+EVENTS_KEPT = 32  # queued behind a pending message; more are lost
 EVENTS_PER_MESSAGE = GVCP_PAYLOAD_LIMIT // EVENT_ITEM_BYTES
 DATAGRAM_BYTES = 2048
 
 
 @dataclass
 class _UnderWay:
-    """A message that has been sent and not acknowledged."""
+    """A message that was sent but not yet acknowledged."""
 
     request_id: int
     datagram: bytes
@@ -43,10 +43,7 @@ class _UnderWay:
 
 
 class MessageChannel:
-    """Messages to one receiver. `owner_address` says who controls the camera, `now_s` is host monotonic time.
-
-    Events may come from any thread; `receive` and `repeat_overdue` are the server's.
-    """
+    """Messages to one receiver. `owner_address` is the controlling application's, `now_s` monotonic time."""
 
     def __init__(
         self,
@@ -69,9 +66,9 @@ class MessageChannel:
         self.destination = "0.0.0.0"
         self.timeout_ms = DEFAULT_TIMEOUT_MS
         self.retries = DEFAULT_RETRIES
-        self.unacknowledged = 0  # messages that were given up
+        self.unacknowledged = 0  # messages given up
         self.changed: Callable[[], None] = lambda: None
-        """Called when `due_s` may have become nearer."""
+        """Called when `due_s` may have become earlier."""
 
     @property
     def port(self) -> int:
@@ -86,19 +83,19 @@ class MessageChannel:
 
     @property
     def source_port(self) -> int:
-        """UDP port that messages come from and acknowledges go to."""
+        """UDP port from which messages are sent, and to which acknowledges go."""
         return int(self.socket.getsockname()[1])
 
     @property
     def receiver(self) -> tuple[str, int] | None:
-        """Where messages go; None while closed. Destination 0.0.0.0 means the application in control."""
+        """Destination of messages; None while closed. 0.0.0.0 stands for the application in control."""
         owner = self._owner_address()
         if not self._port or owner is None:
             return None
         return (owner if self.destination == "0.0.0.0" else self.destination), self._port
 
     def tell(self, event: Event, *, beyond_limit: bool = False) -> bool:
-        """Report an event; False when it is lost because too many wait. Nobody listening is no loss."""
+        """Report an event; False if it is lost because the queue is full. Having no listener is no loss."""
         with self._lock:
             if self.receiver is None:
                 return True
@@ -111,19 +108,19 @@ class MessageChannel:
         return True
 
     def due_s(self) -> float | None:
-        """When the message under way is to be repeated; None without one."""
+        """When the pending message must be repeated; None without one."""
         under_way = self._under_way
         return None if under_way is None else under_way.due_s
 
     def receive(self) -> None:
-        """Take the acknowledges that have come."""
+        """Process the acknowledges received."""
         with contextlib.suppress(OSError):
             while True:
                 datagram, _ = self.socket.recvfrom(DATAGRAM_BYTES)
                 self._acknowledged(datagram)
 
     def repeat_overdue(self) -> None:
-        """Send the message under way again when its acknowledge is late; give it up after the last time."""
+        """Repeat the pending message when its acknowledge is late; give up after the last retry."""
         with self._lock:
             waits = self._under_way
             if waits is None or self._now_s() < waits.due_s:
@@ -138,11 +135,11 @@ class MessageChannel:
             self._put(waits.datagram)
 
     def shut(self) -> None:
-        """Close the channel; what waits is forgotten."""
+        """Close the channel; queued events are dropped."""
         self.port = 0
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self.socket.close()
 
     def _acknowledged(self, datagram: bytes) -> None:
@@ -157,7 +154,7 @@ class MessageChannel:
                 self._send_next()
 
     def _send_next(self) -> None:
-        """One message of what waits: an event with data alone, others together."""
+        """Send one message from the queue: an event with data alone, others combined."""
         while self._waiting and self._under_way is None:
             together = [self._waiting.popleft()]
             while (

@@ -1,4 +1,4 @@
-"""Events of the camera family by name, and their form on the wire."""
+"""Events of the camera family by name, and their wire format."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from enum import IntEnum
 from ronna_hw.wire.gige_vision import EVENT_ITEM
 
 STREAM_CHANNEL = 0
-FRAME_NUMBER = ">I"  # what an ExposureEnd carries beside the standard's fields
+FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
 
 
 class EventKind(IntEnum):
     """Entries of EventSelector; the values are the ids on the wire.
 
-    A vendor's ids begin at 0x9000; which of them the real firmware gives to which event is unconfirmed. A
-    client takes them from the description.
+    A vendor's ids begin at 0x9000; their assignment in real firmware is unconfirmed. A client reads them
+    from the description.
     """
 
     EXPOSURE_END = 0x9001
@@ -28,13 +28,13 @@ class EventKind(IntEnum):
 
     @property
     def feature_name(self) -> str:
-        """The entry as the family spells it."""
+        """The entry as spelled in the family."""
         return "".join(word.capitalize() for word in self.name.split("_"))
 
 
 @dataclass(frozen=True)
 class Event:
-    """Something that happened: block id 0 when no frame belongs to it; `data` goes as EVENTDATA."""
+    """An event: block id 0 if no frame belongs to it; `data` is sent as EVENTDATA."""
 
     kind: EventKind
     block_id: int

@@ -1,4 +1,4 @@
-"""Reports those events of a camera whose notification is on."""
+"""Reports those events of a camera that have notification switched on."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class EventReporter:
         self._overrun_told = False
 
     def report(self, kind: EventKind, block_id: int, moment_ns: int) -> None:
-        """Something happened; it is reported when its notification is on."""
+        """Called when something happened; reported if its notification is on."""
         if kind not in self._settings().events_notified or self._channel.receiver is None:
             return
         data = struct.pack(FRAME_NUMBER, block_id) if kind is EventKind.EXPOSURE_END else b""
@@ -31,6 +31,6 @@ class EventReporter:
         if self._channel.tell(Event(kind, block_id, ticks, data)):
             self._overrun_told = False
         elif EventKind.EVENT_OVERRUN in self._settings().events_notified and not self._overrun_told:
-            # one warning for as long as the queue stays full; it says nothing about what was lost
+            # one warning while the queue stays full; the number of lost events is not reported
             self._overrun_told = True
             self._channel.tell(Event(EventKind.EVENT_OVERRUN, 0, ticks), beyond_limit=True)

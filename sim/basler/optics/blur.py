@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Image, row_bands
 
-KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and cheaper
-REACH_SIGMAS = 3.5  # what lies further away adds less than 0.05 %
+KERNEL_LIMIT_PX = 2.5  # above, three box filters are as good (their sum is nearly normal) and faster
+REACH_SIGMAS = 3.5  # what is farther away adds less than 0.05 %
 
 
 def reach_px(sigma_px: float) -> int:
-    """How far the blur carries light."""
+    """How far the blur spreads light."""
     return ceil(REACH_SIGMAS * sigma_px) + 1
 
 
 def blurred(patch: Image, sigma_px: float) -> Image:
-    """The patch (rows, columns) convolved with a Gaussian; its border is continued outwards."""
+    """The patch (rows, columns) convolved with a Gaussian; its border is extended outwards."""
     if sigma_px <= KERNEL_LIMIT_PX:
         reach = reach_px(sigma_px)
         steps = np.arange(-reach, reach + 1)
@@ -29,7 +29,7 @@ def blurred(patch: Image, sigma_px: float) -> Image:
     # Variance of a box of w pixels is (w^2 - 1) / 12; three of them add up. Only odd widths stay centred.
     ideal = (4.0 * sigma_px**2 + 1.0) ** 0.5
     small = int(ideal) - (1 - int(ideal) % 2)
-    # so many boxes of the smaller width that the total variance is nearest to the wanted one
+    # number of boxes of the smaller width for which the total variance is nearest to the target
     count = round((12 * sigma_px**2 - 3 * (small * small + 4 * small + 3)) / (-4 * small - 4))
     for index in range(3):
         width = small if index < count else small + 2
@@ -38,7 +38,7 @@ def blurred(patch: Image, sigma_px: float) -> Image:
 
 
 def _smoothed(patch: Image, kernel: Image) -> Image:
-    """Down the columns, then along the rows, some rows at a time."""
+    """Along the columns, then along the rows, a few rows at a time."""
     reach = len(kernel) // 2
     padded = _continued(patch, reach, 0)
     smooth = np.empty_like(patch)
@@ -49,7 +49,7 @@ def _smoothed(patch: Image, kernel: Image) -> Image:
 
 
 def _weighed(padded: Image, kernel: Image, axis: int) -> Image:
-    """The sum over the kernel along an axis, which gets shorter by the kernel's length less one."""
+    """Convolution along an axis, which becomes shorter by the kernel's length less one."""
     reach = len(kernel) // 2
     length = padded.shape[axis] - 2 * reach
 

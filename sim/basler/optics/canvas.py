@@ -1,4 +1,4 @@
-"""The light that arrives on a part of the sensor, before the sensor counts it."""
+"""The light that arrives on a part of the sensor, before detection."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Image = NDArray[np.float32]
 
 OUTLINE_MARGIN_PX = 3  # an outline is given by points, and a rim has a width
 NEAREST_POINT_MM = 30.0  # the lens is longer than that
-BAND_PIXELS = 1 << 16  # worked on at a time: what is computed of them fits into a processor's cache
+BAND_PIXELS = 1 << 16  # processed at a time: intermediate results fit into a processor's cache
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,11 @@ class Area:
     height: int
 
     def grown(self, margin: int) -> Area:
-        """The area with a margin on all sides, which may lie outside the sensor."""
+        """The area extended by a margin on all sides; may exceed the sensor."""
         return Area(self.x - margin, self.y - margin, self.width + 2 * margin, self.height + 2 * margin)
 
     def common(self, other: Area) -> Area:
-        """What two areas share; width or height are 0 when that is nothing."""
+        """The intersection of two areas; width or height are 0 if they do not overlap."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         right = min(self.x + self.width, other.x + other.width)
         bottom = min(self.y + self.height, other.y + other.height)
@@ -46,7 +46,7 @@ class Area:
 
 
 def row_bands(height: int, width: int) -> Iterator[slice]:
-    """Rows of an image in portions.
+    """Rows of an image in bands.
 
     An operation on a whole image writes megabytes of fresh memory, which costs more than the arithmetic.
     """
@@ -82,9 +82,9 @@ class Canvas:
 class Rays:
     """The rays (x, y, 1) of all pixels of an area, linear in the pixel position.
 
-    Distortion bends them by less than 0.1 px over a sphere's image, which is nothing for shading; where a
-    rim runs the exact rays of the lens are used instead. Being linear, a dot product with a fixed vector is
-    a sum of a row and a column, which costs one operation per pixel.
+    Distortion bends them by less than 0.1 px over a sphere's image, which is negligible for shading; at a rim
+    the exact rays of the lens are used instead. Being linear, a dot product with a fixed vector is the sum of
+    a row and a column, one operation per pixel.
     """
 
     def __init__(self, lens: Lens, area: Area) -> None:
@@ -98,7 +98,7 @@ class Rays:
         self._rows = np.arange(area.height) - (area.height - 1) / 2
 
     def in_rows(self, rows: slice) -> Rays:
-        """The same rays of some rows only."""
+        """The same rays for some rows only."""
         part = object.__new__(Rays)
         part.area = Area(self.area.x, self.area.y + rows.start, self.area.width, rows.stop - rows.start)
         part._origin, part._per_column, part._per_row = self._origin, self._per_column, self._per_row
@@ -106,7 +106,7 @@ class Rays:
         return part
 
     def dot(self, vector: NDArray[np.float64], offset: float = 0.0) -> Image:
-        """`vector` (3,) times each ray, plus `offset`: (height, width)."""
+        """`vector` (3,) dotted with each ray, plus `offset`: (height, width)."""
         columns = self._columns * (self._per_column @ vector) + self._origin @ vector + offset
         rows = self._rows * (self._per_row @ vector)
         total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]

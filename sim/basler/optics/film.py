@@ -1,7 +1,7 @@
 """The surface of a sphere: retro-reflective film with its grain and stains.
 
-Blood and liquid keep the beads from sending the light back. A stain is a round spot that is fixed to the
-sphere, so both cameras see the same one, each from its side.
+Blood and liquid stop the beads from reflecting the light. A stain is a round spot fixed to the sphere, so
+both cameras see the same one, each from its side.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from sim.theatre.noise import noise
 
 STAINED_BRIGHTNESS = 0.3  # of the clean film: light passes the stain twice
 STAIN_EDGE_MM = 0.04  # a drop dries with a soft edge
-SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, seen from the sphere's centre
+SMALLEST_RAD, LARGEST_RAD = 0.05, 0.15  # half the angle of a spot, from the sphere's centre
 
 
 class Surface(Protocol):
-    """How bright each point of a sphere is."""
+    """Brightness of each point of a sphere."""
 
     def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
         """Brightness factor of surface points given in the sphere's own frame."""
@@ -33,13 +33,13 @@ class Surface(Protocol):
 
 @dataclass(frozen=True)
 class Stain:
-    """A round spot: the direction of its middle in the sphere's frame, and half the angle it spans."""
+    """A round spot: the direction of its centre in the sphere's frame, and half the angle it spans."""
 
     direction: tuple[float, float, float]
     half_angle_rad: float
 
     def may_be_seen(self, to_camera: NDArray[np.float64]) -> bool:
-        """False when it lies wholly on the far half; `to_camera` is a unit vector in the sphere's frame."""
+        """False if it is entirely on the far half; `to_camera` is a unit vector in the sphere's frame."""
         return bool(np.dot(self.direction, to_camera) > -np.sin(self.half_angle_rad))
 
 
@@ -52,14 +52,14 @@ class Film:
         self._radius_mm = radius_mm
 
     def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
-        """Brightness factor, mean 1 where it is clean."""
+        """Brightness factor, with mean 1 where clean."""
         light = self._grain.at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
             height = x_mm * x
             height += y_mm * y
             height += z_mm * z
-            # height above the plane of the spot's edge; over the edge it grows by the sine of the angle
+            # height above the plane of the spot's edge; across the edge it grows by the sine of the angle
             plane_mm = self._radius_mm * np.cos(stain.half_angle_rad)
             soft_mm = STAIN_EDGE_MM * np.sin(stain.half_angle_rad)
             spot = np.nonzero(height > np.float32(plane_mm - soft_mm / 2))
@@ -70,7 +70,7 @@ class Film:
 
 @cache
 def drawn_stains(seed: int, number: int, share: float) -> tuple[Stain, ...]:
-    """Spots anywhere on a sphere until their areas make up `share` of its surface; they may overlap."""
+    """Spots at random places on a sphere until their areas make up `share` of its surface; may overlap."""
     generator = noise(seed, f"stains of sphere {number}", 0)
     stains: list[Stain] = []
     covered = 0.0

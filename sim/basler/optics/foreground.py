@@ -20,15 +20,15 @@ from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
 
 Array = NDArray[np.float64]
 
-GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at the usual exposures
-GLARE_SOFTNESS = 0.04  # one standard deviation of its edge, of its radius
-EDGE_REACH = 4.0  # standard deviations beyond which an edge is no longer seen
+GLARE_ELECTRONS_PER_US = 4 * FILM_ELECTRONS_PER_US  # saturates at usual exposures
+GLARE_SOFTNESS = 0.04  # standard deviation of its edge, relative to its radius
+EDGE_REACH = 4.0  # standard deviations beyond which an edge is invisible
 EDGE_STEPS = 400
 
 
 @dataclass(frozen=True)
 class Glare:
-    """A lamp mirrored in something wet: a bright disc at a place of the sensor."""
+    """A lamp reflected by something wet: a bright disc on the sensor."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -36,9 +36,9 @@ class Glare:
 
 @dataclass(frozen=True)
 class Occluder:
-    """Something dark with a straight edge that hides `rim_share` of a sphere's rim from one camera.
+    """A dark object with a straight edge that hides `rim_share` of a sphere's rim from one camera.
 
-    `direction_rad` is where it comes from in the image. `brightness` is that of the drapes behind, as 1.
+    `direction_rad` is the side it enters the image from. `brightness` is relative to the drapes behind it.
     """
 
     rim_share: float
@@ -48,13 +48,13 @@ class Occluder:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """What disturbs one camera's sight at one moment; comparable and hashable. Stains by sphere number."""
+    """What disturbs one camera's view at one moment; comparable and hashable. Stains by sphere number."""
 
     stains: tuple[tuple[int, tuple[Stain, ...]], ...] = ()
     occluders: tuple[Occluder, ...] = ()
     glares: tuple[Glare, ...] = ()
     twist_rad: float = field(default=0.0)  # of the camera in its mount, out of the plane of both cameras
-    room: RoomShift = NOTHING_MOVED  # how far the spheres are moved
+    room: RoomShift = NOTHING_MOVED  # displacement of the spheres
 
     def stains_of(self, number: int) -> tuple[Stain, ...]:
         """The stains of a sphere."""
@@ -65,12 +65,12 @@ CLEAR = Disturbance()
 
 
 def occlude(canvas: Canvas, occluder: Occluder, sphere: Sphere, lens: Lens, sigma_px: float) -> None:
-    """Hide a sphere's rim behind an edge that is as sharp as the sphere is."""
+    """Hide a sphere's rim behind an edge that is as sharp as the sphere."""
     outline = lens.project(sphere.outline_mm())
     middle = (outline.min(axis=0) + outline.max(axis=0)) / 2
     radius = float(np.ptp(outline, axis=0).mean()) / 2
     towards = np.array([cos(occluder.direction_rad), sin(occluder.direction_rad)])
-    # A chord at the cosine of half its arc leaves that arc beyond it.
+    # A chord at the cosine of half its arc cuts off that arc.
     edge = radius * cos(pi * occluder.rim_share)
     x = (canvas.area.x + np.arange(canvas.area.width) - middle[0]) * (towards[0] / sigma_px)
     y = (canvas.area.y + np.arange(canvas.area.height) - middle[1]) * (towards[1] / sigma_px)
@@ -95,12 +95,12 @@ def shine(canvas: Canvas, glare: Glare) -> None:
 
 
 def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
-    """The sphere that the camera looks at; None without any."""
+    """The sphere that the camera is aimed at; None without any."""
     return min(spheres, key=lambda each: float(np.hypot(*each.centre_mm[:2])), default=None)
 
 
 def _edge(sigmas: Array | Image) -> Image:
-    """Share covered by what lies beyond an edge with normal blur, by the distance in its sigmas."""
+    """Coverage by an object with a blurred edge, by the distance from the edge in its sigmas."""
     cover: Image = (sigmas > 0.0).astype(np.float32)
     soft = np.abs(sigmas) < EDGE_REACH  # a thin band: the table is slow
     cover[soft] = np.interp(sigmas[soft], *_edge_table())

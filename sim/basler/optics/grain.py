@@ -1,7 +1,7 @@
 """The grain of the retro-reflective film: glass beads, each a little brighter or darker than the mean.
 
-Space is divided into cubes of a bead's size, fixed to the sphere; a bead's brightness follows from its cube.
-So the grain turns and moves with the sphere, and the same sphere always looks the same.
+Space is divided into cubes of a bead's size, fixed to the sphere; a bead's brightness is derived from its
+cube. The grain therefore turns and moves with the sphere, and the same sphere always looks the same.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from sim.basler.optics.canvas import Image
 from sim.theatre.noise import noise
 
 BEAD_MM = 0.05  # beads of retro-reflective film are 40 to 70 um
-CONTRAST = 0.04  # one standard deviation of the brightness
+CONTRAST = 0.04  # standard deviation of the brightness
 TABLE_SIZE = 1 << 16
 # odd multipliers that spread neighbouring cubes over the table (Fibonacci hashing, one per axis)
 MULTIPLIERS = (np.int32(0x1E3779B1), np.int32(0x05EBCA77), np.int32(0x42B2AE3D))
@@ -31,7 +31,7 @@ class Grain:
         total: NDArray[np.int32] = np.zeros(x_mm.shape, dtype=np.int32)
         for position, multiplier in zip((x_mm, y_mm, z_mm), MULTIPLIERS, strict=True):
             cube = np.floor(position * np.float32(1.0 / BEAD_MM)).astype(np.int32)
-            cube *= multiplier  # wraps around, which is what a hash wants
+            cube *= multiplier  # wraps around, as a hash should
             total ^= cube
         total >>= 12
         total &= TABLE_SIZE - 1

@@ -1,4 +1,4 @@
-"""A lens and where its rays go: pinhole, distortion k1 k2 p1 p2 k3, and blur out of focus.
+"""A lens and its rays: pinhole, distortion k1 k2 p1 p2 k3, and defocus blur.
 
 Camera frame: x right, y down, z along the optical axis. Pixels: (0, 0) is the centre of the top-left pixel.
 """
@@ -15,10 +15,10 @@ from sim.theatre.scene.model import CameraTruth
 
 Array = NDArray[np.float64]
 
-F_NUMBER = 8.0  # macro work: stopped down for depth
+F_NUMBER = 8.0  # macro work: stopped down for depth of field
 # Diffraction at f/8, magnification 0.25 and 850 nm (0.42 * wavelength * effective f-number), in pixels.
 SHARPEST_SIGMA_PX = 0.42 * 0.85 * F_NUMBER * 1.25 / PIXEL_PITCH_UM
-LARGEST_SIGMA_PX = 12.0  # a sphere further out of focus is drawn as if it were only this far out
+LARGEST_SIGMA_PX = 12.0  # a sphere farther out of focus is drawn with this blur
 DISC_TO_SIGMA = 0.25  # a uniform disc of diameter D has a standard deviation of D / 4 along one axis
 UNDISTORT_STEPS = 8  # each step gains about three digits with the distortion of these lenses
 
@@ -34,7 +34,7 @@ class Lens:
 
     @classmethod
     def of(cls, camera: CameraTruth) -> Lens:
-        """The lens of a camera; it is focused on the tool centre point."""
+        """The lens of a camera, focused on the tool centre point."""
         return cls(
             camera.focal_px,
             camera.principal_point_px,

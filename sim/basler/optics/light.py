@@ -1,4 +1,4 @@
-"""Illumination across the sensor from ring light and lens, and the light from the dark background."""
+"""Illumination across the sensor from ring light and lens, and the background light."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import numpy as np
 from sim.basler.optics.canvas import Area, Image
 from sim.theatre.noise import noise
 
-# Light that the film returns at the working distance: a sphere reaches 200 of 255 at 4 ms and lowest gain.
+# Light returned by the film at the working distance: a sphere reaches 200 of 255 at 4 ms and lowest gain.
 FILM_ELECTRONS_PER_US = 2.0
 BACKGROUND_ELECTRONS_PER_US = 0.04  # drapes and skin between the spheres
-SLOPE = 0.05  # of the light from the middle of the sensor to its edge, largest
+SLOPE = 0.05  # of the light from the centre of the sensor to its edge, at most
 BACKGROUND_SLOPE = 0.4
 FALL_OFF = 0.06  # towards the corners
 
 
 class Lighting:
-    """The light of one camera: a slope of its own and a fall-off towards the corners."""
+    """The light of one camera: its own gradient, and a fall-off towards the corners."""
 
     def __init__(self, seed: int, serial: str, sensor_px: tuple[int, int]) -> None:
         self._centre = np.array([sensor_px[0] - 1, sensor_px[1] - 1]) / 2
@@ -30,7 +30,7 @@ class Lighting:
         return self._surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
 
     def on_background(self, area: Area) -> Image:
-        """Electrons per microsecond (height, width) where there is nothing."""
+        """Electrons per microsecond (height, width) from an empty background."""
         return self._surface(area, self._background_slope, 0.0) * np.float32(BACKGROUND_ELECTRONS_PER_US)
 
     def _surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:

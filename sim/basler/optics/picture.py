@@ -1,4 +1,4 @@
-"""The pictures of one camera: what is in view, drawn from far to near, blurred by its depth, and read out."""
+"""The images of one camera: what is in view, drawn from far to near, blurred by depth, and read out."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from sim.basler.optics.sphere import Sphere
 from sim.basler.optics.stalk import StalkImage
 from sim.theatre.scene.model import CameraTruth
 
-MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest, so that blur has what it needs
-NEAREST_MM = 60.0  # nothing is drawn that is nearer: the lens is longer than that
+MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
+NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that
 
 
 class Optics:
-    """Lens, light and the films that one camera has seen."""
+    """Lens, light and the films seen so far by one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
         self.lens = Lens.of(camera)
@@ -66,7 +66,7 @@ class Optics:
     def _paint(
         self, canvas: Canvas, sphere: Sphere, film: Surface, sphere_area: Area, stalk_area: Area
     ) -> None:
-        # The light falls off with the square of the distance; full strength where the lens is focused.
+        # Light falls off with the square of the distance; full strength at the focus distance.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
         stalk = self._stalk(sphere, stalk_area, strength)
         if stalk is not None:
@@ -86,7 +86,7 @@ class Optics:
         _over(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
     def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> StalkImage | None:
-        """Post and base as they appear in an area, or None when nothing of them does."""
+        """Post and base as they appear in an area, or None if they do not."""
         if area.empty:
             return None
         image = stalk_image.image_of(sphere, self.lens, area)
@@ -106,7 +106,7 @@ def _drawable(sphere: Sphere) -> bool:
 
 
 def _over(behind: Image, cover: Image, light: Image) -> None:
-    """Lay light over what is behind it, in place."""
+    """Composite light over what is behind it, in place."""
     behind += cover * (light - behind)
 
 

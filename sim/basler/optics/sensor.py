@@ -13,7 +13,7 @@ from ronna_hw.wire.gige_vision import GAIN_RAW_UNITY
 from sim.basler.optics.canvas import Image, row_bands
 
 DARK_ELECTRONS_PER_US = 125e-6  # 125 e-/s at 25 degrees C
-BLACK_LEVEL_BITS = 10  # BlackLevelRaw counts in the steps of a 10-bit image
+BLACK_LEVEL_BITS = 10  # BlackLevelRaw is in steps of a 10-bit image
 NORMAL_STEPS = 1 << 16
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
@@ -38,11 +38,11 @@ class Sensor:
     ) -> Pixels:
         """Pixel values (rows, columns) of `light` in electrons per microsecond; no noise without generator.
 
-        Shot noise is taken as normal with the variance of the mean: below 20 electrons, where that is
-        wrong, the read noise hides it.
+        Shot noise is approximated as normal with the variance of the mean: below 20 electrons, where that is
+        wrong, read noise dominates.
         """
         pixels: Pixels = np.empty(light.shape, np.uint8 if bits == 8 else np.uint16)
-        # gain, then half a step more: the conversion to whole numbers cuts off
+        # gain, plus half a step: the conversion to integers truncates
         scale = (2**bits - 1) / self.full_well_electrons * gain_raw / GAIN_RAW_UNITY
         offset = black_level_raw * 2.0 ** (bits - BLACK_LEVEL_BITS) + 0.5
         for rows in row_bands(*light.shape):
@@ -50,7 +50,7 @@ class Sensor:
             values *= np.float32(scale)
             values += np.float32(offset)
             np.clip(values, np.float32(0.0), np.float32(2**bits - 1), out=values)
-            pixels[rows] = values  # as a conversion does
+            pixels[rows] = values  # truncates like a conversion
         return pixels
 
     def _electrons(self, light: Image, exposure_us: float, noise: np.random.Generator | None) -> Image:

@@ -1,8 +1,8 @@
 """The image of one retro-reflective sphere, exact where it matters: at the rim.
 
 Lit from around the lens, the film returns light to the camera from everywhere, a quarter less at the limb.
-Inside, one ray per pixel; in a band along the rim each pixel is sampled by 4 x 4 exact rays, and each
-sample is weighted by how far inside the outline it lies, so the rim is true to about 0.001 px.
+Inside, one ray per pixel; in a band along the rim each pixel is sampled by 4 x 4 exact rays, each weighted by
+its distance inside the outline, so the rim is accurate to about 0.001 px.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from sim.basler.optics.lens import Lens
 Vector = NDArray[np.float64]
 Values = NDArray[np.floating[Any]]
 
-LIMB_DARKENING = 0.25  # less light from the limb than from the middle
-BAND_PX = 1.1  # half a pixel's diagonal, plus half a sample, plus what the linear rays leave out
+LIMB_DARKENING = 0.25  # less light from the limb than from the centre
+BAND_PX = 1.1  # half a pixel's diagonal, plus half a sample, plus the error of the linear rays
 SAMPLES = 4  # per pixel and axis, in the band
 OUTLINE_POINTS = 90
 
 
 @dataclass(frozen=True)
 class Sphere:
-    """A sphere as one camera sees it, millimetres in the camera's frame.
+    """A sphere in the camera frame, millimetres.
 
     The third column of `camera_from_sphere` (3, 3) points along the post, from the skull to the sphere.
     """
@@ -48,11 +48,11 @@ class Sphere:
 
     @cached_property
     def tangent_mm(self) -> float:
-        """From the centre of projection to the points where rays touch the sphere."""
+        """From the centre of projection to the points where rays are tangent to the sphere."""
         return float((self.distance_mm**2 - self.radius_mm**2) ** 0.5)
 
     def outline_mm(self) -> Vector:
-        """Points (n, 3) of the circle where rays touch the sphere."""
+        """Points (n, 3) of the circle where rays are tangent to the sphere."""
         axis = self.centre_mm / self.distance_mm
         across = np.cross(axis, [0.0, 1.0, 0.0] if abs(axis[0]) > 0.5 else [1.0, 0.0, 0.0])
         across /= np.linalg.norm(across)
@@ -65,9 +65,9 @@ class Sphere:
 
 @dataclass(frozen=True)
 class SphereImage:
-    """Per pixel of `area`: the share covered by the sphere, the light it sends, its depth.
+    """Per pixel of `area`: coverage by the sphere, light, depth.
 
-    The depth is infinite where the middle of a pixel misses the sphere.
+    The depth is infinite where the centre of a pixel misses the sphere.
     """
 
     area: Area
@@ -95,12 +95,12 @@ def image_of(sphere: Sphere, lens: Lens, area: Area, film: Surface) -> SphereIma
 def _draw_inside(
     sphere: Sphere, lens: Lens, film: Surface, rays: Rays, image: SphereImage, rows: slice
 ) -> Image:
-    """Some rows of an image, one ray per pixel; returns how far inside the outline each pixel lies."""
-    along = rays.dot(sphere.centre_mm)  # the centre along each ray, times the ray's length
+    """Some rows of an image, one ray per pixel; returns how far inside the outline each pixel is."""
+    along = rays.dot(sphere.centre_mm)  # the centre projected on each ray, times the ray's length
     miss = _miss(rays, sphere)
     inside_px: Image = sphere.radius_mm - np.sqrt(miss / rays.squared)
     inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
-    # Discriminant of the ray's intersections with the sphere; negative outside.
+    # discriminant of the ray's intersections with the sphere; negative outside
     discriminant = rays.squared * np.float32(sphere.radius_mm**2)
     discriminant -= miss
     outside = discriminant < 0.0
@@ -119,7 +119,7 @@ def _draw_inside(
 
 
 def _miss(rays: Rays, sphere: Sphere) -> Image:
-    """Squared cross product of each ray with the centre: how far it misses, times its length, squared.
+    """Squared cross product of each ray with the centre: miss distance times ray length, squared.
 
     Unlike a difference of large squares it keeps its digits in single precision.
     """
@@ -145,7 +145,7 @@ def _sample_rim(
         return
     centres = np.column_stack([columns + image.area.x, rows + image.area.y]).astype(float)
     middle = lens.rays(centres)
-    # Over one pixel the rays are linear to 1e-7 px: one derivative for the whole band is enough.
+    # Over one pixel the rays are linear to 1e-7 px: one derivative for the whole band suffices.
     here = centres.mean(axis=0)
     probe = lens.rays(here + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     steps = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5

@@ -1,7 +1,7 @@
 """The post of a sphere with flange and base on the skull, all darker than the film.
 
-A stalk runs from below into the sphere. Seen from the side its flange covers a part of the sphere's rim;
-seen from above it lies behind the sphere and its outer edge touches the image of the rim.
+A stalk extends from below into the sphere. Seen from the side its flange covers part of the sphere's rim;
+seen from above it is behind the sphere and its outer edge touches the image of the rim.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from sim.basler.optics.sphere import Sphere
 
 Vector = NDArray[np.float64]
 
-SIDE_DARKENING = 0.6  # a cylinder's edge sends this much less light than its middle
+SIDE_DARKENING = 0.6  # a cylinder's edge is this much darker than its middle
 OUTLINE_POINTS = 16
 SMALLEST_ACROSS = 1e-6  # keeps divisions finite for rays along or across the axis
 
 
 @dataclass(frozen=True)
 class Section:
-    """A cylinder on the axis of the stalk; distances from the sphere's centre towards the skull."""
+    """A cylinder on the stalk's axis; distances from the sphere's centre towards the skull."""
 
     begin_mm: float
     end_mm: float
@@ -42,7 +42,7 @@ SECTIONS = (
 
 @dataclass(frozen=True)
 class StalkImage:
-    """Per pixel of `area`: the share covered, the light sent, the depth (infinite where nothing is)."""
+    """Per pixel of `area`: coverage, light, depth (infinite where empty)."""
 
     area: Area
     cover: Image
@@ -51,7 +51,7 @@ class StalkImage:
 
 
 def outline_mm(sphere: Sphere, sections: Sequence[Section] = SECTIONS) -> Vector:
-    """Points (n, 3) that enclose the stalk of a sphere, or some sections of it."""
+    """Points (n, 3) that enclose a sphere's stalk, or some of its sections."""
     across, over, post = sphere.camera_from_sphere.T
     angle = np.linspace(0.0, 2 * np.pi, OUTLINE_POINTS, endpoint=False)[:, None]
     circle = np.cos(angle) * across + np.sin(angle) * over
@@ -84,15 +84,15 @@ def _add(image: StalkImage, part: Area, sphere: Sphere, section: Section, lens: 
 
 
 def _add_rows(kept: Sequence[Image], rays: Rays, sphere: Sphere, section: Section, lens: Lens) -> None:
-    """Draw some rows of a section over what is kept there of cover, light and depth."""
-    # From the skull end up to the sphere: the axis then points to the camera when seen from above.
+    """Draw some rows of a section over the cover, light and depth in `kept`."""
+    # From the skull end up to the sphere: seen from above, the axis points to the camera.
     axis = sphere.camera_from_sphere[:, 2]
     foot = sphere.centre_mm - section.end_mm * axis
     length = section.end_mm - section.begin_mm
     px_per_mm = lens.focal_px[0] / sphere.distance_mm
     along_axis = rays.dot(axis)
     cover, light, depth = _side(rays, along_axis, foot, axis, section, px_per_mm)
-    # The end that faces the camera lies over the side.
+    # The end facing the camera covers the side.
     end_mm = length if foot @ axis + length < 0 else 0.0
     end_cover, end_light, end_depth = _end(rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm)
     on_end = end_cover > cover
@@ -107,13 +107,13 @@ def _add_rows(kept: Sequence[Image], rays: Rays, sphere: Sphere, section: Sectio
 def _side(
     rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
 ) -> tuple[Image, Image, Image]:
-    """Cover, light and depth of the curved side."""
+    """Coverage, light and depth of the curved side."""
     radius, length = section.radius_mm, section.end_mm - section.begin_mm
     foot_along = float(foot @ axis)
-    across = rays.squared - along_axis * along_axis  # squared part of the ray across the axis
+    across = rays.squared - along_axis * along_axis  # squared component of the ray perpendicular to the axis
     np.maximum(across, np.float32(SMALLEST_ACROSS), out=across)
-    towards = rays.dot(foot - foot_along * axis)  # the axis, seen along each ray
-    # Squared distance between ray and axis, and the half chord that the ray has in the cylinder.
+    towards = rays.dot(foot - foot_along * axis)  # the axis, projected on each ray
+    # squared distance between ray and axis, and half the ray's chord in the cylinder
     distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
     np.maximum(distance2, np.float32(0.0), out=distance2)
     chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
@@ -130,7 +130,7 @@ def _side(
 def _end(
     rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
 ) -> tuple[Image, Image, Image]:
-    """Cover, light and depth of a flat end."""
+    """Coverage, light and depth of a flat end."""
     steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
     depth: Image = (np.float32(centre @ axis) / steep).astype(np.float32, copy=False)
     off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
@@ -142,6 +142,6 @@ def _end(
 
 
 def _ramp(inside_mm: Image, px_per_mm: float) -> Image:
-    """Share of a pixel that is covered, by how far inside an edge its middle lies."""
+    """Coverage of a pixel by how far inside an edge its centre is."""
     cover: Image = np.clip(np.float32(0.5) + inside_mm * np.float32(px_per_mm), 0.0, 1.0)
     return cover

@@ -1,1 +1,1 @@
-"""The stream side of a camera (GVSP): frames to packets, at the pace of the link, resent on request."""
+"""The stream side of a camera (GVSP): frames as packets, at link speed, resent on request."""

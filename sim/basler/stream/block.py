@@ -29,7 +29,7 @@ class Frame:
 
 
 class Block:
-    """The packets of one frame for one packet size; they are made when they are asked for."""
+    """The packets of one frame for one packet size, created on demand."""
 
     def __init__(self, block_id: int, frame: Frame, packet_size: int) -> None:
         self.block_id = block_id

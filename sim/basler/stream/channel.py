@@ -1,4 +1,4 @@
-"""The stream channel of a camera: destination, packet size and pace, and blocks kept for resend."""
+"""The stream channel of a camera: destination, packet size and pacing, and blocks kept for resending."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ SMALLEST_PACKET_SIZE = 220
 LARGEST_PACKET_SIZE = 16404
 PACKET_SIZE_STEP = 4
 WIRE_BYTES_PER_S = 125e6  # 1 Gbit/s
-BURST_BYTES = 32 * 1024  # sent at once; a stock kernel buffers about six of them for a receiver
-SHORTEST_SLEEP_S = 2e-4  # below, sleeping costs more time than it takes
-LONGEST_CREDIT_S = 1.5e-3  # of the link's time that a late sender makes up for at once: the buffer above
+BURST_BYTES = 32 * 1024  # sent at once; a default kernel buffers about six of these for a receiver
+SHORTEST_SLEEP_S = 2e-4  # shorter sleeps take longer than requested
+LONGEST_CREDIT_S = 1.5e-3  # of link time that a late sender may catch up at once: the buffer above
 IP_MTU_DISCOVER = 10  # from linux/in.h; not in Python's socket module
 PMTU_DO, PMTU_DONT = 2, 0
 
-WRONG_AREA_PX = 16  # how far beside the true one a leader's area is, when a fault says so
+WRONG_AREA_PX = 16  # offset of a leader's area from the true one under that fault
 
 
 class StreamChannel:
-    """Sends blocks to one receiver. `owner_address` says who controls the camera."""
+    """Sends blocks to one receiver. `owner_address` is that of the controlling application."""
 
     def __init__(
         self, address: str, owner_address: Callable[[], str | None], faults: CameraFaults = NO_FAULTS
@@ -56,7 +56,7 @@ class StreamChannel:
 
     @property
     def source_port(self) -> int:
-        """UDP port that the packets come from."""
+        """UDP port from which packets are sent."""
         return int(self._socket.getsockname()[1])
 
     @property
@@ -71,9 +71,9 @@ class StreamChannel:
 
     @property
     def receiver(self) -> tuple[str, int] | None:
-        """Where packets go; None while the channel is closed.
+        """Destination of packets; None while the channel is closed.
 
-        Destination 0.0.0.0 means the application in control.
+        0.0.0.0 stands for the application in control.
         """
         owner = self._owner_address()
         if not self.port or owner is None:
@@ -81,12 +81,12 @@ class StreamChannel:
         return (owner if self.destination == "0.0.0.0" else self.destination), self.port
 
     def begin(self) -> None:
-        """Count blocks from 1 again; nothing older can be repeated."""
+        """Restart block numbers from 1; nothing older can be resent."""
         self._next_block_id = BLOCK_ID_FIRST
         self._kept.clear()
 
     def block_of(self, frame: Frame) -> Block | None:
-        """The next block, to be sent now; None while the channel is closed."""
+        """The next block to send; None while the channel is closed."""
         if self.receiver is None:
             return None
         block = Block(self._next_block_id, self._as_sent(frame), self.packet_size)
@@ -95,9 +95,9 @@ class StreamChannel:
         return block
 
     def send(self, block: Block, duration_s: float = 0.0) -> None:
-        """Send a block; does nothing while closed.
+        """Send a block; no effect while closed.
 
-        It takes `duration_s`, as rows leave the sensor one by one, but is never faster than the link.
+        It takes `duration_s`, like rows leaving the sensor one by one, but is never faster than the link.
         """
         receiver = self.receiver
         if receiver is None:
@@ -113,13 +113,13 @@ class StreamChannel:
                 now_s = time.monotonic()
                 if due_s - now_s > SHORTEST_SLEEP_S:
                     time.sleep(due_s - now_s)
-                # a computer that stalled does not send what it owes faster than a link would
+                # after a stall, the backlog is not sent faster than the link would carry it
                 due_s = max(due_s, now_s - LONGEST_CREDIT_S) + together * pause_s
             if packet_id not in lost:
                 self._put(block, packet_id, GevStatus.SUCCESS, receiver)
 
     def repeat(self, block_id: int, first_packet: int, last_packet: int) -> None:
-        """Send packets again; what is no longer there is answered by one packet that says so."""
+        """Resend packets; one that is no longer available is answered by a packet that says so."""
         receiver = self.receiver
         if receiver is None:
             return
@@ -132,18 +132,18 @@ class StreamChannel:
             self._put(block, packet_id, GevStatus.PACKET_RESEND, receiver)
 
     def fire_test_packet(self, size: int) -> None:
-        """Send one datagram of `size` bytes with its IP and UDP headers, if the path carries it."""
+        """Send one datagram of `size` bytes including IP and UDP headers, if the path carries it."""
         receiver = self.receiver
         if receiver is not None:
             self._put_bytes([bytes(size - IP_UDP_HEADER_BYTES)], receiver)
 
     def shut(self) -> None:
-        """Close the channel; the receiver gets nothing more."""
+        """Close the channel; nothing more is sent."""
         self.port = 0
         self._kept.clear()
 
     def close(self) -> None:
-        """Let go of the socket."""
+        """Close the socket."""
         self._socket.close()
 
     def _as_sent(self, frame: Frame) -> Frame:
@@ -161,6 +161,6 @@ class StreamChannel:
     def _put_bytes(self, parts: Collection[bytes | memoryview], receiver: tuple[str, int]) -> None:
         if not self._faults.passes(sum(len(part) for part in parts) + IP_UDP_HEADER_BYTES):
             return
-        # A receiver that is gone, or a packet too large for the path, is lost as on a real network.
+        # If the receiver is gone or the packet too large for the path, it is lost as on a real network.
         with contextlib.suppress(OSError):
             self._socket.sendmsg(parts, (), 0, receiver)

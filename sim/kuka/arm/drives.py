@@ -1,6 +1,6 @@
 """The drives: dead time, lag, exact settling, braking, and the motion counter.
 
-Angles are encoder degrees. A list of angles is never changed in place, so an unchanged command is the same
+Angles are encoder degrees. A list of angles is never modified in place, so an unchanged command is the same
 object, and an arm at rest costs nothing.
 """
 
@@ -13,7 +13,7 @@ from math import copysign, exp
 from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 
-STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis that has caught up so far sticks again; fast ones slide
+STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis this far caught up sticks again; fast ones slide
 
 
 class Drives:
@@ -26,7 +26,7 @@ class Drives:
         self._acceleration_deg_s2 = [joint.acceleration_deg_s2 for joint in arm.joints]
         self.axes_deg: list[float] = list(start_deg)
         self.command_deg: list[float] = self.axes_deg
-        self.flanks: list[float] = [0.0] * AXES  # where each joint is in its backlash, -1 to 1
+        self.flanks: list[float] = [0.0] * AXES  # position of each joint in its backlash, -1 to 1
         self.motion_number = 0
         self.moved_s = 0.0  # time in motion so far
         self.at_rest = True
@@ -36,19 +36,19 @@ class Drives:
         self._in_motion = False
         self._braking = False
         self._braking_share = parameters.path_stop_share
-        self._slipping: dict[int, bool] = {}  # axes that stick, and whether they slip just now
+        self._slipping: dict[int, bool] = {}  # axes that stick, and whether they are slipping
         self._cycle_s = 0.0
         self._pending: deque[list[float]] = deque()
         self.start_cycles(IPO_FAST_S)
 
     def take_up(self, flanks: Sequence[float], motion_number: int, moved_s: float) -> None:
-        """Go on from how an arm was left: on which flanks its gears rest, and what it has moved so far."""
+        """Continue from an arm's last state: the flanks its gears rest on, and its motion so far."""
         self._directions = [copysign(1.0, flank) if flank else 0.0 for flank in flanks]
         self.flanks = list(self._directions)
         self.motion_number, self.moved_s = motion_number, moved_s
 
     def start_cycles(self, cycle_s: float, filter_s: float = 0.0) -> None:
-        """Prepare for commands every `cycle_s`, from rest, behind a filter of the controller's or without."""
+        """Prepare for commands every `cycle_s`, from rest, optionally behind a filter of the controller."""
         self._cycle_s = cycle_s
         self._share = 1.0 - exp(-cycle_s / self._parameters.lag_s)
         self._filter_share = 1.0 - exp(-cycle_s / filter_s) if filter_s else 1.0
@@ -56,7 +56,7 @@ class Drives:
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
     def step(self, command_deg: list[float], *, heard: bool = True) -> None:
-        """One cycle. `heard` is false when no reply brought the command: then it says nothing new."""
+        """One cycle. `heard` is false if no reply brought the command: then it carries no new information."""
         if command_deg is self.command_deg:
             if self.at_rest:
                 return
@@ -77,7 +77,7 @@ class Drives:
         ]
         self.command_deg = command_deg
         if follow_deg is command_deg and self._arrived(axes, command_deg):
-            # The pose at rest is exact: it depends on the command and the flanks, not on how long it took.
+            # The pose at rest is exact: it depends on the command and the flanks, not on the time taken.
             self.axes_deg = self._resting(axes, command_deg)
             self.flanks = list(self._directions)
             self._speed_deg_s = [0.0] * AXES
@@ -91,13 +91,13 @@ class Drives:
         self._speed_deg_s = [(y - old) / self._cycle_s for y, old in zip(axes, before, strict=True)]
 
     def brake(self, *, fast: bool = False) -> None:
-        """Stop along the ramps of the axes, whatever was commanded."""
+        """Stop along the axes' braking ramps, whatever was commanded."""
         self._braking = not self.at_rest
         parameters = self._parameters
         self._braking_share = parameters.fast_stop_share if fast else parameters.path_stop_share
 
     def stick(self, axes: frozenset[int]) -> None:
-        """Set which axes (0 to 5) move with stick-slip from now on."""
+        """Set which axes (0 to 5) have stick-slip from now on."""
         if axes != self._slipping.keys():
             self._slipping = {axis: self._slipping.get(axis, False) for axis in axes}
             self.at_rest = self.at_rest and self.axes_deg == self.command_deg

@@ -1,6 +1,6 @@
-"""The arm as a chain of joints in Pinocchio: nominal, or with errors between its links.
+"""The arm as a chain of joints in Pinocchio: nominal, or with link errors.
 
-One chain belongs to one thread: Pinocchio computes into the chain's own memory.
+One chain belongs to one thread: Pinocchio computes in the chain's own memory.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim.theatre.scene.model import LinkError
 
 Matrix = NDArray[np.float64]
 
-ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts like this distance: about half the reach
+ROTATION_WEIGHT_MM = 300.0  # a radian of orientation counts as this distance: about half the reach
 DAMPING = 1e-4  # of the least squares, relative to a Jacobian in hundreds of mm/rad
 POSITION_TOLERANCE_MM = 1e-6
 STEPS_LIMIT = 30
@@ -27,7 +27,7 @@ STEPS_LIMIT = 30
 class JointChain:
     """Forward kinematics of the flange in $ROBROOT. Millimetres and radians.
 
-    `links` are the errors of the links that follow A1 .. A6, each added at the link's far end.
+    `links` are the errors of the links after A1 .. A6, each added at the link's far end.
     """
 
     def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
@@ -55,9 +55,9 @@ class JointChain:
         return pose
 
     def joints_at(self, flange: Matrix, near_rad: Sequence[float]) -> list[float] | None:
-        """Joint angles that bring the flange to a pose, starting near others; None when that fails.
+        """Joint angles that bring the flange to a pose, starting from nearby ones; None if it fails.
 
-        Damped least squares, so near a singularity it moves slowly and then gives up.
+        Damped least squares: near a singularity it moves slowly and then gives up.
         """
         angles = np.array(near_rad, dtype=float)
         for _ in range(STEPS_LIMIT):

@@ -22,11 +22,11 @@ from sim.theatre.world import ArmState
 
 Matrix = NDArray[np.float64]
 NO_FRAME = np.eye(4)
-WAY_POINTS = 40  # looked at before a straight way is accepted
+WAY_POINTS = 40  # checked before a straight path is accepted
 
 
 class Manipulator:
-    """Moves the arm and publishes where its flange truly is."""
+    """Moves the arm and publishes the flange's true pose."""
 
     def __init__(
         self,
@@ -36,7 +36,7 @@ class Manipulator:
         parameters: ControllerParameters,
         left: ArmState | None = None,
     ) -> None:
-        """`left` is how the arm was left, in a world that goes on; else it stands at home."""
+        """`left` is the arm's last state in a continued world; otherwise it starts at home."""
         self.description = description(truth.variant)
         start_deg = truth.home_deg if left is None else [degrees(angle) for angle in left.joints_rad]
         self.drives = Drives(self.description, start_deg, parameters)
@@ -69,7 +69,7 @@ class Manipulator:
 
     @property
     def frame(self) -> list[float]:
-        """X Y Z (mm) A B C (deg) of the tool in BASE, as the controller believes it to be."""
+        """X Y Z (mm) A B C (deg) of the tool in BASE, according to the controller."""
         return self._frame_at(self.drives.axes_deg)
 
     @property
@@ -118,7 +118,7 @@ class Manipulator:
         self._base, self._reported_frame = base, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
-        """Joint angles (deg) that bring the tool to a nominal pose; None where that fails."""
+        """Joint angles (deg) that bring the tool to a nominal pose; None if it fails."""
         flange = self._flange_of(tool_point)
         joints = self._nominal.joints_at(flange, [radians(angle) for angle in near_deg])
         return None if joints is None else [degrees(angle) for angle in joints]
@@ -129,7 +129,7 @@ class Manipulator:
         return axes_of_posture(self.description, flange, status, turn, self.drives.axes_deg)
 
     def joints_on_the_way(self, tool_point: Matrix) -> list[float] | None:
-        """Axes (deg) at the end of a straight line to a pose in $ROBROOT; None when there is none."""
+        """Axes (deg) at the end of a straight line to a pose in $ROBROOT; None if there is none."""
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAY_POINTS + 1):
@@ -157,7 +157,7 @@ class Manipulator:
         self.publish()
 
     def publish(self) -> None:
-        """Publish where the flange is, when that has changed."""
+        """Publish the flange's pose if it has changed."""
         drives = self.drives
         if drives.at_rest and self._published == (id(drives.axes_deg), True):
             return

@@ -16,12 +16,12 @@ OVERHEAD, ABOVE_STRETCH, WRIST_NOT_POSITIVE = 1, 2, 4  # bits of the status
 
 
 def frame_of(pose: Matrix) -> list[float]:
-    """X Y Z (mm) A B C (deg) of a pose (4, 4); R = Rz(A) Ry(B) Rx(C). Where B is 90 deg, A C share: A = 0."""
+    """X Y Z (mm) A B C (deg) of a pose (4, 4); R = Rz(A) Ry(B) Rx(C). At B = 90 deg, A is set to 0."""
     r00, _, _, x, r10, r11, r12, y, r20, r21, r22, z = pose[:3].ravel().tolist()
     cosine_B = (r00 * r00 + r10 * r10) ** 0.5
     if cosine_B < GIMBAL_LIMIT:
         B = 90.0 if r20 < 0 else -90.0
-        # With A = 0 the second column is (0, cos C, -sin C) seen in the turned frame.
+        # With A = 0 the second column is (0, cos C, -sin C) in the rotated frame.
         return [x, y, z, 0.0, B, degrees(atan2(-r12, r11)) + 0.0]
     return [
         x,

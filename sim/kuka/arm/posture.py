@@ -1,6 +1,6 @@
 """All joint angles of one arm posture in closed form: E6POS with status S and turn T to axes.
 
-The wrist's root is where A4, A5 and A6 meet; A1 to A3 place it, A4 to A6 turn the flange about it.
+The wrist root is where A4, A5 and A6 intersect; A1 to A3 position it, A4 to A6 rotate the flange about it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sim.theatre.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
 STRAIGHT_WRIST = 1e-6  # sine of A5 below which only A4 + A6 is defined
-ZERO_DEG = 0.01  # a frame of four decimals does not say on which side of zero its axes were
+ZERO_DEG = 0.01  # a frame with four decimals does not show on which side of zero its axes were
 
 
 def axes_of_posture(
@@ -25,8 +25,8 @@ def axes_of_posture(
 ) -> list[float] | None:
     """Axes (deg) that bring the flange (4, 4, in $ROBROOT) to a pose in the posture S T.
 
-    None when the pose is out of reach, or an axis of that turn beyond its end switch. `near_deg` decides
-    about A4 where the wrist is straight.
+    None if the pose is out of reach, or an axis of that turn is beyond its end switch. `near_deg` decides A4
+    if the wrist is straight.
     """
     angles = axes_of_status(arm, flange, status, radians(near_deg[3]))
     if angles is None:
@@ -43,10 +43,10 @@ def axes_of_posture(
 def axes_of_status(
     arm: RobotDescription, flange: Matrix, status: int, near_A4: float = 0.0
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Axes (rad, each but for whole turns) that bring the flange (4, 4, in $ROBROOT) to a pose with status S.
+    """Axes (rad, up to whole turns) that bring the flange (4, 4, in $ROBROOT) to a pose with status S.
 
-    None when the pose is out of reach; end switches are not looked at. `near_A4` decides about A4 where the
-    wrist is straight.
+    None if the pose is out of reach; end switches are not checked. `near_A4` decides A4 if
+    the wrist is straight.
     """
     joints = arm.joints
     rotation = flange[:3, :3] @ rotation_from_vector((0.0, -radians(FLANGE_PITCH_DEG), 0.0))
@@ -82,7 +82,7 @@ def _wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, fl
 
 
 def _turned(angle_deg: float, negative: bool) -> float:
-    """The same direction with the sign required by the turn; at zero both signs are the same."""
+    """The same direction with the sign required by the turn; at zero both signs are equal."""
     if abs(angle_deg) < ZERO_DEG:
         return angle_deg
     if negative and angle_deg >= 0.0:

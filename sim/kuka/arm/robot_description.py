@@ -1,7 +1,7 @@
-"""The KR 6 R900 as this controller's machine data hold it: joint by joint, millimetres and degrees.
+"""The KR 6 R900 according to this controller's machine data: joint by joint, millimetres and degrees.
 
 Written from the published robot descriptions of both arms that share the name, independently of the
-closed-form model that the rest of the project uses.
+closed-form model used in the rest of the project.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ FLANGE_PITCH_DEG = 90.0  # the flange frame is the last link turned about its y:
 
 @dataclass(frozen=True)
 class Joint:
-    """One revolute joint; `origin_mm` is its place in the frame of the joint before it."""
+    """One revolute joint; `origin_mm` is its position in the previous joint's frame."""
 
     name: str
     origin_mm: tuple[float, float, float]
@@ -30,7 +30,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class RobotDescription:
-    """An arm. `variant` is also what the controller calls itself, `model` what $ROBTRAFO[] holds."""
+    """An arm. `variant` is also the controller's name for it, `model` the content of $ROBTRAFO[]."""
 
     variant: Variant
     model: str
@@ -38,11 +38,11 @@ class RobotDescription:
 
     @property
     def stretched_A3_deg(self) -> float:
-        """A3 at which upper arm and wrist root are in one line."""
+        """A3 at which upper arm and wrist root are aligned."""
         return degrees(atan2(self.joints[3].origin_mm[2], self.joints[4].origin_mm[0]))
 
 
-# Planner accelerations published for the sixx in rad/s2; none are published for the -2, the same are used.
+# Planner accelerations published for the sixx in rad/s2; none are published for the -2, so the same are used.
 _ACCELERATION = tuple(degrees(value) for value in (21.67, 6.89, 31.42, 133.1, 135.6, 268.4))
 
 

@@ -1,9 +1,9 @@
 """The arm as it really is: the flange pose for given encoder angles.
 
-The controller believes its encoders and the nominal chain. The true flange differs by link errors, and by
-what happens between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. An arm
-that has moved for long is warm, which displaces the flange. At rest comes what does not repeat: a small error
-that depends on the number of the motion, and on nothing else.
+The controller relies on its encoders and the nominal chain. The true flange differs by link errors, and by
+errors between encoder and joint: offset, two harmonics per turn, sag under gravity, backlash. An arm that has
+moved for long is warm, which displaces the flange. At rest there is also a repeatability error: a small one
+that depends on the number of the motion only.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from sim.theatre.scene.model import ArmTruth
 
 Matrix = NDArray[np.float64]
 DEVICE = "arm"  # key of the noise
-DRIFT = "arm warmth"  # key of the direction in which warmth displaces the flange
-# The backlash of a joint is the whole way it loses on a reversal: it rests half of it to either side.
+DRIFT = "arm warmth"  # key of the direction of thermal displacement
+# The backlash of a joint is the full play on a reversal: it rests half of it to either side.
 FLANK_SHARE = 0.5
 
 
@@ -54,9 +54,9 @@ class TrueArm:
         )
 
     def moving(self, encoders_rad: Sequence[float], flanks: Sequence[float], moved_s: float = 0.0) -> Matrix:
-        """Pose (4, 4) while moving; `flanks` say per joint where in its backlash it is, -1 to 1.
+        """Pose (4, 4) while moving; `flanks` is each joint's position in its backlash, -1 to 1.
 
-        `moved_s` is for how long the arm has moved so far.
+        `moved_s` is how long the arm has moved so far.
         """
         pose = self._chain.flange(self._joint_angles(encoders_rad, flanks))
         if self._drifts:
@@ -70,10 +70,10 @@ class TrueArm:
         motion_number: int,
         moved_s: float = 0.0,
     ) -> Matrix:
-        """Pose (4, 4) at rest after the motion of that number."""
+        """Pose (4, 4) at rest after the motion with this number."""
         pose = self.moving(encoders_rad, flanks, moved_s)
         error_mm = noise(self._seed, DEVICE, motion_number).normal(0.0, self._repeatability_mm, 3)
-        # A displacement of the flange is the same displacement of whatever tool hangs on it.
+        # Any mounted tool is displaced like the flange.
         pose[:3, 3] += error_mm
         return pose
 
@@ -84,8 +84,8 @@ class TrueArm:
                 encoders_rad, flanks, self._joints, strict=True
             )
         ]
-        # Both axes turn the arm down when positive. The moment about an axis grows with the horizontal
-        # distance of what it carries: full when stretched out, none upright, reversed behind the axis.
+        # Positive angles of both axes lower the arm. The moment about an axis grows with the horizontal
+        # distance of its load: full when stretched out, zero upright, reversed behind the axis.
         fore = cos(encoders_rad[1] + encoders_rad[2])
         upper = cos(encoders_rad[1])
         stretch = (self._upper_mm * upper + self._fore_mm * fore) / (self._upper_mm + self._fore_mm)

@@ -7,10 +7,10 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 
 
 class Autostart:
-    """Starts the program, and restarts it a while after a run has ended or was stopped.
+    """Starts the program, and restarts it some time after a run has ended or was stopped.
 
-    A client that went away, asked for the end or commanded what the arm cannot do is followed by the next
-    run, and so is an emergency stop that was released: without EKI nobody else could acknowledge the message.
+    After a client that disconnected, requested the end or commanded something impossible comes the next run,
+    as after a released emergency stop: without EKI no one could acknowledge the message.
     """
 
     def __init__(self, controller: Controller, *, wanted: bool) -> None:
@@ -21,17 +21,17 @@ class Autostart:
 
     @property
     def wanted(self) -> bool:
-        """True when automatic start was requested."""
+        """Whether automatic start was requested."""
         return self._wanted
 
     def begin(self) -> None:
-        """Drives on and first run."""
+        """Switch on the drives and start the first run."""
         if self._wanted:
             self._controller.switch_drives(True)
             self._controller.start(counts_from_first_reply=True)
 
     def tick(self, now_s: float) -> None:
-        """Start again when it is time; called while the program is stopped or over, and the arm rests."""
+        """Restart when it is time; called while the program is stopped or over, and the arm is at rest."""
         controller = self._controller
         if not self._armed:
             return

@@ -1,7 +1,7 @@
 """The controller: drives, operating mode, messages, and the one program it runs.
 
-It owns no socket and no clock. `RsiRun` is the program while it streams, `EkiMotion` one motion that the EKI
-program was asked for; `Manipulator` is the arm.
+It owns no socket and no clock. `RsiRun` is the program while it streams, `EkiMotion` one motion requested
+from the EKI program; `Manipulator` is the arm.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class Controller:
         feeds = {wire.indx for wire in context.wiring if wire.object in ("AXISCORR", "POSCORR")}
         self.holds_corrections = all(e.holdon for e in context.receive if e.indx in feeds)
 
-    # -- what it is doing
+    # -- state
 
     @property
     def rsi_state(self) -> RsiState:
@@ -145,7 +145,7 @@ class Controller:
         return DONE
 
     def cancel(self) -> Acknowledgement:
-        """End RSI or a motion and deselect the program; the arm comes to rest on its own."""
+        """End RSI or a motion and deselect the program; the arm comes to rest."""
         if self.message is not None and self.run is None:
             return Acknowledgement(AckCode.REFUSED, f"message {self.message.number} not acknowledged")
         if self.motion is not None:
@@ -162,12 +162,12 @@ class Controller:
         return DONE
 
     def stop(self, *, fast: bool = False) -> Acknowledgement:
-        """Stop the program without cancelling it: the arm brakes, RSI may go on streaming."""
+        """Stop the program without cancelling it: the arm brakes, RSI may continue streaming."""
         self._interrupt("stopped", fast=fast)
         return DONE
 
     def acknowledge(self) -> Acknowledgement:
-        """Acknowledge the message and reset the program; a question of a running program is confirmed."""
+        """Acknowledge the message and reset the program; also confirms a question of a running program."""
         if self.interlocks.emergency_stop or self.interlocks.guard_matters:
             return Acknowledgement(AckCode.NOT_READY, "emergency stop or guard")
         if self.message is None and self.run is not None and self.run.awaits_confirmation:
@@ -181,7 +181,7 @@ class Controller:
         return DONE
 
     def move(self, motion: EkiMotion) -> None:
-        """Begin a motion of the EKI program; `ready` has been asked before."""
+        """Begin a motion of the EKI program; `ready` was checked before."""
         self.arm.drives.start_cycles(self.cycle_ms / 1000.0)
         self.motion = motion
         self.program_state = ProState.ACTIVE
@@ -198,7 +198,7 @@ class Controller:
         return DONE
 
     def press_emergency_stop(self, pressed: bool) -> None:
-        """The button on the pendant. After its release the message is acknowledged."""
+        """The button on the pendant. The message can be acknowledged after its release."""
         self.interlocks.emergency_stop = pressed
         if pressed:
             self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
@@ -217,7 +217,7 @@ class Controller:
         self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
-        """The switch behind the pendant; letting it go in a test mode stops what runs."""
+        """The switch behind the pendant; releasing it in a test mode stops whatever runs."""
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
@@ -225,7 +225,7 @@ class Controller:
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
-        """The start key; letting it go in a test mode stops the program."""
+        """The start key; releasing it in a test mode stops the program."""
         self.interlocks.start_key = held
         if self.interlocks.manual and not held and (self.run is not None or self.motion is not None):
             self._interrupt("start key released")
@@ -235,12 +235,12 @@ class Controller:
         self._stop_with(collision(self.parameters.collision_message))
 
     def overload(self) -> None:
-        """The brakes close without a message: the program runs on, the axes stop following."""
+        """The brakes close without a message: the program continues, the axes no longer follow."""
         self._overloaded = True
         self.arm.drives.brake()
 
     def trip(self, name: str) -> None:
-        """End what runs with one of the messages of `tripped`, as its real cause would."""
+        """End the run with one of the messages of `tripped`, as its real cause would."""
         if self.run is not None or self.motion is not None:
             self._fail(tripped(name, self.parameters))
 
@@ -250,7 +250,7 @@ class Controller:
             self.run.narrow_corrections(within_deg)
 
     def restart(self) -> None:
-        """The program ends without a message and is started again once the arm is at rest."""
+        """The program ends without a message and is restarted once the arm is at rest."""
         self.arm.drives.brake()
         self._end_run(ProState.FREE)
 
@@ -262,7 +262,7 @@ class Controller:
     # -- override
 
     def set_override(self, percent: int) -> Acknowledgement:
-        """Program override, of the motions of the EKI program and of the next runs' corrections at most."""
+        """Program override, for motions of the EKI program and, at most, the corrections of later runs."""
         if not 1 <= percent <= FULL_OVERRIDE:
             return Acknowledgement(AckCode.BAD_VALUE, "override is 1 to 100")
         self.override_percent = percent
@@ -285,7 +285,7 @@ class Controller:
     # -- the cycle
 
     def finish_cycle(self, reply: Reply | None) -> None:
-        """End a cycle of the running program: take the reply, move the arm, publish."""
+        """End a cycle of the running program: apply the reply, move the arm, publish."""
         run = self.run
         if run is None:
             return
@@ -348,12 +348,12 @@ class Controller:
         self._end_run(ProState.STOP)
 
     def _stop_with(self, message: Message) -> None:
-        """An external stop: the program is stopped, and may go on streaming."""
+        """An external stop: the program is stopped but may continue streaming."""
         self._show(message)
         self._interrupt(message.text)
 
     def _show(self, message: Message) -> None:
-        self.message = self.message or message  # the first one is what has to be understood
+        self.message = self.message or message  # the first one is the cause
         if message.drives_off:
             self.drives_on = False
 

@@ -1,11 +1,11 @@
 """The controller's loop: cycles in real time or in lock-step, and the EKI channels between them.
 
-A single thread does everything: no locks, and no other thread competes for the interpreter. Waiting
-is one `select` over the RSI socket and the channels.
+A single thread does everything: no locks, and no other thread competes for the interpreter. Waiting is one
+`select` over the RSI socket and the channels.
 
-Real time: telegram k leaves at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram leaves
-when the reply has come. There, a correction that has not changed for a while paces itself to real time, so
-that an idle world costs nothing, unless somebody waits for theatre time.
+Real time: telegram k is sent at t0 + k cycles. Lock-step (a theatre at full speed): the next telegram is sent
+once the reply has arrived. There, a correction that has not changed for a while is paced to real time, so
+that an idle world costs nothing, unless someone waits for theatre time.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from sim.kuka.rsi.rsi_socket import RsiSocket
 from sim.theatre.faults import FaultBoard
 from sim.theatre.world import World
 
-IDLE_WAIT_S = 0.02  # longest wait without looking at the fault script, and whether the process should end
+IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply
-READER_WAIT_S = 1.0  # ... and for whoever reads the tracker frame by frame; below the client's patience
-LOOK_S = 0.001  # host time between two looks whether somebody waits for theatre time
-SERVE_S = 0.005  # host time between two looks at the EKI channels while lock-step hurries
-UNCHANGED_CYCLES = 50  # of correction, after which lock-step paces itself
-STALE_LIMIT = 256  # datagrams read in one cycle; a flood must not stop the clock
+READER_WAIT_S = 1.0  # ... and for a client that reads the tracker frame by frame; below its own time limit
+LOOK_S = 0.001  # host time between checks whether someone waits for theatre time
+SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
+UNCHANGED_CYCLES = 50  # of correction, after which lock-step is paced
+STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
 
 
 class CycleLoop:
@@ -77,7 +77,7 @@ class CycleLoop:
         self._tick_s = self._served_s = 0.0
         self._noticed: tuple[RsiState, bool] | None = None
         self._silent = False
-        self._shared_processor = len(os.sched_getaffinity(0)) == 1  # who stays awake keeps the client from it
+        self._shared_processor = len(os.sched_getaffinity(0)) == 1  # busy waiting would starve the client
         self._unchanged = 0
         self._last_command: list[float] = []
         self.cycles = 0
@@ -127,7 +127,7 @@ class CycleLoop:
             answerable = self._send_with_faults(run, telegram)
         lock_step = not self._clock.paced and not run.settings.context.ethernet.only_send
         if not lock_step:
-            # An absolute schedule; after a stall of the host it begins anew instead of hurrying.
+            # An absolute schedule; after a stall of the host it restarts instead of catching up.
             self._deadline_s += cycle_s
             if self._deadline_s < began_s:
                 self._deadline_s = began_s + cycle_s
@@ -140,11 +140,11 @@ class CycleLoop:
             self._silent = reply is None
         else:
             reply = self._datagram = None
-        self._cell.poll()  # a fault may have come while the client worked
+        self._cell.poll()  # a fault may have become due while the client worked
         if not self._link.idle:
             reply = self._link.incoming(self._datagram, run.read)
         if controller.run is not run:
-            return  # ended by a request while it waited
+            return  # ended by a request during the wait
         self.cycles += 1
         controller.finish_cycle(reply)
         if run.held and not controller.moving:
@@ -156,7 +156,7 @@ class CycleLoop:
             self._pace(run, began_s + cycle_s)
 
     def _pace(self, run: RsiRun, next_s: float) -> None:
-        """Lock-step: an unchanged correction slows the world down to real time."""
+        """In lock-step, an unchanged correction slows the world down to real time."""
         if run.command_deg is not self._last_command:
             self._last_command = run.command_deg
             self._unchanged = 0
@@ -171,7 +171,7 @@ class CycleLoop:
         self._serve_timers(now_s)
 
     def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
-        """Send what the faults of the link leave of a telegram; False when the client cannot answer it."""
+        """Send what the link faults leave of a telegram; False if the client cannot answer it."""
         assert self._rsi is not None
         link = self._link
         if link.acts("foreign_sender"):
@@ -185,11 +185,11 @@ class CycleLoop:
         return answerable
 
     def _cycle_number(self) -> int:
-        """Which telegram leaves next, or left last while none does; counted over all runs."""
+        """Number of the next telegram, or of the last one between runs; counted over all runs."""
         return self.cycles + (self._controller.run is not None)
 
     def _moment(self) -> tuple[float, int | None]:
-        """Theatre time, and the time stamp of the telegram that leaves next."""
+        """Theatre time, and the time stamp of the next telegram."""
         run = self._controller.run
         return self._clock.now_s(), run.ipoc if run is not None else None
 
@@ -210,7 +210,7 @@ class CycleLoop:
         self._last_command = run.command_deg
 
     def _leave_run(self) -> None:
-        """Without RSI: a motion, or coming to rest, before the pace of time is given back."""
+        """Without RSI: a motion, or coming to rest, before control of time is released."""
         if self._rsi is not None:
             self._close_rsi()
             self._deadline_s = time.monotonic()
@@ -232,11 +232,11 @@ class CycleLoop:
             self._clock.end_stream()
 
     def _advance(self, cycle_ns: int) -> None:
-        """Let a cycle's time pass, once whoever reads the tracker frame by frame has asked for the next."""
+        """Let a cycle's time pass, once a client that reads frame by frame has requested the next one."""
         limit_s = time.monotonic() + READER_WAIT_S
         while self._clock.must_wait_for_reader(cycle_ns) and not self._ending:
             if time.monotonic() > limit_s:
-                self._clock.expect_reader(0)  # it reads no more
+                self._clock.expect_reader(0)  # it has stopped reading
                 break
             time.sleep(WAIT_STEP_S)
         self._clock.advance_cycle(cycle_ns)
@@ -251,7 +251,7 @@ class CycleLoop:
         self._log.info(reason, so_far=count)
 
     def _notice_change(self) -> None:
-        """Report a changed state to the channels at once instead of at the end of their period."""
+        """Report a changed state to the channels at once rather than at the end of their period."""
         state = (self._controller.rsi_state, self._controller.moving)
         if state != self._noticed:
             self._noticed = state
@@ -260,12 +260,12 @@ class CycleLoop:
     # -- waiting
 
     def _reply_until(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """The reply of this cycle, or None when it has not come by `limit_s` (host time)."""
+        """The reply of this cycle, or None if it has not arrived by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = found = None
         while True:
-            # The time is taken before looking: what lies in the socket at the limit has come in time.
+            # The time is taken first: whatever is in the socket at the limit has arrived in time.
             now_s = time.monotonic()
             if self._wait_once(max(0.0, limit_s - now_s), self._rsi.socket):
                 while budget:
@@ -282,7 +282,7 @@ class CycleLoop:
                 return found
 
     def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
-        """As `_reply_until`, waiting on the RSI socket alone; the channels are served now and then."""
+        """Like `_reply_until`, waiting on the RSI socket only; the channels are served now and then."""
         assert self._rsi is not None
         budget = STALE_LIMIT
         self._datagram = None
@@ -302,7 +302,7 @@ class CycleLoop:
                 return None
 
     def _wait_until(self, run: RsiRun, moment_s: float) -> None:
-        """Wait, serving the channels; ends early when the run does."""
+        """Wait, serving the channels; ends early if the run does."""
         while not self._ending and self._controller.run is run:
             remaining_s = moment_s - time.monotonic()
             if remaining_s <= 0.0:
@@ -317,7 +317,7 @@ class CycleLoop:
             remaining_s = moment_s - time.monotonic()
 
     def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
-        """One `select`; serves channels and timers. True when the RSI socket has something."""
+        """One `select`; serves channels and timers. True if the RSI socket is readable."""
         waiting: list[socket.socket] = [rsi] if rsi is not None else []
         for server in self._servers:
             waiting += server.sockets

@@ -1,7 +1,7 @@
 """Drive supervision: rejects any step, speed, acceleration or angle that a real arm could not follow.
 
-Never a teleport. A step is judged from cycle to cycle; speed and acceleration only when they last, so that
-one value held over a lost reply, and the longer step after it, pass at the speeds a careful client uses.
+The arm never teleports. Steps are judged from cycle to cycle, speed and acceleration only if they persist, so
+that one value held over a lost reply, and the longer step after it, pass at the speeds of a careful client.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from sim.kuka.controller.messages import (
 )
 from sim.kuka.controller_parameters import ControllerParameters
 
-ROUNDING_DEG = 1e-6  # six decimals travel on the wire
+ROUNDING_DEG = 1e-6  # six decimals on the wire
 SHORTEST_WINDOW_CYCLES = 3
-TURNING_AXES = (3, 5)  # A4 and A6 turn fast where the wrist is nearly straight
+TURNING_AXES = (3, 5)  # A4 and A6 turn fast when the wrist is nearly straight
 
 
 class Supervision:
@@ -35,7 +35,7 @@ class Supervision:
         *,
         cartesian: bool = False,
     ) -> None:
-        """`cartesian`: a pose is corrected, and a wrist axis that cannot follow means a singularity."""
+        """`cartesian`: a pose is corrected, so a wrist axis that cannot follow indicates a singularity."""
         self._arm = arm
         self._turning_axes = TURNING_AXES if cartesian else ()
         self._cycle_s = cycle_s
@@ -49,7 +49,7 @@ class Supervision:
         self._still_cycles = self._held_cycles = 0
         window = max(SHORTEST_WINDOW_CYCLES, round(parameters.acceleration_window_s / cycle_s))
         self._window_s = window * cycle_s
-        # Of the second difference of three commands that are a window apart.
+        # from the second difference of three commands one window apart
         self._bend_deg = [
             joint.acceleration_deg_s2 * parameters.acceleration_share * self._window_s**2
             for joint in arm.joints
@@ -58,7 +58,7 @@ class Supervision:
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
     def within_range(self, command_deg: list[float]) -> list[float]:
-        """The command cut at the software end switches; the same object where nothing is beyond them."""
+        """The command clipped at the software end switches; the same object if nothing is beyond them."""
         cut = [
             min(max(angle, joint.lower_deg), joint.upper_deg)
             for angle, joint in zip(command_deg, self._arm.joints, strict=True)
@@ -68,8 +68,8 @@ class Supervision:
     def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
         """None when the arm can follow, otherwise the message of the stop.
 
-        Acceleration is what replies ask for: values held where none came (`heard` is false) are not judged
-        by it, and after a few of them what comes begins from rest.
+        Acceleration is judged from replies: values held for missing replies (`heard` is false) are not, and
+        after a few of them the next command starts from rest.
         """
         past, window = self._past, self._window
         if command_deg is before_deg:
@@ -82,7 +82,7 @@ class Supervision:
             self._held_cycles = 0
             self._still_cycles += 1
             if self._still_cycles > window:
-                past.clear()  # a window at rest: what came before is over
+                past.clear()  # a window at rest: earlier commands no longer count
                 return None
         else:
             self._still_cycles = self._held_cycles = 0

@@ -1,4 +1,4 @@
-"""$TOOL_DATA and $BASE_DATA: the frames that programs have defined, by number."""
+"""$TOOL_DATA and $BASE_DATA: the frames defined by programs, by number."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Matrix = NDArray[np.float64]
 
 
 class FrameTable:
-    """Tools in the flange frame and bases in $ROBROOT, (4, 4); number 0 is the flange, and $ROBROOT."""
+    """Tools in the flange frame and bases in $ROBROOT, (4, 4); number 0 is the flange, or $ROBROOT."""
 
     def __init__(self, arm: Manipulator) -> None:
         self._arm = arm
@@ -34,7 +34,7 @@ class FrameTable:
         self.use(self.tool_number, number)
 
     def use(self, tool_number: int, base_number: int) -> None:
-        """Make a tool and a base the active ones; ValueError for a number that was never defined."""
+        """Activate a tool and a base; ValueError for a number that was never defined."""
         if tool_number not in self._tools:
             raise ValueError(f"tool {tool_number} is not defined")
         if base_number not in self._bases:

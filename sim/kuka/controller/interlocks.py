@@ -16,7 +16,7 @@ class Interlocks:
     mode: OperationMode = OperationMode.EXT
     emergency_stop: bool = False
     guard_open: bool = False
-    enabling_switch: bool = True  # matters in T1 and T2 only
+    enabling_switch: bool = True  # only relevant in T1 and T2
     start_key: bool = False  # the same; a program runs while it is held
 
     @property
@@ -26,12 +26,12 @@ class Interlocks:
 
     @property
     def guard_matters(self) -> bool:
-        """True when an open guard forbids motion; in the test modes people work inside it."""
+        """Whether an open guard forbids motion; in the test modes people work inside it."""
         return self.guard_open and not self.manual
 
     @property
     def forbids_drives(self) -> bool:
-        """True when the drives cannot be switched on."""
+        """Whether the drives cannot be switched on."""
         return self.emergency_stop or self.guard_matters or (self.manual and not self.enabling_switch)
 
     @property

@@ -1,4 +1,4 @@
-"""Messages of the teach pendant, printed on standard error: by number, and EStr texts."""
+"""Messages of the teach pendant, printed on standard error by number, and EStr texts."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from sim.kuka.controller.messages import Message
 
-PENDANT = "pendant at "  # how each of its lines begins
+PENDANT = "pendant at "  # beginning of each of its lines
 
 
 class MessageDisplay:
-    """Call `look` whenever something may have changed; `now_s` gives the theatre's time."""
+    """Call `look` whenever something may have changed; `now_s` returns theatre time."""
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s
@@ -19,7 +19,7 @@ class MessageDisplay:
         self._notice = ""
 
     def look(self, message: Message | None, notice: str) -> None:
-        """Show a message or a text that is new, and that a message was acknowledged."""
+        """Print a new message or text, and the acknowledgement of a message."""
         if message is not self._message:
             shown, self._message = self._message, message
             if message is not None:

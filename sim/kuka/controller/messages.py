@@ -31,12 +31,12 @@ def rsi_timeout(late: int) -> Message:
 
 
 def rsi_bad(object_name: str) -> Message:
-    """An object was used where it cannot act."""
+    """An object was used where it has no effect."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
 def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message:
-    """The total correction left the range that a monitor guards."""
+    """The total correction left a monitor's range."""
     return Message(
         RSI_LIMIT_EXCEEDED, f"{monitor}: {what} out of range, {value:.4f} beyond {limit:.4f}", False
     )
@@ -79,7 +79,7 @@ def end_switch(number: int, axis: str, angle_deg: float) -> Message:
 
 
 def near_singularity() -> Message:
-    """A Cartesian correction or path leads where the joints cannot follow."""
+    """A Cartesian correction or path leads to where the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
 
 
@@ -94,7 +94,7 @@ def guard_opened(number: int) -> Message:
 
 
 def enabling_switch_released(number: int) -> Message:
-    """The enabling switch was let go in a test mode while a program ran."""
+    """The enabling switch was released in a test mode while a program ran."""
     return Message(number, "enabling switch released", True)
 
 
@@ -103,7 +103,7 @@ def collision(number: int) -> Message:
     return Message(number, "collision detected: torque beyond the monitored range", True)
 
 
-# What ends a run, by the names that a fault script gives it; the axis is the first.
+# Causes that end a run, by their name in a fault script; the axis is the first.
 TRIPS: dict[str, Callable[[ControllerParameters], Message]] = {
     "timeout": lambda _: Message(
         RSI_OBJECT_ERROR, "signal flow: object ETHERNET1 returns error RSITimeout", False

@@ -8,7 +8,7 @@ from ronna_hw.wire.kuka_eki import AckCode
 
 
 class Acknowledgement(NamedTuple):
-    """A code, and why."""
+    """A code, and the reason."""
 
     code: AckCode = AckCode.OK
     text: str = ""

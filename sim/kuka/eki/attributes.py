@@ -42,7 +42,7 @@ def number(given: Mapping[str, str], name: str, otherwise: float | None = None) 
 
 
 def share(given: Mapping[str, str], name: str) -> float:
-    """A percentage above 0 and at most 100 as a fraction; 1 when it is missing."""
+    """A percentage above 0 and at most 100 as a fraction; 1 if missing."""
     value = number(given, name, 100.0)
     if not 0.0 < value <= 100.0:
         raise ValueError(f"{name} must be a percentage above 0 and at most 100")

@@ -1,6 +1,6 @@
-"""One motion of the EKI program: PTP_AXIS, PTP_POS or LIN, as a command for each cycle.
+"""One motion of the EKI program: PTP_AXIS, PTP_POS or LIN, as one command per cycle.
 
-The interpolator of the controller knows the nominal arm only; the true arm follows its encoders.
+The controller's interpolator knows only the nominal arm; the true arm follows its encoders.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class EkiMotion:
     message: Message | None = field(default=None, init=False)
 
     def next_point(self) -> list[float] | None:
-        """Axes (deg) for the next cycle; None at the end, with `message` when it ended on the way."""
+        """Axes (deg) for the next cycle; None at the end, with `message` if it was aborted."""
         point = next(self.points, None)
         if isinstance(point, Message):
             self.message = point
@@ -42,7 +42,7 @@ class EkiMotion:
 
 def shares(speed_1_s: float, acceleration_1_s2: float, cycle_s: float) -> Iterator[float]:
     """Path parameter from 0 to 1 with a trapezoidal speed profile, cycle by cycle; the last is 1."""
-    speed = min(speed_1_s, acceleration_1_s2**0.5)  # the way may be too short to reach the speed
+    speed = min(speed_1_s, acceleration_1_s2**0.5)  # the path may be too short to reach the speed
     ramp_s = speed / acceleration_1_s2
     cruise_s = 1.0 / speed - ramp_s
     total_s = 2.0 * ramp_s + cruise_s
@@ -69,7 +69,7 @@ def point_to_point(
 ) -> Iterator[list[float] | Message]:
     """All axes start and end together; the slowest sets the pace. Fractions are of the axis limits.
 
-    `fastest_1_s` is how often per second the whole way may be gone at most.
+    `fastest_1_s` limits the speed, in whole paths per second.
     """
     ways = [goal - start for goal, start in zip(goal_deg, start_deg, strict=True)]
     speeds, accelerations = [], []
@@ -107,7 +107,7 @@ def line(
         accelerations.append(acceleration_mm_s2 / length_mm)
     if angle_rad:
         speeds.append(parameters.line_turn_rad_s / angle_rad)
-        # The turn gains its speed in as long a time as the way does.
+        # The rotation reaches its speed in the same time as the translation.
         accelerations.append(parameters.line_turn_rad_s * acceleration_mm_s2 / speed_mm_s / angle_rad)
     if not speeds:
         return

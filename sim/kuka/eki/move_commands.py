@@ -1,4 +1,4 @@
-"""PTP_AXIS, PTP_POS and LIN of the project's channel: from the attributes of a command to a motion."""
+"""PTP_AXIS, PTP_POS and LIN of the project's channel: from a command's attributes to a motion."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from sim.kuka.eki.motion import EkiMotion, line, point_to_point
 
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")
 FASTEST_LINE_M_S = 2.0  # $VEL.CP of this arm
-T1_MARGIN = 0.95  # of the tool speed that T1 allows: the way is looked at in steps
+T1_MARGIN = 0.95  # of the tool speed allowed in T1: the path is checked in steps
 SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
-STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T are bits of six
+STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 
 
 class EkiMoves:
-    """Starts motions; `ended` is called with the outcome of each."""
+    """Starts motions; `ended` is called with each outcome."""
 
     def __init__(self, controller: Controller, ended: Callable[[Acknowledgement], None]) -> None:
         self._controller = controller
@@ -47,7 +47,7 @@ class EkiMoves:
         return self._point_to_point(goal, given)
 
     def lin(self, given: Mapping[str, str]) -> Acknowledgement:
-        """X..C (mm, deg) in BASE, Tool, Base, Vel (m/s); S and T mean nothing on a line."""
+        """X..C (mm, deg) in BASE, Tool, Base, Vel (m/s); S and T have no meaning on a line."""
         pose = pose_of_frame(frame(given))
         speed_m_s = number(given, "Vel")
         if not 0.0 < speed_m_s <= FASTEST_LINE_M_S:

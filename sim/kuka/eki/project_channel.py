@@ -32,7 +32,7 @@ from sim.kuka.eki.move_commands import EkiMoves
 from sim.kuka.eki.server import EkiServer
 
 MOTIONS = (CommandName.PTP_AXIS, CommandName.PTP_POS, CommandName.LIN)
-UNASKED = "0"  # Id of a State that nobody asked for
+UNASKED = "0"  # Id of an unsolicited State
 CYCLES_MS = (4, 12)
 LAST_TOOL, LAST_BASE = 16, 32
 
@@ -45,7 +45,7 @@ class ProjectChannel:
         self._controller = controller
         self._autostart = autostart
         self._next_state_s = 0.0
-        self._idle_until_s = inf  # of a client that has not asked for anything yet
+        self._idle_until_s = inf  # for a client that has not requested anything yet
         self._sent: tuple[str, ...] = ()
         self._motion_name = self._motion_id = ""
         moves = EkiMoves(controller, self._motion_ended)
@@ -101,7 +101,7 @@ class ProjectChannel:
         self.tick(time.monotonic())
 
     def _motion_ended(self, answer: Acknowledgement) -> None:
-        """A motion is answered twice: when it was accepted, and when it is done or aborted."""
+        """A motion is answered twice: when accepted, and when done or aborted."""
         self._acknowledge(self._motion_id, self._motion_name, answer)
 
     def _acknowledge(self, identifier: str, name: str, answer: Acknowledgement) -> None:

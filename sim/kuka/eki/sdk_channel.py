@@ -16,7 +16,7 @@ from sim.kuka.eki.server import EkiServer
 REQUEST = "External"
 INTERFACE_VERSION = "1.0.0"
 MACHINE_DATA_VERSION = "V1.0.0/KUKA8.6"
-FIRST_STATUS_LOOPS = 3  # the first unasked status waits a few loops, so that the answer to connect is first
+FIRST_STATUS_LOOPS = 3  # the first unsolicited status waits, so that the answer to connect comes first
 AXES, EXTERNAL_AXES = 6, 0
 
 
@@ -134,7 +134,7 @@ class SdkChannel:
             self._cycle = cycle if cycle in CYCLES_MS else self._cycle
         else:
             self._respond(self._command(request))
-        # The status tells what has changed, a loop later.
+        # The status reports what has changed one loop later.
 
     def tick(self, now_s: float) -> float:
         """Send the status when it has changed; returns when to call again."""

@@ -1,9 +1,8 @@
-"""One EKI channel: a TCP server for a single client. Cuts requests out of the stream, writes answers whole.
+"""One EKI channel: a TCP server for a single client. Extracts requests from the stream, writes whole answers.
 
-The stream has no framing: a request ends with its root element. What stands before a root (NUL padding,
-line ends, leftovers) is skipped, requests may come split or merged. The program that reads them does so once
-per loop of the submit interpreter; what it has not read yet waits in a memory, and a memory that overflows
-ends the connection.
+The stream has no framing: a request ends with its root element. Anything before a root (NUL padding, line
+ends, leftovers) is skipped; requests may arrive split or merged. The program reads them once per loop of the
+submit interpreter; unread ones wait in a buffer, and an overflow ends the connection.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ ANOTHER_PORT = (
     "Stop that program, or use free ports: --eki tcp://127.0.0.1:0 --eki-project tcp://127.0.0.1:0."
 )
 
-# Nothing is given back that was matched (*+): a tag without an end must not cost the square of its length.
+# Possessive quantifiers (*+): an unterminated tag must not take quadratic time.
 _TAG = re.compile(rb"<(/?)([A-Za-z_][\w.:-]*+)(?:[^<>\"'/]|/(?!>)|\"[^\"<]*+\"|'[^'<]*+')*+(/?)>")
 _OPENING = re.compile(rb"<[A-Za-z_]")
 
@@ -44,7 +43,7 @@ class Peer(Protocol):
         """A client has connected."""
 
     def request(self, element: ElementTree.Element) -> None:
-        """A whole request has come."""
+        """A complete request has arrived."""
 
     def closed(self) -> None:
         """The client has disconnected."""
@@ -53,7 +52,7 @@ class Peer(Protocol):
 class EkiServer:
     """Non-blocking: the owner selects on `sockets` and calls `serve`, and `flush` when `due_s` has come.
 
-    `spacing_s` is the loop of the program: at most one telegram is read and one written in it.
+    `spacing_s` is the program's loop time: at most one telegram is read and one written per loop.
     """
 
     def __init__(self, endpoint: Endpoint, spacing_s: float = 0.0) -> None:
@@ -67,12 +66,12 @@ class EkiServer:
         self._next_s = 0.0
         self._next_read_s = 0.0
         self.silent = False  # the program neither reads nor writes
-        self.taken = False  # another client holds the channel: whoever comes is refused
-        self._spoils: Callable[[bytes], bytes] | None = None  # what becomes of the next telegram
+        self.taken = False  # another client occupies the channel: new ones are refused
+        self._spoils: Callable[[bytes], bytes] | None = None  # corrupts the next telegram
         self._full = False
 
     def attach(self, peer: Peer) -> None:
-        """Set the channel that answers."""
+        """Set the peer that answers."""
         self._peer = peer
 
     @property
@@ -88,7 +87,7 @@ class EkiServer:
 
     @property
     def sockets(self) -> tuple[socket.socket, ...]:
-        """What to wait on."""
+        """Sockets to wait on."""
         return (self._listener,) if self._client is None else (self._listener, self._client)
 
     @property
@@ -101,19 +100,19 @@ class EkiServer:
 
     @property
     def writes_later(self) -> bool:
-        """True while something is queued for writing."""
+        """Whether anything is queued for writing."""
         return bool(self._outgoing)
 
     def spoil_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Corrupt the next telegram to the present client: `half`, `after_garbage` or `padded`."""
+        """Corrupt the next telegram to the present client with `half`, `after_garbage` or `padded`."""
         self._spoils = how if self.connected else None
 
     def overflow(self) -> None:
-        """Fill the buffer of the channel: the next request of the present client does not fit."""
+        """Fill the channel's buffer: the present client's next request does not fit."""
         self._full = self.connected
 
     def serve(self, ready: socket.socket) -> None:
-        """Handle a socket that is ready to be read."""
+        """Handle a readable socket."""
         if ready is self._listener:
             self._accept()
         elif ready is self._client:
@@ -173,7 +172,7 @@ class EkiServer:
                 if not self._waiting(self._client):
                     client.close()  # one client per channel
                     return
-                self._read()  # what the one before said last, and that it has gone
+                self._read()  # the previous client's last data, and its disconnection
             client.setblocking(False)
             client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._client = client
@@ -183,7 +182,7 @@ class EkiServer:
 
     @staticmethod
     def _waiting(client: socket.socket) -> bool:
-        """True when a client has sent something or disconnected."""
+        """Whether a client has sent something or disconnected."""
         try:
             client.recv(1, socket.MSG_PEEK)
         except BlockingIOError:
@@ -207,7 +206,7 @@ class EkiServer:
         self._unread.extend(requests)
         overflow = len(self._unread) > UNREAD_LIMIT or (self._full and bool(requests))
         if overflow or len(self._received) > BUFFER_LIMIT_BYTES:
-            self.drop()  # what was stored is lost with the connection
+            self.drop()  # buffered data are lost with the connection
             return
         self._hand_over()
 
@@ -268,7 +267,7 @@ def cut_requests(stream: bytes) -> tuple[list[bytes], bytes]:
 
 def _listen(endpoint: Endpoint) -> socket.socket:
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-    # A server that ended a moment ago leaves its port in TIME_WAIT; a living one is still refused.
+    # A server that just ended leaves its port in TIME_WAIT; a running one still blocks it.
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listener.bind((endpoint.host, endpoint.port))

@@ -1,4 +1,4 @@
-"""Faults of interlocks, arm and EKI channels, as the script has them now."""
+"""Faults of interlocks, arm and EKI channels, as currently scripted."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class ControllerFaults:
         self._restart: RunSettings | None = None
 
     def poll(self) -> None:
-        """Apply what has become due; nothing while the script has no fault of the robot."""
+        """Apply what has become due; no effect without a robot fault in the script."""
         if self._board.empty and self._quiet:
             return
         acting = self._board.acting()
@@ -84,7 +84,7 @@ class ControllerFaults:
         self._quiet = not acting and self._restart is None
 
     def _attend(self, *, newly: bool) -> None:
-        """Who holds the start key in a test mode holds the enabling switch as well, and confirms."""
+        """Holding the start key in a test mode includes holding the enabling switch, and confirming."""
         if newly and not self._controller.drives_on:
             self._controller.switch_drives(True)
         run = self._controller.run
@@ -110,7 +110,7 @@ class ControllerFaults:
                 EKI_HAPPENINGS[kind](server)
 
     def _start_again(self) -> None:
-        """A restarted program starts where the arm came to rest."""
+        """A restarted program begins where the arm came to rest."""
         settings = self._restart
         if settings is None or self._controller.moving:
             return

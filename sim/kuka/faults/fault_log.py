@@ -9,7 +9,7 @@ from sim.theatre.faults import Fault
 
 
 class FaultLog:
-    """Writes when faults begin and end. `moment` tells theatre time (s) and the telegram's stamp."""
+    """Logs when faults begin and end. `moment` returns theatre time (s) and the telegram's stamp."""
 
     def __init__(self, moment: Callable[[], tuple[float, int | None]]) -> None:
         self._moment = moment
@@ -17,7 +17,7 @@ class FaultLog:
         self._hits: dict[str, int] = {}
 
     def look(self, acting: tuple[Fault, ...]) -> None:
-        """Log what has begun and what has ended since the last call."""
+        """Log what has begun and ended since the last call."""
         now = {(fault.line, fault.at_s): fault for fault in acting}
         for key, fault in now.items():
             if key not in self._acting:

@@ -1,7 +1,7 @@
 """Faults of the RSI link: what happens to outgoing telegrams and incoming replies.
 
-Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time. Chances
-are drawn by cycle number and not one after another: the same cycles are met whatever was met before.
+Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time. Random
+draws depend on the cycle number, not on previous draws: the same cycles are hit whatever was hit before.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ TYPE = re.compile(rb'(?<=<Sen Type=")[^"]*(?=")')
 NUMBER = re.compile(rb'(?<==")[-+.\deE]+(?=")|(?<=>)[-+.\deE]+(?=</(?!IPOC))')
 STRANGE_TYPE = b"Stranger"
 NO_NUMBERS = (b"nan", b"inf", b"one")
-WRONG_BY = 1  # ms: no cycle ever has such a time stamp
-FUTURE_BY = 12  # ms: a later cycle has it, of 4 ms or of 12
-NOT_TEXT = 0xFF  # a byte that no XML holds: what it hits is no telegram and no reply any more
+WRONG_BY = 1  # ms: no cycle ever has this time stamp
+FUTURE_BY = 12  # ms: the stamp of a later cycle, of 4 ms or of 12
+NOT_TEXT = 0xFF  # a byte invalid in XML: it destroys a telegram or reply
 
 
 class LinkFaults:
-    """One per controller. `begin_cycle` tells which faults act; then the telegram, then the reply."""
+    """One per controller. `begin_cycle` determines the active faults; then come telegram and reply."""
 
     def __init__(self, seed: int, log: FaultLog, *, takes_second: bool = False) -> None:
         """`takes_second`: of two replies to the same telegram the second counts."""
         self._takes_second = takes_second
-        self._stamp: bytes | None = None  # that all replies carry while a fault holds it
+        self._stamp: bytes | None = None  # stamp repeated in all replies while a fault holds it
         self._seed = seed
         self._log = log
         self._cycle = 0
@@ -43,11 +43,11 @@ class LinkFaults:
 
     @property
     def idle(self) -> bool:
-        """True while no fault acts and nothing is delayed."""
+        """True while no fault is active and nothing is delayed."""
         return not self._acting and not self._under_way
 
     def look(self, acting: tuple[Fault, ...]) -> None:
-        """Update which faults act now."""
+        """Update the active faults."""
         self._acting = {}
         for fault in acting:
             self._acting.setdefault(fault.kind.name, []).append(fault)
@@ -55,19 +55,19 @@ class LinkFaults:
             self._stamp = None
 
     def begin_cycle(self, cycle: int) -> None:
-        """Say which cycle begins."""
+        """Start a cycle."""
         self._cycle = cycle
 
     def begin_run(self) -> None:
-        """Forget what was still delayed in the previous run."""
+        """Drop what was still delayed in the previous run."""
         self._under_way.clear()
 
     def acts(self, kind: str) -> bool:
-        """True while a lasting fault of that kind acts."""
+        """Whether a lasting fault of this kind is active."""
         return kind in self._acting
 
     def outgoing(self, telegram: bytes) -> tuple[bytes | None, bool]:
-        """What leaves, None when nothing does; and whether the client can answer it."""
+        """The telegram to send, None if lost; and whether the client can answer it."""
         if self.acts("network_cut") or self._meets("lose_telegrams"):
             return None, False
         if self._meets("corrupt_telegrams"):
@@ -75,7 +75,7 @@ class LinkFaults:
         return telegram, True
 
     def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
-        """The reply that this cycle gets, when the client has sent `datagram`."""
+        """The reply for this cycle, given the client's `datagram`."""
         now = [data for arrival, data in self._under_way if arrival <= self._cycle]
         self._under_way = [item for item in self._under_way if item[0] > self._cycle]
         if datagram is not None:
@@ -104,7 +104,7 @@ class LinkFaults:
         if self._meets("reorder_replies"):
             self._under_way += [(self._cycle + 1, copy) for copy in copies]
             return before
-        # What was overtaken comes after what has overtaken it.
+        # overtaken datagrams come after those that overtook them
         return [*copies, *before]
 
     def _altered(self, datagram: bytes) -> bytes:
@@ -124,7 +124,7 @@ class LinkFaults:
             datagram = TYPE.sub(STRANGE_TYPE, datagram)
         if self._meets("bad_number"):
             chance = self._chance("bad_number")
-            chance.random()  # the number that decided that it is met
+            chance.random()  # skip the draw that selected it
             datagram = NUMBER.sub(NO_NUMBERS[int(chance.integers(0, len(NO_NUMBERS)))], datagram, count=1)
         return datagram
 
@@ -138,7 +138,7 @@ class LinkFaults:
     def _broken(self, data: bytes, kind: str) -> bytes:
         """Truncated, or with one invalid byte."""
         chance = self._chance(kind)
-        chance.random()  # the number that decided that it is met
+        chance.random()  # skip the draw that selected it
         place = int(chance.integers(0, len(data)))
         if chance.random() < 0.5:
             return data[:place]

@@ -1,4 +1,4 @@
-"""AXISCORR and AXISCORRMON: corrections that add to joint angles, clamped, and watched."""
+"""AXISCORR and AXISCORRMON: corrections added to joint angles, clamped and monitored."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ronna_hw.wire.kuka_context import (
 from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller.messages import Message, out_of_range
 
-ACTIVE_BIT = 1  # bit 0 of Stat; bit n says that axis n is at a limit
+ACTIVE_BIT = 1  # bit 0 of Stat; bit n means that axis n is at a limit
 
 
 class AxisCorrector:
@@ -49,7 +49,7 @@ class AxisCorrector:
         self.stat = 0
 
     def narrow(self, within_deg: float | None) -> bool:
-        """Clamp this close to the present totals; None: by the context's limits alone. True when changed."""
+        """Clamp this close to the present totals; None: only by the context's limits. True if changed."""
         if within_deg == self._within_deg:
             return False
         self._within_deg = within_deg
@@ -66,7 +66,7 @@ class AxisCorrector:
         return True
 
     def take(self, inputs_deg: Sequence[float]) -> Message | None:
-        """Add up one cycle's inputs; the monitor's message when the total exceeds its limit."""
+        """Add one cycle's inputs; the monitor's message if the total exceeds its limit."""
         wanted = (
             [total + step for total, step in zip(self.totals_deg, inputs_deg, strict=True)]
             if self._relative

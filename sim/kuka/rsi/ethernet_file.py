@@ -1,7 +1,7 @@
-"""Reads KUKA's Ethernet file: the telegram's layout, and where the client listens.
+"""Reads KUKA's Ethernet file: the telegram's layout, and the client's address.
 
-The file says nothing about what the channels feed. That is in the RSI context; where none is given, the
-meaning is inferred from the tags that everybody uses.
+The file does not say what the channels feed. That is in the RSI context; without one it is inferred from
+the commonly used tags.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from sim.kuka.errors import EthernetFileInvalid
 
 SECTIONS = ("SEND", "RECEIVE")
 INTERNAL = "INTERNAL"
-LARGEST_FILE_BYTES = 1_000_000  # a line per element, of which there are up to 128
+LARGEST_FILE_BYTES = 1_000_000  # one line per element, of which there are up to 128
 AXIS_GROUPS = ("AK", "AKorr")
 FRAME_GROUPS = ("RKorr",)
 STOP_TAGS = ("Stop", "MoveStop")
 STAT_TAGS = {"AKorr.Stat": "AXISCORR", "AK.Stat": "AXISCORR", "RKorr.Stat": "POSCORR"}
-# Of a link whose context is not known: what all public projects set.
+# for a link without a context: the value in all public projects
 INFERRED_TIMEOUT_PACKETS = 100
 INFERRED_PRECISION = 4
 

@@ -1,4 +1,4 @@
-"""POSCORR and POSCORRMON: corrections that move the tool centre point, clamped, and watched."""
+"""POSCORR and POSCORRMON: corrections that move the tool centre point, clamped and monitored."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim.kuka.controller.messages import Message, near_singularity, out_of_range
 from sim.theatre.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
-ACTIVE_BIT = 1  # bit 0 of Stat; bits 1 to 3 say that X, Y, Z are at a limit, bit 4 the rotation
+ACTIVE_BIT = 1  # bit 0 of Stat; bits 1 to 3 mean X, Y, Z at a limit, bit 4 the rotation
 ROTATION_BIT = 16
 TOOL_REFERENCE = "Tool"
 
@@ -56,7 +56,7 @@ class PositionCorrector:
         self.stat = 0
 
     def take(self, inputs: Sequence[float]) -> Message | None:
-        """Take X Y Z (mm) A B C (deg) of one cycle; a message when a monitor trips or no joints are found."""
+        """Apply one cycle's X Y Z (mm) A B C (deg); a message if a monitor trips or no joints are found."""
         step = pose_of_frame(inputs)
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
@@ -75,7 +75,7 @@ class PositionCorrector:
         if angle_deg > self._largest_deg:
             return out_of_range("POSCORRMON", "rotation", angle_deg, self._largest_deg)
         if distance_mm == 0.0 and angle_deg == 0.0:
-            self.joints_deg = self._base_deg  # exactly, not as near as an iteration comes
+            self.joints_deg = self._base_deg  # exact, unlike the result of an iteration
             return None
         goal = self._start.copy()
         goal[:3, 3] += self._reference @ self._shift_mm

@@ -1,6 +1,6 @@
 """One run of the RSI program, from RSI_ON to RSI_OFF: telegram out, reply in, command for the drives.
 
-No sockets and no clock here: the caller sends what `telegram` returns, hands every datagram to `read`, and
+No sockets and no clock here: the caller sends what `telegram` returns, passes every datagram to `read`, and
 ends each cycle with `finish`.
 """
 
@@ -28,14 +28,14 @@ from sim.kuka.rsi.telegram_writer import TelegramWriter
 
 Matrix = NDArray[np.float64]
 
-IPOC_OF_RUN = 2_654_435_761  # steps through the range unevenly: a new run may begin higher or lower
+IPOC_OF_RUN = 2_654_435_761  # steps through the range irregularly: a new run may begin higher or lower
 EXIT_MOVE_CORR = "ExitMoveCorr"
 INFO_MESSAGE = "InfoMessage"
 PATH_FAST = "PathFast"
 
 
 def first_ipoc(run_number: int, cycle_ms: int, parameters: ControllerParameters) -> int:
-    """Time stamp of the first telegram of a run, which are counted from 1; a multiple of the cycle."""
+    """Time stamp of a run's first telegram, a multiple of the cycle; runs are numbered from 1."""
     stamp = (parameters.ipoc_start + (run_number - 1) * IPOC_OF_RUN) % (1 << parameters.ipoc_bits)
     return stamp - stamp % cycle_ms
 
@@ -49,13 +49,13 @@ class RunSettings:
     relative: bool
     number: int
     counts_from_first_reply: bool  # an autostarted program waits for its first client
-    needs_confirmation: bool = False  # in T1 and T2 somebody confirms that corrections become active
-    correction_share: float = 1.0  # of what is sent, where the override scales it
+    needs_confirmation: bool = False  # in T1 and T2 someone must confirm that corrections become active
+    correction_share: float = 1.0  # share of a correction that takes effect, if the override scales it
 
 
 @dataclass(frozen=True)
 class StartPose:
-    """Where the arm is at RSI_ON: axes (deg), the reported frame, and TCP and BASE in $ROBROOT."""
+    """The arm at RSI_ON: axes (deg), the reported frame, and TCP and BASE in $ROBROOT."""
 
     axes_deg: list[float]
     reported_deg: Sequence[float]
@@ -65,7 +65,7 @@ class StartPose:
 
 
 class RsiRun:
-    """The state of one run. When it is `over`, `message` says why; None when the client requested it."""
+    """The state of one run. Once it is `over`, `message` is the reason; None if the client requested it."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class RsiRun:
         self._parameters = parameters
         self._acts_early = parameters.corrections_act == "rsi_on"
         behind = parameters.delay_lag_cycles + 1
-        self._delays = deque([0] * behind, maxlen=behind)  # what D tells now and is still to tell
+        self._delays = deque([0] * behind, maxlen=behind)  # values of D now and in the next cycles
         self._timeout = context.ethernet.timeout_packets
         self._stop_mode = context.stop.mode if context.stop is not None else EXIT_MOVE_CORR
         self._writer = TelegramWriter(
@@ -136,7 +136,7 @@ class RsiRun:
 
     @property
     def correction_stats(self) -> tuple[int, int]:
-        """Stat outputs of AXISCORR and POSCORR: whether they act, and which limits clamp."""
+        """Stat outputs of AXISCORR and POSCORR: whether they are active, and which limits clamp."""
         axis, position = self._flow.stats
         if not self._parameters.stat_tells_limits:
             return axis & ACTIVE_BIT, position & ACTIVE_BIT
@@ -144,7 +144,7 @@ class RsiRun:
 
     @property
     def heard(self) -> bool:
-        """True when a client has answered at least once."""
+        """Whether a client has answered at least once."""
         return self._heard_once
 
     def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
@@ -153,25 +153,25 @@ class RsiRun:
 
     @property
     def begins(self) -> bool:
-        """True before the cycle of the first telegram has ended."""
+        """True until the cycle of the first telegram has ended."""
         return not self._sent_once
 
     @property
     def streams(self) -> bool:
-        """True when telegrams leave; a program may begin with that late."""
+        """Whether telegrams are sent; a program may begin streaming late."""
         return self._sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
-        """A nearly empty telegram, as the first one of an RSI before 3.0."""
+        """A nearly empty telegram, like the first one of an RSI before 3.0."""
         return f'<Rob Type="KUKA"><IPOC>{self.ipoc}</IPOC></Rob>'.encode("ascii")
 
     def with_other_stamp(self, telegram: bytes) -> bytes:
-        """The telegram as the controller of another arm might write it."""
+        """The telegram as another arm's controller might write it."""
         other = (self.ipoc + self._ipoc_range // 2) % self._ipoc_range
         return telegram.replace(f">{self.ipoc}<".encode("ascii"), f">{other}<".encode("ascii"))
 
     def read(self, data: bytes) -> Reply | None:
-        """A reply to this cycle's telegram; None for a broken or foreign one, or one of another cycle."""
+        """A reply to this cycle's telegram; None for a broken, foreign or outdated one."""
         reply = self._reader.read(data)
         if reply is not None and reply.ipoc == self.ipoc:
             return reply
@@ -179,7 +179,7 @@ class RsiRun:
         return None
 
     def finish(self, reply: Reply | None) -> None:
-        """End the cycle with the reply that came, or without one; sets `over` when the run ends."""
+        """End the cycle with or without a reply; sets `over` when the run ends."""
         self._cycles += 1
         if not self._sent_once and not self.streams:
             self._enter_movecorr()
@@ -208,7 +208,7 @@ class RsiRun:
             self._enter_movecorr()
 
     def hold(self) -> None:
-        """The program is stopped but not cancelled: it keeps streaming, corrections no longer act."""
+        """The program is stopped but not cancelled: it keeps streaming, corrections are ignored."""
         self._held = True
         self.state = RsiState.ON
 
@@ -227,7 +227,7 @@ class RsiRun:
 
     @property
     def stops_fast(self) -> bool:
-        """Whether the STOP object brakes with the ramps of a fast stop."""
+        """Whether the STOP object brakes with fast-stop ramps."""
         return self._stop_mode == PATH_FAST
 
     @property
@@ -257,7 +257,7 @@ class RsiRun:
             self._end(message)
 
     def _stop_asked(self) -> bool:
-        """A rising edge at STOP; True when the run goes on."""
+        """Handle a rising edge at STOP; True if the run continues."""
         if self._stop_mode == INFO_MESSAGE:
             self.notice = "STOP1: stop requested"
             return True

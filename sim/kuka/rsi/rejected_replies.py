@@ -5,14 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
-AGAIN_S = 1.0  # between two lines, whatever comes
+AGAIN_S = 1.0  # between two lines, at any rate of rejections
 
 _TYPE = re.compile(rb"<Sen\b[^>]*\bType\s*=\s*[\"']([^\"'<>]{0,40})")
 _IPOC = re.compile(rb"<IPOC>\s*(\d{1,20})\s*</IPOC>")
 
 
 class RejectedReplies:
-    """Counts what was rejected; `tell` hands on why, of the last one, at most once in `AGAIN_S`."""
+    """Counts rejected replies; `tell` passes on the last reason, at most once per `AGAIN_S`."""
 
     def __init__(self, sentype: str) -> None:
         self.count = 0
@@ -22,12 +22,12 @@ class RejectedReplies:
         self._last: tuple[bytes, int] = (b"", 0)
 
     def note(self, data: bytes, ipoc: int) -> None:
-        """One more, in the cycle with that time stamp; costs next to nothing."""
+        """Count one more, in the cycle with this time stamp; costs next to nothing."""
         self.count += 1
         self._last = (data, ipoc)
 
     def tell(self, now_s: float, say: Callable[[str, int], None]) -> None:
-        """Say why the last one was rejected, and how many were, if that is news and time for it."""
+        """Report why the last one was rejected, and how many were, if new and due."""
         if self.count == self._told or now_s < self._told_s + AGAIN_S:
             return
         self._told, self._told_s = self.count, now_s

@@ -1,7 +1,7 @@
 """Reads the client's reply, `<Sen Type="...">...`, leniently in form and strictly in content.
 
-Any order, unknown or missing elements, blanks and line ends are fine. A wrong root or Type, no IPOC, a
-number that is none, broken XML or a document type make it no reply at all.
+Any order, unknown or missing elements, blanks and line ends are accepted. A wrong root or Type, no IPOC, an
+invalid number, malformed XML or a document type make it no reply at all.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from xml.parsers import expat
 from ronna_hw.wire.kuka_context import FREE_TAG, INTERNAL, ReceiveElement
 from sim.kuka.controller_parameters import ControllerParameters
 
-LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels stays far below
+LONGEST_REPLY = 16384  # bytes; the longest configuration of 64 channels is far below
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?")
 _PLAIN_NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)")
@@ -24,7 +24,7 @@ _DIGIT_ATTRIBUTE = re.compile(rb"(\s)(\d[\w.-]*\s*=)")
 
 
 class Reply(NamedTuple):
-    """A reply: its time stamp, and per receive element a number, or None where it said nothing."""
+    """A reply: its time stamp, and per receive element a number, or None if absent."""
 
     ipoc: int
     values: Sequence[float | None]
@@ -32,7 +32,7 @@ class Reply(NamedTuple):
 
 
 class ReplyReader:
-    """Reads replies of one configuration. Text channels (STRING) carry no meaning here and count as 0."""
+    """Reads replies of one configuration. Text channels (STRING) have no meaning here and count as 0."""
 
     def __init__(
         self, elements: Sequence[ReceiveElement], sentype: str, parameters: ControllerParameters | None = None
@@ -51,7 +51,7 @@ class ReplyReader:
             self._places[name, attribute] = number
             self._digits_in_names |= attribute[:1].isdigit()
         self._match = re.compile(self._pattern(elements).encode()).fullmatch
-        # The expression's groups follow the elements; others (messages, generators) have no group.
+        # The expression's groups follow the elements; others (messages, generators) have none.
         self._dense = list(self._places.values()) == list(range(self._count))
 
     def read(self, data: bytes) -> Reply | None:
@@ -69,7 +69,7 @@ class ReplyReader:
         return Reply(int(ipoc), values)
 
     def _pattern(self, elements: Sequence[ReceiveElement]) -> str:
-        # The usual form only: configured order, plain decimals. Everything else takes the slow way.
+        # Only the usual form: configured order, plain decimals. Everything else uses the parser.
         number = r"([-+]?\d{1,15}(?:\.\d{0,15})?)"
         parts = [rf'\s*<Sen Type="{re.escape(self._sentype)}">\s*']
         group = ""
@@ -99,7 +99,7 @@ class ReplyReader:
         if end < 0 or len(data) > LONGEST_REPLY:
             return None
         content = data[: end + len(b"</Sen>")]
-        if self._digits_in_names:  # GPIO 01="1" is sent by a maker's own client and is not XML
+        if self._digits_in_names:  # a manufacturer's own client sends GPIO 01="1", which is not XML
             content = _DIGIT_ATTRIBUTE.sub(rb"\1_\2", content)
         collector = _Collector(self._sentype)
         try:

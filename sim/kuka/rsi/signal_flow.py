@@ -1,4 +1,4 @@
-"""The RSI signal flow: what the ETHERNET object received, through the wiring, to a joint command."""
+"""The RSI signal flow: from the ETHERNET object's inputs, through the wiring, to a joint command."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 
 
 class EthernetOutputs:
-    """Outputs of the ETHERNET object: the last values, kept or dropped to zero by HOLDON."""
+    """Outputs of the ETHERNET object: the last values, kept or reset to zero according to HOLDON."""
 
     def __init__(self, context: RsiContext, lacking: Literal["holdon", "kept", "zero"] = "holdon") -> None:
-        """`lacking` says what becomes of an element that is not in a reply."""
+        """`lacking` determines what happens to an element missing from a reply."""
         self._hold = [bool(element.holdon) for element in context.receive]
         self._keep = self._hold if lacking == "holdon" else [lacking == "kept"] * len(self._hold)
         self.values: list[float] = [0.0] * len(self._hold)
         self._all_missing: tuple[None, ...] = (None,) * len(self._hold)
 
     def take(self, values: Sequence[float | None] | None) -> list[float]:
-        """Take a reply's values, or None for a cycle without a reply."""
+        """Apply a reply's values, or None for a cycle without a reply."""
         if values is not None and None not in values:
             self.values = list(values)  # type: ignore[arg-type]
             return self.values
@@ -41,7 +41,7 @@ class EthernetOutputs:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Positions in the list of received elements that feed an object; None where nothing does."""
+    """Positions in the list of received elements that feed an object; None if nothing does."""
 
     axes: tuple[int | None, ...] | None
     frame: tuple[int | None, ...] | None
@@ -75,7 +75,7 @@ class SignalFlow:
         relative: bool,
         share: float = 1.0,
     ) -> None:
-        """`share` is what acts of a correction: less than all where the override scales it."""
+        """`share` is the part of a correction that takes effect: less than all if the override scales it."""
         self._inputs = inputs
         self._relative = relative
         self._share = share
@@ -87,7 +87,7 @@ class SignalFlow:
         self._base_deg = self.command_deg
 
     def stop_rises(self, values: list[float]) -> bool:
-        """True in the cycle in which the input of STOP becomes true."""
+        """True in the cycle in which STOP's input becomes true."""
         place = self._inputs.stop
         if place is None:
             return False
@@ -97,7 +97,7 @@ class SignalFlow:
         return rises
 
     def correct(self, values: list[float]) -> Message | None:
-        """One cycle in RSI_MOVECORR; `command_deg` stays the same object when nothing changes."""
+        """One cycle in RSI_MOVECORR; `command_deg` stays the same object if nothing changes."""
         if values == self._last and not self._relative:
             return None
         self._last = values
@@ -123,7 +123,7 @@ class SignalFlow:
         return None
 
     def narrow(self, within_deg: float | None) -> None:
-        """As for `AxisCorrector`, where there is one; the present values are judged again."""
+        """As for `AxisCorrector`, if there is one; the present values are judged again."""
         if self._axis is not None and self._axis.narrow(within_deg):
             self._last = None
 

@@ -1,7 +1,7 @@
 """Writes the controller's telegram, `<Rob Type="KUKA">...`, byte for byte as a KR C4 does.
 
 Elements in the order of the configuration, no white space between them, IPOC last. The layout is compiled
-once per run; while the arm stands still even its numbers are not formatted again.
+once per run; while the arm is at rest its numbers are not even reformatted.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ KEYWORD_PREFIX = "DEF_"
 TECH_GENERATORS = 6
 TECH_PARAMETERS = 10
 
-# Keyword -> attributes, and what fills them: actual or set values, or zeros for what is not fitted.
+# Keyword -> attributes, and their source: actual or set values, or zeros for what is not fitted.
 ACTUAL_FRAME, ACTUAL_AXES, SET_FRAME, SET_AXES, NOTHING = "RIst", "AIPos", "RSol", "ASPos", ""
 KEYWORDS = {
     "RIst": (FRAME, ACTUAL_FRAME),
@@ -38,7 +38,7 @@ ZERO_OF = {"BOOL": "0", "LONG": "0", "STRING": ""}
 
 
 class TelegramWriter:
-    """The telegram of one run: `set_axes_deg` and `set_frame` are the programmed pose, which stays."""
+    """The telegram of one run: `set_axes_deg` and `set_frame` are the programmed pose, constant."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class TelegramWriter:
     ) -> None:
         self._number = f"%.{precision}f"
         self._order: list[str] = []
-        self._counts: list[int] = []  # what each whole number in the telegram tells
+        self._counts: list[int] = []  # meaning of each integer in the telegram
         self._stats = {wire.indx: STAT_PLACES[wire.object] for wire in feedback}
         constants = {SET_AXES: set_axes_deg, SET_FRAME: set_frame, NOTHING: (0.0,) * 6}
         groups: list[tuple[str, str]] = []  # name, attributes or text as a template
@@ -60,7 +60,7 @@ class TelegramWriter:
             f"<{name}{content}/>" if content.startswith(" ") else f"<{name}>{content}</{name}>"
             for name, content in groups
         )
-        # Filled twice: positions when the arm has moved, then D and IPOC in every cycle.
+        # Filled in two stages: positions when the arm has moved, D and IPOC in every cycle.
         self._template = f'<Rob Type="KUKA">{body}<IPOC>%%d</IPOC></Rob>'
         self._last: tuple[Sequence[float] | None, Sequence[float] | None] = (None, None)
         self._filled = ""

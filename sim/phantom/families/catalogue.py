@@ -1,7 +1,7 @@
 """Scene families of the phantom CT, and the protocols they are scanned with.
 
-The localizer's thresholds may be chosen on the families for TUNING. Its accuracy, detection and honesty are
-stated on the families for JUDGING, which nobody looks at while changing the localizer.
+The localizer's thresholds may be chosen on the families for TUNING. Its accuracy, detection and calibration
+of covariances are stated for the families for JUDGING, which are never used while changing the localizer.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class PostStreaks:
 
 @dataclass(frozen=True)
 class Family:
-    """What scans of one family hold. Ranges are drawn from uniformly, once per scan."""
+    """What scans of one family contain. Values are drawn uniformly from the ranges, once per scan."""
 
     name: str
     purpose: Purpose
@@ -62,17 +62,18 @@ class Family:
     post_streaks: PostStreaks | None = None
     bands: MarkerBands | None = None
     pairs: int = 0  # spheres that get a neighbour
-    distractors: int = 0  # balls and cylinders of polymer, so many each
-    look_alikes: tuple[Draw, ...] = ()  # objects that are no spheres, two of each kind
+    distractors: int = 0  # polymer balls and cylinders, this many of each
+    look_alikes: tuple[Draw, ...] = ()  # objects that are not spheres, two of each kind
     bare: bool = False  # spheres without film and post
     edge: bool = False  # the field of view ends next to one sphere and cuts another
 
 
 @dataclass(frozen=True)
 class MarkerBands:
-    """Bright or dark straight streaks: how many near each marker, and how they lie.
+    """Bright or dark straight streaks: how many near each marker, and their position.
 
-    `from_metal`: they begin at the post's foot and miss its axis by `beside_mm`; else they pass the sphere.
+    `from_metal`: they start at the post's foot and miss its axis by `beside_mm`; otherwise
+    they pass the sphere.
     """
 
     count: tuple[int, int]

@@ -11,13 +11,13 @@ from sim.phantom.head.anatomy import Marker, shifted
 from sim.phantom.head.streaks import Band
 
 PASSING_MM = 40.0  # half the length of a band that passes a sphere
-RAY_MM = 25.0  # and of one that begins at metal
+RAY_MM = 25.0  # and of one that starts at metal
 
 
 def draw_bands(
     kind: MarkerBands | None, markers: tuple[Marker, ...], generator: np.random.Generator
 ) -> tuple[Band, ...]:
-    """Some for each marker; none where the family has none."""
+    """Some for each marker; none if the family has none."""
     if kind is None:
         return ()
     return tuple(

@@ -51,13 +51,13 @@ Vector = NDArray[np.float64]
 
 LARGEST_MARKERS = 8
 CAP_HALF_ANGLE_RAD = radians(60.0)
-BESIDE_FRAME_RAD = radians(80.0)  # the frame takes the middle of the cap
+BESIDE_FRAME_RAD = radians(80.0)  # the frame occupies the middle of the cap
 CLEARANCE_MM = 26.0  # between markers, and from them to other things on the head
 SHORT_CLEARANCE_MM = 18.0  # to electrodes and bolts
 CABLE_ROOM_MM = 22.0  # it swings by 6 mm, and a pair is 14 mm long
-LEAD_ROOM_MM = 8.0  # from a sphere's centre to a lead
+LEAD_ROOM_MM = 8.0  # between a sphere's centre and a lead
 LOOK_ALIKES_OF_A_KIND = 2
-LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM = 44.0, 20.0  # a rod of 30 mm meets nothing else
+LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM = 44.0, 20.0  # a 30 mm rod touches nothing else
 LOOK_ALIKE_MARGIN_MM = 12.0  # to the end of the field
 TARGET_DEPTH_MM = 50.0
 ATTEMPTS = 4000
@@ -177,7 +177,7 @@ def _free_fiducials(
 def _with_frame(
     family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
 ) -> tuple[Fiducial, ...]:
-    """The frame's spheres, and beside the frame the others."""
+    """The frame's spheres, and the others next to the frame."""
     found = list(frame_fiducials(head, frame, generator))
     centres = [np.array(one.centre_ct_mm) for one in found]
     bars = [(centres[0], centres[2]), (centres[1], centres[3])]
@@ -224,7 +224,7 @@ def _floating(head: Head, generator: np.random.Generator) -> tuple[Marker, ...]:
 def _obstacles(
     family: Family, head: Head, placed: Vector, covering_mm: float, generator: np.random.Generator
 ) -> tuple[Obstacles, list[tuple[float, float, float]]]:
-    """Everything that is not the head itself, and where the distractors are."""
+    """Everything except the head itself, and the positions of the distractors."""
     around = Obstacles()
     if covering_mm > 0.0:
         around += obstacles.bandage(head, covering_mm, float(generator.uniform(*family.bandage_hu)))

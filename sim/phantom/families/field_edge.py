@@ -16,7 +16,7 @@ CUT_MM = (1.5, 4.5)  # from the leftmost sphere's centre: part of it is missing
 def grid_ending_at_spheres(
     grid: CtGrid, head: Head, generator: np.random.Generator
 ) -> tuple[CtGrid, dict[int, float]]:
-    """Shift the grid so; which spheres are cut, and how much of their surface remains in the field."""
+    """Shift the grid accordingly; returns which spheres are cut, and how much of their surface remains."""
     high_mm, left_mm = float(generator.uniform(*WHOLE_MM)), float(generator.uniform(*CUT_MM))
     spheres = sorted(head.fiducials, key=lambda fiducial: fiducial.centre_ct_mm[2])
     leftmost = max(head.fiducials, key=lambda fiducial: fiducial.centre_ct_mm[0])

@@ -1,4 +1,4 @@
-"""Anatomy beyond the layers, and the rest: ventricles, sinuses, teeth, fillings, headrest, cable, markers."""
+"""Anatomy beyond the layers, and objects: ventricles, sinuses, teeth, fillings, headrest, cable, markers."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ WIRE_RADIUS_MM = 0.9
 SPHERE_HU = (100.0, 150.0)
 FILM_MM = 0.1
 FILM_HU = 600.0
-POST_DEPTH_MM = 1.5  # the post enters the sphere by as much
+POST_DEPTH_MM = 1.5  # the post enters the sphere by this much
 POST_RADIUS_MM = 2.0
-METAL_POSTS = 0.75  # share of posts that are metal, the others are polymer
+METAL_POSTS = 0.75  # share of metal posts; the others are polymer
 POST_METAL_HU = 3500.0
 POST_POLYMER_HU = 180.0
 FLANGE_RADIUS_MM = 4.0
@@ -59,7 +59,7 @@ SCREW_IN_BONE_MM = 5.0
 
 @dataclass(frozen=True)
 class Marker:
-    """A sphere on its post, as painted; `post` names the material."""
+    """A sphere on its post, as painted; `post` is the material."""
 
     fiducial: Fiducial
     hu: float
@@ -69,19 +69,19 @@ class Marker:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """Everything to paint over the head's layers, in this order, and where metal makes streaks."""
+    """Everything to paint over the head's layers, in this order, and where metal causes streaks."""
 
-    headrest: tuple[Shape, ...]  # alike in all slices
+    headrest: tuple[Shape, ...]  # the same in all slices
     surroundings: tuple[Shape, ...]
     markers: tuple[Marker, ...]
     fillings: tuple[Ball, ...]
-    streaks: tuple[Streak, ...] = ()  # of other metal than fillings
+    streaks: tuple[Streak, ...] = ()  # from metal other than fillings
     bands: tuple[Band, ...] = ()
-    deceiving: tuple[Point, ...] = ()  # where bodies that are no markers are painted as exactly as markers
+    deceiving: tuple[Point, ...] = ()  # where bodies that are not markers are painted as precisely as markers
 
     @property
     def places(self) -> tuple[Point, ...]:
-        """Where the scan is painted finely: the markers, then what might deceive."""
+        """Where the scan is painted finely: the markers, then potential look-alikes."""
         return (*(marker.fiducial.centre_ct_mm for marker in self.markers), *self.deceiving)
 
     @property
@@ -112,7 +112,7 @@ def marker_on_post(fiducial: Fiducial, head: Head, generator: np.random.Generato
 
 
 def bare_marker(fiducial: Fiducial, generator: np.random.Generator) -> Marker:
-    """A sphere that nothing holds, without film."""
+    """A free-floating sphere without film."""
     sphere_hu = float(generator.uniform(*SPHERE_HU))
     return Marker(fiducial, sphere_hu, "none", (Ball(sphere_hu, fiducial.centre_ct_mm, fiducial.radius_mm),))
 

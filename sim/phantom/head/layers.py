@@ -29,7 +29,7 @@ BLUR_REACH = 4.0  # of the blur's sigma
 
 
 class HeadLayers:
-    """Looks intensities up. `blur_mm` is the standard deviation by which edges are smoothed, 0 for none."""
+    """Looks up intensities. `blur_mm` is the standard deviation by which edges are smoothed, 0 for none."""
 
     def __init__(self, centre: Point, semi_axes: Point, blur_mm: float) -> None:
         self.centre = centre
@@ -52,7 +52,7 @@ class HeadLayers:
         return hu
 
     def half_widths(self, z_mm: float, margin_mm: float) -> tuple[float, float] | None:
-        """Half extents in x and y of the head's cut at `z_mm`, with a margin; None where there is none."""
+        """Half extents in x and y of the head's section at `z_mm`, with a margin; None if there is none."""
         a, b, c = (axis + margin_mm for axis in self.semi_axes)
         left = 1.0 - ((z_mm - self.centre[2]) / c) ** 2
         return None if left <= 0.0 else (a * sqrt(left), b * sqrt(left))

@@ -1,7 +1,7 @@
-"""Objects of the markers' polymer and about their size that are no whole spheres.
+"""Objects of the markers' polymer and about their size that are not whole spheres.
 
-Each function draws one object around a middle beside the head, or on the skin, and tells the points where a
-localizer may take it for a sphere: these are painted as exactly as markers are.
+Each function draws one object around a centre next to the head, or on the skin, and returns the points at
+which a localizer may mistake it for a sphere: these are painted as precisely as markers.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from sim.phantom.head.shapes import Ball, Point, Rod, Shape
 
 Vector = NDArray[np.float64]
 
-RADIUS_MM = 5.75  # that of the usual marker, which look-alikes come near
+RADIUS_MM = 5.75  # of the usual marker, which look-alikes resemble
 POLYMER_HU = (80.0, 200.0)
 GEL_HU = (-20.0, 60.0)
 STANDOFF_MM = (22.0, 32.0)
-STEEPEST = 0.5  # of a body's own direction, towards the skin: so that it does not run into the head
+STEEPEST = 0.5  # slope of a body's own direction towards the skin, so that it does not run into the head
 
 
 @dataclass(frozen=True)
 class LookAlike:
-    """What it is called, its bodies in the order of painting, and where it might deceive."""
+    """Its name, its bodies in painting order, and where it might deceive."""
 
     kind: str
     shapes: tuple[Shape, ...]
@@ -37,7 +37,7 @@ class LookAlike:
 
 @dataclass(frozen=True)
 class Seat:
-    """Where an object goes: a point of the skin, the outward normal there, and what draws the rest."""
+    """Where an object goes: a point on the skin, the outward normal there, and the generator for the rest."""
 
     skin: Vector
     normal: Vector
@@ -50,7 +50,7 @@ class Seat:
         return self.between(*POLYMER_HU)
 
     def middle(self) -> Vector:
-        """Beside the head."""
+        """A point next to the head."""
         return np.asarray(self.skin + self.normal * self.between(*STANDOFF_MM))
 
     def along(self) -> Vector:
@@ -61,7 +61,7 @@ class Seat:
         return np.asarray(along / np.linalg.norm(along))
 
     def axes(self) -> tuple[Point, Point, Point]:
-        """Three perpendicular directions at random."""
+        """Three random perpendicular directions."""
         turned, _ = np.linalg.qr(self.random.standard_normal((3, 3)))
         first, second, third = (_point(row) for row in turned)
         return first, second, third
@@ -87,7 +87,7 @@ def round_ended_rod(seat: Seat) -> LookAlike:
 
 
 def egg(seat: Seat) -> LookAlike:
-    """An ellipsoid that is a quarter to a seventh longer than wide."""
+    """An ellipsoid a quarter to a seventh longer than wide."""
     middle = _point(seat.middle())
     longer = seat.between(0.07, 0.2)
     semi_axes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
@@ -169,14 +169,14 @@ def button(seat: Seat) -> LookAlike:
 
 
 def hollow_ball(seat: Seat) -> LookAlike:
-    """A ball of a marker's size with air in it."""
+    """A ball of a marker's size with air inside."""
     middle = _point(seat.middle())
     core = Ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
     return LookAlike("hollow ball", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
 
 
 def other_ball(seat: Seat) -> LookAlike:
-    """A whole ball of 9.5 to 10.6, or of 12.5 to 14 mm."""
+    """A whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
     middle = _point(seat.middle())
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
@@ -184,7 +184,7 @@ def other_ball(seat: Seat) -> LookAlike:
 
 
 def gel(seat: Seat) -> LookAlike:
-    """A drop of gel with air bubbles in it."""
+    """A drop of gel with air bubbles."""
     middle, hu = seat.middle(), seat.between(*GEL_HU)
     bubbles = []
     for _ in range(int(seat.random.integers(2, 5))):
@@ -244,7 +244,7 @@ def plated_dome(seat: Seat) -> LookAlike:
 
 
 def peanut(seat: Seat) -> LookAlike:
-    """Two balls that have grown into one."""
+    """Two balls fused into one."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
     balls = (

@@ -36,7 +36,7 @@ DISTRACTOR_STANDOFF_MM = (22.0, 32.0)
 
 @dataclass(frozen=True)
 class Obstacles:
-    """Bodies and the streaks of those that are metal."""
+    """Bodies, and the streaks from the metal ones."""
 
     shapes: tuple[Shape, ...] = ()
     streaks: tuple[Streak, ...] = ()
@@ -46,7 +46,7 @@ class Obstacles:
 
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
-    """Point of the skin in a direction from the head's centre, CT frame, and the outward normal there."""
+    """Point on the skin in a direction from the head's centre, CT frame, and the outward normal there."""
     axes = np.array(head.semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2
@@ -123,7 +123,7 @@ def distractor(
     hu = float(generator.uniform(*DISTRACTOR_HU))
     if not cylinder:
         return Ball(hu, middle, DISTRACTOR_BALL_MM / 2), middle
-    # not steeper than half a right angle, so that it does not run into the head
+    # at most 45 degrees, so that it does not run into the head
     along = generator.standard_normal(3)
     along -= (along @ normal) * normal
     along = along / np.linalg.norm(along) + generator.uniform(-0.5, 0.5) * normal

@@ -1,4 +1,4 @@
-"""Bodies that are round without being balls: capsule, turned ellipsoid, rounded cylinder, dome, ring."""
+"""Bodies that are round but not balls: capsule, rotated ellipsoid, rounded cylinder, dome, ring."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from sim.phantom.head.shapes import Bounds, Point, Values
 
 @dataclass(frozen=True)
 class Capsule:
-    """A rod with round ends: all that is within `radius` of the line from `start` to `end`."""
+    """A rod with round ends: everything within `radius` of the line from `start` to `end`."""
 
     hu: float
     start: Point
@@ -35,7 +35,7 @@ class Capsule:
 
 @dataclass(frozen=True)
 class Egg:
-    """An ellipsoid whose semi-axes lie along the rows of `axes`; depth is of first order near its surface."""
+    """An ellipsoid with semi-axes along the rows of `axes`; depth is first-order near its surface."""
 
     hu: float
     centre: Point
@@ -61,7 +61,7 @@ class Egg:
 
 @dataclass(frozen=True)
 class Barrel:
-    """A cylinder around `centre` whose edges are rounded with the radius `edge`."""
+    """A cylinder around `centre` with edges rounded by the radius `edge`."""
 
     hu: float
     centre: Point
@@ -86,7 +86,7 @@ class Barrel:
 
 @dataclass(frozen=True)
 class Dome:
-    """What of a ball lies beyond a plane: `height` mm above its centre, along `outward`."""
+    """The part of a ball beyond a plane: `height` mm above its centre, along `outward`."""
 
     hu: float
     centre: Point
@@ -106,7 +106,7 @@ class Dome:
 
 @dataclass(frozen=True)
 class Ring:
-    """A torus around an axis: `radius` to the middle of its tube of `tube` radius."""
+    """A torus around an axis: `radius` to the middle of the tube, whose radius is `tube`."""
 
     hu: float
     centre: Point
@@ -135,7 +135,7 @@ def _along(x: Values, y: Values, z: Values, origin: Point, direction: np.ndarray
 def _height_and_distance(
     x: Values, y: Values, z: Values, origin: Point, axis: Point
 ) -> tuple[Values, Values]:
-    """Along a unit axis through `origin`, and from it."""
+    """Height along a unit axis through `origin`, and distance from it."""
     height = _along(x, y, z, origin, np.array(axis))
     squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
     across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))

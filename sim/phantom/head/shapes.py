@@ -1,7 +1,7 @@
 """Solid bodies by their signed depth: millimetres below the surface, negative outside.
 
-Depth is exact for balls, rods and arcs, and of first order near the surface of ellipsoids. Coordinates are
-CT LPS mm; x, y and z may be any arrays that broadcast together.
+Depth is exact for balls, rods and arcs, and first-order near the surface of ellipsoids. Coordinates are CT
+LPS mm; x, y and z may be any arrays that broadcast together.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Shape(Protocol):
         ...
 
     def bounds(self) -> Bounds:
-        """A box that holds it."""
+        """A bounding box."""
         ...
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
@@ -69,7 +69,7 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class EllipsoidShell:
-    """What lies between an ellipsoid and `thickness` outside it."""
+    """The space between an ellipsoid and `thickness` outside it."""
 
     hu: float
     centre: Point
@@ -115,7 +115,7 @@ class Rod:
 
 @dataclass(frozen=True)
 class Trough:
-    """Part of an endless tube along z, behind the head; `half_arc_cosine` says how far it comes around."""
+    """Part of an endless tube along z, behind the head; `half_arc_cosine` is how far it extends around."""
 
     hu: float
     centre: Point
@@ -156,7 +156,7 @@ class Slab:
 
 @dataclass(frozen=True)
 class Cable:
-    """A cable that winds along z: its centre swings by `swing` with the given wave length."""
+    """A cable that winds along z: its centre swings by `swing` with the given wavelength."""
 
     hu: float
     centre: Point
@@ -173,14 +173,14 @@ class Cable:
         turn = (z - cz) * np.float32(2.0 * np.pi / self.wave_length)
         dx = x - cx - np.float32(self.swing[0]) * np.sin(turn)
         dy = y - cy - np.float32(self.swing[1]) * np.cos(turn)
-        # across the cable, not across its cut through the slice
+        # across the cable, not across its section through the slice
         slope = hypot(1.0, 2.0 * np.pi * max(map(abs, self.swing)) / self.wave_length)
         distance: Values = np.sqrt(dx * dx + dy * dy)
         return np.float32(self.radius) - distance / np.float32(slope)
 
 
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
-    """Depth below an ellipsoid, of first order near its surface: f (1 - f) / |grad|, f the scaled radius."""
+    """Depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad|, f the scaled radius."""
     (cx, cy, cz), (a, b, c) = _single(centre), _single(semi_axes)
     u, v, w = ((x - cx) / a) ** 2, ((y - cy) / b) ** 2, ((z - cz) / c) ** 2
     squared = u + v + w

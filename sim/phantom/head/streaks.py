@@ -9,11 +9,11 @@ import numpy as np
 
 from sim.phantom.head.shapes import Ball, Point, Values
 
-FILLING_HU = 250.0  # beside the metal
-FILLING_FALL_MM = 6.0  # beyond it streaks fade with the inverse of the distance
+FILLING_HU = 250.0  # next to the metal
+FILLING_FALL_MM = 6.0  # beyond this, streaks fade with the inverse of the distance
 FILLING_LOBES = 7
 BAND_FADES = 0.25  # of its half length
-FAINTEST = 1e-3  # of a streak's height profile; below it the slice is left alone
+FAINTEST = 1e-3  # of a streak's height profile; below this the slice is left unchanged
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Streak:
 
 @dataclass(frozen=True)
 class Band:
-    """A straight streak through a slice, such as lies between two pieces of metal; widths are deviations.
+    """A straight streak through a slice, as between two pieces of metal; widths are standard deviations.
 
     It passes `centre` along `angle_rad` from x, and keeps its strength up to `half_length_mm` from it.
     """
@@ -44,7 +44,7 @@ class Band:
 
 
 def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> None:
-    """Lay it over a slice; it fades along z."""
+    """Add it to a slice; it fades along z."""
     share = exp(-0.5 * ((z_mm - band.centre[2]) / band.height_mm) ** 2)
     if share < FAINTEST:
         return
@@ -57,7 +57,7 @@ def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> No
 
 
 def add_filling_streaks(image: Values, x: Values, y: Values, z_mm: float, filling: Ball) -> None:
-    """Rays in the slices that cut through a filling."""
+    """Rays in the slices through a filling."""
     if abs(z_mm - filling.centre[2]) <= filling.radius:
         lobes = Streak(filling.centre, FILLING_HU, FILLING_FALL_MM, FILLING_LOBES, filling.centre[0], 1.0)
         _add(image, x, y, lobes, FILLING_HU)

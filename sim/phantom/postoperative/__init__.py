@@ -1,1 +1,1 @@
-"""The CT after the operation, drawn from a run's truth: another pose, what was inserted, its streaks."""
+"""The postoperative CT, drawn from a run's truth: another pose, what was inserted, its streaks."""

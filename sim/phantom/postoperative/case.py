@@ -1,4 +1,4 @@
-"""Writes the CT after the operation, and the truth about it."""
+"""Writes the postoperative CT, and its truth."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def write_postoperative(
     folder: Path,
     progress: Progress = lambda share: None,
 ) -> PostoperativeCase:
-    """Scan the head again; the truth is written last, so a folder with it holds a whole series."""
+    """Scan the head again; the truth is written last, so a folder that has it has a complete series."""
     grid = scan.grid
     series = DicomSeries(
         scan.scene.model_copy(update={"ct": scan.protocol}),

@@ -1,4 +1,4 @@
-"""What a run has left in the head, from its truth: the guide's tip and axis at every target."""
+"""What a run left in the head, from its truth: the guide's tip and axis at every target."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from sim.theatre.verify import THEATRE_FOLDER
 
 Array = NDArray[np.float64]
 
-ABOVE_SKIN_MM = 25.0  # by which an instrument stands out of the head
+ABOVE_SKIN_MM = 25.0  # length of an instrument outside the head
 FLUID_HU = 15.0  # in a drilled hole: blood and cerebrospinal fluid
-BELOW_SKULL_MM = 1.5  # by which a drill passes the inner table
+BELOW_SKULL_MM = 1.5  # overshoot of a drill beyond the inner table
 TO_BRAIN_MM = sum(thickness for thickness, _ in LAYERS[:6])  # skin to the inside of the skull
 
 
@@ -34,13 +34,13 @@ class Kind(StrEnum):
     DRILL_HOLE = "drill-hole"
 
 
-# Usual sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
+# Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
 RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
 
 
 @dataclass(frozen=True)
 class Instrument:
-    """One trajectory as it was really done, CT frame of the plan: tip, and unit vector out of the head."""
+    """One trajectory as actually carried out, CT frame of the plan: tip, and unit vector out of the head."""
 
     identifier: str
     kind: Kind
@@ -48,7 +48,7 @@ class Instrument:
     outwards: Point
 
     def rod(self, head: Head) -> Rod:
-        """The body to paint; a drilled hole is one of fluid, and as deep as the skull."""
+        """The body to paint; a drilled hole is filled with fluid, and as deep as the skull."""
         skin_mm = _to_skin_mm(self, head)
         if self.kind is not Kind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
@@ -58,12 +58,12 @@ class Instrument:
 
 
 def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]]:
-    """The scene of a run and what it left at the targets it reached. Raises SIM-006, SIM-007."""
+    """The scene of a run and what it left at the targets reached. Raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
         raise NothingToVerify(f"{run} has no simulated theatre")
     scene = read_scene(theatre / SCENE_FILE)
-    samples = {sample.target: sample for sample in read_samples(theatre)}  # the last of each target
+    samples = {sample.target: sample for sample in read_samples(theatre)}  # the last one of each target
     if not samples:
         raise NothingToVerify(f"{run} reached no target")
     ct_from_robot = inverse(matrix_of(scene.head.robot_from_ct))

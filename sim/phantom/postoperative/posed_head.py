@@ -1,4 +1,4 @@
-"""The head as it lies in another scan: its bodies and layers, asked about in that scan's coordinates."""
+"""The head as positioned in another scan: its bodies and layers in that scan's coordinates."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class HeadPose:
-    """Where the head lies: `scan_from_head` (4, 4) maps the CT frame of the plan to that of the new scan."""
+    """Pose of the head: `scan_from_head` (4, 4) maps the CT frame of the plan to that of the new scan."""
 
     scan_from_head: Matrix
 
     def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
-        """Coordinates of the scan as coordinates of the head; they broadcast together."""
+        """Scan coordinates as head coordinates; they broadcast together."""
         back = inverse(self.scan_from_head).astype(np.float32)
         u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in back[:3])
         return u, v, w
 
     def rod(self, rod: Rod) -> Rod:
-        """A rod where it lies in the scan."""
+        """A rod in scan coordinates."""
         along = self.scan_from_head[:3, :3] @ np.array(rod.along)
         return Rod(
             rod.hu, _point(apply(self.scan_from_head, rod.start)), _point(along), rod.length, rod.radius
@@ -49,12 +49,12 @@ class PosedShape:
         return self.shape.hu
 
     def bounds(self) -> Bounds:
-        """A box that holds the turned box of the body."""
+        """A bounding box of the body's rotated bounding box."""
         return self._box
 
     @cached_property
     def _box(self) -> Bounds:
-        """Asked for by each slice of the scan."""
+        """Used by each slice of the scan."""
         corners = apply(self.pose.scan_from_head, list(product(*zip(*self.shape.bounds(), strict=True))))
         return _point(corners.min(axis=0)), _point(corners.max(axis=0))
 
@@ -75,7 +75,7 @@ class PosedLayers:
         return self.layers.at(*self.pose.to_head(x, y, z))
 
     def bounds(self, margin_mm: float) -> Bounds:
-        """A box that holds the head, with a margin."""
+        """A bounding box of the head, with a margin."""
         centre = apply(self.pose.scan_from_head, self.layers.centre)
         turned = self.pose.scan_from_head[:3, :3] * np.array(self.layers.semi_axes)
         reach = np.linalg.norm(turned, axis=1) + margin_mm

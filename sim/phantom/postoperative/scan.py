@@ -1,4 +1,4 @@
-"""The scan after the operation: the same head in another pose, without markers, with what was inserted."""
+"""The postoperative scan: the same head in another pose, without markers, with what was inserted."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from sim.theatre.noise import noise
 from sim.theatre.rigid import apply, matrix_from, rotation_from_vector
 from sim.theatre.scene.model import CtProtocol, Scene
 
-TURN_RAD = radians(10.0)  # of the head between both scans, per axis, either way
+TURN_RAD = radians(10.0)  # of the head between the two scans, per axis, either way
 SHIFT_MM = 30.0
-STREAK_HU = (200.0, 400.0)  # beside the metal
+STREAK_HU = (200.0, 400.0)  # next to the metal
 STREAK_LOBES = (4, 5, 6, 7)
 STREAK_FALL_MM = 2.5
-POST_PLACE = 2  # of the post among the bodies of a marker, see `marker_on_foot`
+POST_PLACE = 2  # index of the post among a marker's bodies, see `marker_on_foot`
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +44,7 @@ class PostoperativeScan:
     bodies: tuple[Shape, ...]
     fillings: tuple[Ball, ...]
     rods: tuple[Rod, ...]
-    streaks: tuple[Streak | None, ...]  # one for each rod, at the origin; none of a drilled hole
+    streaks: tuple[Streak | None, ...]  # one per rod, at the origin; none for a drilled hole
 
     def paint(self, number: int) -> Values:
         """HU (rows, columns) of one slice with its noise."""
@@ -82,7 +82,7 @@ class PostoperativeScan:
 def draw_scan(
     scene: Scene, instruments: tuple[Instrument, ...], seed: int, protocol: CtProtocol | None = None
 ) -> PostoperativeScan:
-    """The head of a scene in a pose drawn from `seed`: spheres and bases off, screws left in the bone."""
+    """The head of a scene in a pose drawn from `seed`: spheres and bases removed, screws left in the bone."""
     generator = noise(seed, "postoperative pose", 0)
     protocol = protocol or scene.ct
     pose = _draw_pose(scene, generator)
@@ -119,7 +119,7 @@ def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
 
 
 def _grid(scene: Scene, pose: HeadPose, protocol: CtProtocol) -> CtGrid:
-    """The field of the protocol with the head in its middle."""
+    """The protocol's field, centred on the head."""
     counts = np.array([protocol.columns, protocol.rows, protocol.slices])
     spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
     middle = apply(pose.scan_from_head, scene.head.centre_ct_mm)
@@ -130,7 +130,7 @@ def _grid(scene: Scene, pose: HeadPose, protocol: CtProtocol) -> CtGrid:
 
 
 def _screw(post: Shape) -> Rod:
-    """What is left of a marker's post: the part in scalp and bone."""
+    """The remaining part of a marker's post, in scalp and bone."""
     assert isinstance(post, Rod)
     left_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
     start = shifted(post.start, post.along, post.length - left_mm)

@@ -1,6 +1,6 @@
-"""A thin rod as the scanner shows it: on a fine grid, then blurred exactly.
+"""A thin rod as shown by the scanner: on a fine grid, then blurred exactly.
 
-The painter of slices gives every edge one width; across a rod thinner than that width this would be wrong.
+The slice painter gives every edge the same width; across a rod thinner than that this would be wrong.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 
-FINE_MM = 0.2  # samples so far apart; edges are antialiased on top
+FINE_MM = 0.2  # sample spacing; edges are antialiased on top
 
 
 def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
@@ -48,7 +48,7 @@ def paint_rod(image: Values, rod: Rod, grid: CtGrid, number: int) -> None:
 
 
 def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | None:
-    """Middle (x, y) of the part of a rod within `half_mm` of a height; None where there is none."""
+    """Centre (x, y) of the part of a rod within `half_mm` of a height; None if there is none."""
     part = _part_between(rod, z_mm - half_mm, z_mm + half_mm)
     if part is None:
         return None
@@ -57,7 +57,7 @@ def middle_at(rod: Rod, z_mm: float, half_mm: float) -> tuple[float, float] | No
 
 
 def _part_between(rod: Rod, low_mm: float, high_mm: float) -> tuple[list[float], list[float]] | None:
-    """Both ends of the axis between two heights, for the rod's radius wider; None where there is none."""
+    """Both ends of the axis between two heights, widened by the rod's radius; None if there is none."""
     start, along = np.array(rod.start), np.array(rod.along)
     margin_mm = rod.radius * float(np.hypot(along[0], along[1]))
     low_mm, high_mm = low_mm - margin_mm, high_mm + margin_mm

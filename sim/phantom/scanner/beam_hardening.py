@@ -1,8 +1,8 @@
-"""Beam hardening: dense bodies take the soft part of the beam; what is in line with them shows too dark.
+"""Beam hardening: dense bodies absorb the soft part of the beam, so what is in line with them is too dark.
 
-The slice is projected as parallel beams through a coarse copy of it. What a beam loses through hardening is
-taken to grow with its way through dense matter times its whole way, the leading term where the scanner
-corrects for water. The error of the projections is reconstructed by filtered back-projection and added.
+The slice is projected as parallel beams through a coarse copy of it. The loss from hardening is modelled as
+proportional to the path through dense matter times the total path, the leading term for a scanner with water
+correction. The error of the projections is reconstructed by filtered back-projection and added.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from sim.phantom.head.shapes import Values
 
 COARSE_MM = 1.5
 ANGLES = 120
-DENSE_FROM_HU = 300.0  # above soft matter and water
+DENSE_FROM_HU = 300.0  # above soft tissue and water
 LOSS_PER_CM = (
-    0.012  # of the whole way, per cm of water that is dense matter; a skull then cups by 30 to 60 HU
+    0.012  # of the total path, per cm of dense matter (water equivalent); a skull then cups by 30 to 60 HU
 )
 MM_PER_CM = 10.0
 HU_PER_WATER = 1000.0
 
 
 def hardening(image: Values, pixel_mm: float, strength: float) -> Values:
-    """What to add to a slice (rows, columns) in HU; `strength` 1 is usual."""
+    """Correction to add to a slice (rows, columns) in HU; a `strength` of 1 is typical."""
     import cv2
 
     step = max(1, round(COARSE_MM / pixel_mm))
@@ -64,7 +64,7 @@ def _turns(side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
 
 
 def _ramp_filtered(projection: Values, cell_cm: float) -> Values:
-    """With the ramp, rolled off by a cosine (Shepp-Logan would ring at a post)."""
+    """Ramp-filtered with cosine roll-off (Shepp-Logan would ring at a post)."""
     count = 2 * len(projection)
     cycles = np.fft.rfftfreq(count, cell_cm)
     roll = np.cos(0.5 * np.pi * cycles / cycles[-1])

@@ -1,7 +1,7 @@
 """The scanner's exact blur: from a fine grid to voxels by one matrix per axis.
 
-A voxel is the average, over its own box, of the object blurred by a Gaussian. Along each axis the weight of
-a fine sample is the Gaussian integrated over the voxel, so that the blur costs three matrix products.
+A voxel is the average, over its box, of the object blurred by a Gaussian. Along each axis the weight of a
+fine sample is the Gaussian integrated over the voxel, so the blur costs three matrix products.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ def weights(
 
 
 def reach_mm(spacing_mm: float, sigma_mm: float) -> float:
-    """How far outside its centre a voxel still feels the object."""
+    """How far outside a voxel's centre the object still affects it."""
     return REACH_SIGMAS * sigma_mm + 0.5 * spacing_mm
 
 
 def edge_sigma_mm(pixel_mm: float, slice_mm: float, plane_sigma_mm: float = PLANE_SIGMA_MM) -> float:
-    """Standard deviation of an edge of any direction, between that in the slice and that along z."""
+    """Standard deviation of an edge in any direction, between that in the slice and that along z."""
     plane = plane_sigma_mm**2 + BOX_VARIANCE * pixel_mm**2
     along = SLICE_SIGMA_MM**2 + BOX_VARIANCE * slice_mm**2
     return sqrt((2.0 * plane + along) / 3.0)
 
 
 def _erf(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    # the values repeat from voxel to voxel, and there are few: not worth importing SciPy
+    # values repeat from voxel to voxel, and there are few: not worth importing SciPy
     result: NDArray[np.float64] = np.vectorize(erf, otypes=[float])(values)
     return result

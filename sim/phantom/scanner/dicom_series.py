@@ -1,4 +1,4 @@
-"""Writes slices as a DICOM CT series. The same scene gives the same bytes."""
+"""Writes slices as a DICOM CT series. The same scene yields the same bytes."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
 INTERCEPT_HU = -1024
 LARGEST_STORED = 4095  # 12 bits
 PATIENT_POSITION = "HFS"
-SCAN_DATE = "20180601"  # any fixed day: the date must not change the bytes
-UID_PREFIX = "2.25."  # UIDs made of a 128-bit number
+SCAN_DATE = "20180601"  # a fixed day: the date must not change the bytes
+UID_PREFIX = "2.25."  # UIDs based on a 128-bit number
 UID_BITS = 128
 COORDINATE_DIGITS = 4
 FILE_PATTERN = "slice-*.dcm"
 
 
 class DicomSeries:
-    """One series in a folder. UIDs are a hash of the whole scene, and of the occasion of a later scan."""
+    """One series in a folder. UIDs are a hash of the whole scene, and of the occasion for a later scan."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class DicomSeries:
         self._frame_uid = self._uid("frame of reference")
 
     def prepare(self) -> None:
-        """Make the folder, and remove what an earlier series of this kind left in it."""
+        """Create the folder, and remove what an earlier series of this kind left in it."""
         self._folder.mkdir(parents=True, exist_ok=True)
         for leftover in self._folder.glob(FILE_PATTERN):
             leftover.unlink()
@@ -83,7 +83,7 @@ class DicomSeries:
         write_whole(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
-        """Of a slice that is turned about its middle row."""
+        """For a slice tilted about its middle row."""
         grid, half_mm = self._grid, 0.5 * (self._grid.rows - 1) * self._grid.pixel_mm
         x, y, z = grid.origin_mm
         y += half_mm * (1.0 - cos(self._tilt_rad))
@@ -91,7 +91,7 @@ class DicomSeries:
 
     @cached_property
     def _header(self) -> FileDataset:
-        """What all slices share."""
+        """The attributes that all slices share."""
         from pydicom.dataset import FileDataset, FileMetaDataset
         from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
 
@@ -141,7 +141,7 @@ class DicomSeries:
 
 
 def stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
-    """HU as 12 bits or as many as `largest` has; what lies beyond saturates, as on a scanner."""
+    """HU as 12 bits, or as many as `largest` has; values beyond saturate, as on a scanner."""
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 

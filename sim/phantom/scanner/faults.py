@@ -1,6 +1,6 @@
-"""What a real scanner does to a series beyond noise: geometry that is not as stated, blur, metal.
+"""Effects of a real scanner beyond noise: geometry that is not as stated, blur, metal.
 
-Every fault has its size; none is the default. The truth stays that of the scene: markers where they are.
+Every fault has a size; the default is none. The truth remains that of the scene: markers where they are.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ MOST_TILT_DEG = 30.0  # of a gantry
 
 @dataclass(frozen=True)
 class Kernel:
-    """A reconstruction kernel: blur in the slice, how much it enhances edges, and the colour of its noise.
+    """A reconstruction kernel: blur in the slice, edge enhancement, and the colour of its noise.
 
-    The point spread is (1 + enhanced) times a Gaussian less `enhanced` times one of twice the width;
-    `noise_side` is the tap beside the middle one by which noise is made, None for that of the blur.
+    The point spread is (1 + enhanced) times a Gaussian minus `enhanced` times one of twice the width;
+    `noise_side` is the tap next to the middle one with which noise is generated, None for that of the blur.
     """
 
     plane_sigma_mm: float = blur.PLANE_SIGMA_MM
     enhanced: float = 0.0
     noise_side: float | None = None
-    name: str = "STANDARD"  # as told in the series
+    name: str = "STANDARD"  # as stated in the series
 
 
 KERNELS = {
@@ -37,9 +37,9 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class ScannerFaults:
-    """Tilt of the gantry (degrees), true over stated table feed less 1, thickness of a slice (None: the
-    stated distance of slices), beam hardening (1: usual), how far the patient moves halfway up the markers,
-    the kernel, and whether metal is stored beyond 3071 HU.
+    """Tilt of the gantry (degrees), true over stated table feed minus 1, slice thickness (None: the stated
+    spacing), beam hardening (1: typical), patient motion halfway up the markers, the kernel, and whether
+    metal is stored beyond 3071 HU.
     """
 
     tilt_deg: float = 0.0
@@ -61,7 +61,7 @@ class ScannerFaults:
             )
 
     def told(self) -> dict[str, Any]:
-        """Those that are not the default, for the truth file."""
+        """Those that differ from the default, for the truth file."""
         usual = asdict(ScannerFaults())
         return {name: value for name, value in asdict(self).items() if value != usual[name]}
 

@@ -1,6 +1,6 @@
-"""The voxel grid of the scan, placed so that the whole of every marker and trajectory lies in it.
+"""The voxel grid of the scan, placed so that every marker and trajectory is entirely inside.
 
-CT frame: DICOM LPS, mm. Columns run along x, rows along y, slices along z; coordinates name voxel centres.
+CT frame: DICOM LPS, mm. Columns run along x, rows along y, slices along z; coordinates are voxel centres.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from sim.theatre.scene.model import CtProtocol, Head
 
 Vector = NDArray[np.float64]
 
-MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air to compare it with
+MARKER_ROOM_MM = 14.0  # around a sphere's centre: the sphere, its blur, and air for contrast
 TARGET_ROOM_MM = 3.0
-ORIGIN_DIGITS = 4  # what is painted is exactly what the headers can say
+ORIGIN_DIGITS = 4  # the grid is exactly what the headers can express
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class CtGrid:
         return _positions(self.origin_mm[2], self.slice_mm, self.slices)
 
     def indices(self, axis: int, low_mm: float, high_mm: float) -> slice:
-        """The voxels along x, y or z (0, 1, 2) whose centres lie between two coordinates."""
+        """The voxels along x, y or z (0, 1, 2) with centres between two coordinates."""
         spacing = self.slice_mm if axis == 2 else self.pixel_mm
         count = (self.columns, self.rows, self.slices)[axis]
         first = int(np.ceil((low_mm - self.origin_mm[axis]) / spacing))
@@ -58,7 +58,7 @@ class CtGrid:
 def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     """Centre the field on the patient, shifted as far as markers and trajectories need.
 
-    Raises SIM-001 when they do not fit into the field of the protocol.
+    Raises SIM-001 when they do not fit into the protocol's field.
     """
     counts = np.array([protocol.columns, protocol.rows, protocol.slices])
     spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])

@@ -8,9 +8,9 @@ from sim.phantom.head.shapes import Shape, Values
 
 
 def paint(image: Values, axes: tuple[Values, Values, Values], shape: Shape, edge_mm: float) -> None:
-    """Paint a body into `image` (z, y, x), whose samples lie at `axes` = (x, y, z), each ascending.
+    """Paint a body into `image` (z, y, x), with samples at `axes` = (x, y, z), each ascending.
 
-    Over the width `edge_mm` around its surface the body goes over into what was there before.
+    Within a width of `edge_mm` around its surface the body blends into the previous content.
     """
     low, high = shape.bounds()
     margin = np.float32(0.5 * edge_mm)

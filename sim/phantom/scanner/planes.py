@@ -1,4 +1,4 @@
-"""The slices of a scan as its scanner makes them, with its faults."""
+"""The slices of a scan as produced by its scanner, including faults."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ WIDE_STORED, USUAL_STORED = 65535, 4095  # largest stored value
 
 
 class Planes:
-    """Paints any slice; `paint_patches` must come first. Slices do not depend on the order of painting."""
+    """Paints any slice; `paint_patches` must come first. Slices do not depend on painting order."""
 
     def __init__(self, scan: Scan) -> None:
         faults, grid = scan.faults, scan.grid
@@ -50,23 +50,23 @@ class Planes:
 
     @property
     def steps(self) -> int:
-        """How many patches there are to paint."""
+        """Number of patches to paint."""
         return len(self._scan.anatomy.places) * len(self._painters)
 
     @property
     def largest_stored(self) -> int:
-        """Beyond it the scanner stores nothing."""
+        """Largest value that the scanner stores."""
         return WIDE_STORED if self._scan.faults.extended_range else USUAL_STORED
 
     def told(self) -> dict[str, Any]:
-        """The faults for the truth file; empty when there are none."""
+        """The faults for the truth file; empty if there are none."""
         faults = self._scan.faults.told()
         if self._scan.faults.motion_mm:
             faults |= {"moved_from_slice": self.moved_from, "moved_by_mm": list(self.moved_by_mm)}
         return {"scanner": faults} if faults else {}
 
     def paint_patches(self, pool: Executor, progress: Callable[[int], None] = lambda done: None) -> None:
-        """Paint what needs to be exact; `progress` is called with how many are done."""
+        """Paint what must be exact; `progress` is called with the number done."""
         done = 0
         for painter in self._painters:
             patches = []
@@ -94,7 +94,7 @@ class Planes:
         return image
 
     def _tilted(self, number: int) -> Values:
-        """A slice through straight ones, which lie `_span` further down, turned about its middle row."""
+        """A slice through straight ones, which are `_span` further down, tilted about its middle row."""
         grid = self._grid
         image = np.empty((grid.rows, grid.columns), dtype=np.float32)
         middle = 0.5 * (grid.rows - 1)
@@ -127,7 +127,7 @@ class Planes:
 
 
 def _motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
-    """The first slice after the patient has moved, halfway up the markers, and by how much."""
+    """The first slice after the patient has moved, halfway up the markers, and the displacement."""
     if not scan.faults.motion_mm:
         return 0, (0.0, 0.0, 0.0)
     way = noise(scan.scene.seed, "patient moves", 0).standard_normal(3)

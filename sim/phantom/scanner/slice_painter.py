@@ -23,7 +23,7 @@ SKIN_MARGIN_MM = 3.0
 
 
 class SlicePainter:
-    """Paints any slice of a scene; slices do not depend on each other, nor on the order of painting."""
+    """Paints any slice of a scene; slices depend neither on each other nor on painting order."""
 
     def __init__(
         self, scene: Scene, grid: CtGrid, anatomy: Anatomy, faults: ScannerFaults = NO_FAULTS
@@ -49,7 +49,9 @@ class SlicePainter:
         self.patches: tuple[Patch, ...] = ()
 
     def paint_patch(self, number: int) -> Patch:
-        """The surroundings of one of the places; `patches` must hold them all before slices are painted."""
+        """The surroundings of one of the places; `patches` must contain all of them
+        before painting slices.
+        """
         return paint_patch(
             self._anatomy.places[number],
             self._anatomy.shapes,
@@ -86,7 +88,7 @@ class SlicePainter:
         return image
 
     def _paint_background(self) -> Values:
-        """Air and headrest, alike in all slices."""
+        """Air and headrest, the same in all slices."""
         image = np.full((1, len(self._y), len(self._x)), AIR_HU, dtype=np.float32)
         somewhere = self._z_mm[:1].astype(np.float32)
         for shape in self._anatomy.headrest:
@@ -103,7 +105,7 @@ class SlicePainter:
         rows = self._grid.indices(1, cy - half_y, cy + half_y)
         x, y = self._x[None, columns], self._y[rows, None]
         region = image[rows, columns]
-        # whatever lies beside the head is denser than the air in the corners of this rectangle
+        # anything next to the head is denser than the air in the corners of this rectangle
         np.maximum(region, self._head.at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
 
     def noise(self, number: int) -> Values:
@@ -120,7 +122,7 @@ def slice_noise(
     noise_HU: float,
     kernel: Kernel = KERNELS["standard"],
 ) -> Values:
-    """Noise (rows, columns), correlated in the slice as the scanner's kernel makes it."""
+    """Noise (rows, columns), correlated within the slice by the scanner's kernel."""
     rows, columns = shape
     white = generator.standard_normal((rows + 2, columns + 2), dtype=np.float32)
     blurred = exp(-0.5 * (pixel_mm / kernel.plane_sigma_mm) ** 2)
@@ -133,6 +135,6 @@ def slice_noise(
 
 
 def _heights(shape: Shape, margin_mm: float) -> tuple[float, float]:
-    """Lowest and highest z at which a body shows."""
+    """Lowest and highest z at which a body is visible."""
     (_, _, low), (_, _, high) = shape.bounds()
     return low - margin_mm, high + margin_mm

@@ -1,4 +1,4 @@
-"""The voxels around one marker, painted on a fine grid and blurred exactly: exact to 0.01 mm."""
+"""The voxels around one marker, painted on a fine grid and blurred exactly: accurate to 0.01 mm."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sim.phantom.scanner.faults import Kernel
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 
-HALF_SIDE_MM = 10.0  # estimators look up to 9 mm from the centre
-WIDER = 2.0  # what a kernel subtracts to enhance edges, against what it adds
-FINE_MM = 0.2  # samples at most so far apart; edges are antialiased on top
+HALF_SIDE_MM = 10.0  # estimators use up to 9 mm from the centre
+WIDER = 2.0  # width of what a kernel subtracts to enhance edges, relative to what it adds
+FINE_MM = 0.2  # largest sample spacing; edges are antialiased on top
 
 
 @dataclass(frozen=True)
 class Patch:
-    """Noise-free HU (slices, rows, columns) and where they belong in the volume."""
+    """Noise-free HU (slices, rows, columns) and their position in the volume."""
 
     slices: slice
     rows: slice
@@ -37,7 +37,7 @@ def paint_patch(
     kernel: Kernel,
     thickness_mm: float,
 ) -> Patch:
-    """Paint the surroundings of a marker's centre; `shapes` is everything that may reach into them."""
+    """Paint the surroundings of a marker's centre; `shapes` is everything that may extend into them."""
     where = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
     ]
@@ -62,7 +62,7 @@ def paint_patch(
             (1.0 + kernel.enhanced) * sharp - kernel.enhanced * blur.weights(v, box, f, WIDER * g)
             for sharp, v, box, f, g in list(zip((by_x, by_y), voxels, boxes, fine, sigma, strict=False))
         )
-    # one axis after the other, as plain matrix products
+    # one axis at a time, as plain matrix products
     image = (image.reshape(-1, len(x)) @ by_x.T).reshape(len(z), len(y), -1)
     image = np.ascontiguousarray(image.transpose(0, 2, 1)).reshape(-1, len(y)) @ by_y.T
     image = by_z @ image.reshape(len(z), -1)

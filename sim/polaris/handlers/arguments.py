@@ -13,7 +13,7 @@ _HEXADECIMAL = frozenset(string.hexdigits)
 
 
 def hexadecimal(text: str, refusal: ErrorCode = ErrorCode.OUT_OF_RANGE) -> int:
-    """The value of hexadecimal digits, either case; raises `refusal` for anything else."""
+    """The value of hexadecimal digits in either case; raises `refusal` for anything else."""
     if not text or not _HEXADECIMAL.issuperset(text):
         raise Refusal(refusal)
     return int(text, 16)

@@ -13,7 +13,7 @@ from sim.polaris.unit.refusal import ErrorCode, Refusal
 from sim.polaris.unit.unit import Unit
 
 FIRING_DIGITS = 8
-EVERYTHING_SEEN = "5"  # the only form of 3D whose reply is public
+EVERYTHING_SEEN = "5"  # the only form of 3D with a public reply
 POSITION_SCALE = 10_000  # 3D: four implied decimals
 SEPARATION_SCALE = 100  # two implied decimals
 LARGEST_SEPARATION = 9999
@@ -42,7 +42,7 @@ def fire(unit: Unit, argument: str) -> None:
 
 
 def markers(unit: Unit, argument: str) -> str:
-    """3D hh n: every marker in view, of tools or not."""
+    """3D hh n: every marker in view, whether of a tool or not."""
     if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     port = initialised_port_of(unit, argument)

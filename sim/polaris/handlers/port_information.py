@@ -18,7 +18,7 @@ NO_ACCESSORIES = "00"
 LONGEST_REVISION = 999
 DEVICE_CHARACTERS = 8
 SYSTEM_POLARIS, TOOL_WIRED, TOOL_WIRELESS, CHANNEL = "0", "0", "1", "00"
-NO_OUTPUTS = "00"  # Aurora's
+NO_OUTPUTS = "00"  # only on Aurora
 PORT_STATUS_BYTE = 0xFF
 # Tool-in-port diode, switches 1 to 3, tracking LED, visible LEDs 1 to 3.
 ACCESSORY_BITS = (0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x40, 0x80)

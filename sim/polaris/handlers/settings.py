@@ -42,7 +42,7 @@ def save(unit: Unit, _argument: str) -> None:
 
 
 def select_volume(unit: Unit, argument: str) -> None:
-    """VSEL n, from 1; the parameter counts from 0."""
+    """VSEL n, counted from 1; the parameter counts from 0."""
     number = digit_within(argument, 1, len(unit.model.volumes), ErrorCode.NO_SUCH_VOLUME)
     unit.parameters.set(wire.PARAMETER_SELECTED_VOLUME, str(number - 1), tracking=False)
 

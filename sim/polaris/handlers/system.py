@@ -86,7 +86,7 @@ def communication(unit: Unit, argument: str) -> None:
 
 
 def echo(unit: Unit, argument: str) -> str:
-    """ECHO text: by this a host gets back in step when it has missed a reply."""
+    """ECHO text: lets a host resynchronise after a missed reply."""
     unit.get_in_step()
     return argument
 

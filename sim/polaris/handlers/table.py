@@ -18,7 +18,7 @@ from sim.polaris.unit.unit import Unit
 
 CarryOut = Callable[[Unit, str], str | bytes | None]
 NOTHING = (0,)
-OPTIONS = (0, 4)  # four digits, which have a default
+OPTIONS = (0, 4)  # four digits, optional
 ADDRESSED_BLOCK = ADDRESS_DIGITS + BLOCK_DIGITS
 TEXT = range(1, sys.maxsize)
 ANYTHING = range(sys.maxsize)
@@ -26,17 +26,17 @@ ANYTHING = range(sys.maxsize)
 
 @dataclass(frozen=True)
 class Command:
-    """One command; `carry_out` returns a text without CRC, all bytes of a reply, or None for OKAY."""
+    """One command; `carry_out` returns text without CRC, all bytes of a reply, or None for OKAY."""
 
     carry_out: CarryOut
     group: Group
     lengths: Container[int] = NOTHING  # of the argument
     starts_with_handle: bool = False
-    reads_frame: bool = False  # its reply depends on nothing but the frame
-    restarts_line: bool = False  # its reply is sent at the new settings
+    reads_frame: bool = False  # its reply depends only on the frame
+    restarts_line: bool = False  # its reply is sent with the new settings
 
     def check(self, argument: str) -> None:
-        """Raise Refusal for an argument that has not the form of this command."""
+        """Raise Refusal for an argument that does not have this command's form."""
         length = len(argument.strip() if self.lengths is NOTHING else argument)
         if length not in self.lengths:
             raise Refusal(ErrorCode.PARAMETER_COUNT)
@@ -45,7 +45,7 @@ class Command:
 
 
 def _of_handle(carry_out: CarryOut, *more: int, group: Group = Group.HANDLES) -> Command:
-    """A command whose argument is a handle and as many characters more."""
+    """A command whose argument is a handle plus as many further characters."""
     lengths = tuple(HANDLE_DIGITS + count for count in more or NOTHING)
     return Command(carry_out, group, lengths, starts_with_handle=True)
 

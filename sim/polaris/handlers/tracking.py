@@ -64,6 +64,6 @@ def _options(argument: str) -> ReplyOption:
 
 
 def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
-    """True when a dummy and a real tool of one type are both enabled."""
+    """Whether a dummy and a real tool of one type are both enabled."""
     dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
     return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)

@@ -11,7 +11,7 @@ from sim.polaris.line.line_settings import LineSettings
 
 RECEIVE_BYTES = 4096
 Ready = Sequence[tuple[int, int]]  # (file descriptor, events) as `poll` returns them
-SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, whatever its unit allows
+SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, whatever the unit's own limit
 
 
 class Channel(Protocol):
@@ -22,11 +22,11 @@ class Channel(Protocol):
         ...
 
     def receive(self, ready: Ready) -> bytes | None:
-        """Bytes from the descriptors that are ready, possibly none; None when the host is gone."""
+        """Bytes from the ready descriptors, possibly none; None when the host is gone."""
         ...
 
     def let_arrive(self, received_bytes: int, line: LineSettings) -> None:
-        """Wait for the time that many bytes take on a line with these settings."""
+        """Wait for the time that this many bytes take on a line with these settings."""
         ...
 
     def send(self, data: bytes, line: LineSettings) -> None:
@@ -35,7 +35,7 @@ class Channel(Protocol):
 
 
 class Connection:
-    """One TCP connection. It has no line settings; a host that takes no reply for `patience_s` is gone."""
+    """One TCP connection, without line settings; a host that accepts no reply for `patience_s` is gone."""
 
     def __init__(self, peer: socket.socket, patience_s: float) -> None:
         self._peer = peer
@@ -47,7 +47,7 @@ class Connection:
         return (self._peer.fileno(),)
 
     def receive(self, ready: Ready) -> bytes | None:
-        if self._gone:  # what it had still sent is not carried out
+        if self._gone:  # whatever it had still sent is not executed
             return None
         try:
             return self._peer.recv(RECEIVE_BYTES) or None

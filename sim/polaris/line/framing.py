@@ -1,6 +1,6 @@
 """Framing: bytes to requests, replies to bytes.
 
-A request comes as `NAME:args` + CRC, as `NAME args`, or as the bare name; all end in CR.
+A request is `NAME:args` + CRC, `NAME args`, or the bare name; all end in CR.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_START, CR, crc16
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
-STALE_S = 1.0  # half a command this old was left by a client that vanished
+STALE_S = 1.0  # half a command this old was left by a client that disappeared
 STRAY_LINE_FEED = b"\n"  # from clients that end a line with CR LF
 
 _form = re.compile(rb"[: ]")
@@ -34,7 +34,7 @@ class Overlong(bytes):
 
 
 class LineBuffer:
-    """Assembles lines from bytes, however they arrive."""
+    """Assembles lines from bytes, however fragmented."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
@@ -43,7 +43,7 @@ class LineBuffer:
         self._overlong = False
 
     def feed(self, data: bytes, now_s: float) -> list[bytes]:
-        """The lines that `data` completes, without their CR; a line over the limit comes as Overlong."""
+        """The lines that `data` completes, without their CR; a line over the limit becomes Overlong."""
         if now_s - self._fed_s > STALE_S:
             self._pending = b""
             self._overlong = False

@@ -1,4 +1,4 @@
-"""The host's end of a pseudo-terminal as Linux reports it: line settings, flushes, who has it open."""
+"""The host's end of a pseudo-terminal as reported by Linux: line settings, flushes, open and close."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import termios
 
 from sim.polaris.line.line_settings import LineSettings
 
-# <asm-generic/ioctls.h> and <asm-generic/termbits.h>: settings with the rates as plain numbers.
+# <asm-generic/ioctls.h> and <asm-generic/termbits.h>: settings with rates as plain numbers.
 TCGETS2 = 0x802C542A
 _termios2 = struct.Struct("<4IB19s2I")  # four flag words, line discipline, control characters, rates
 CONTROL_FLAGS, INPUT_BAUD, OUTPUT_BAUD = 2, 6, 7
 # <sys/inotify.h>
 IN_CLOSE_WRITE, IN_CLOSE_NOWRITE, IN_OPEN = 0x8, 0x10, 0x20
-_event = struct.Struct("<iIII")  # watch, what happened, cookie, length of the name that follows
+_event = struct.Struct("<iIII")  # watch, event mask, cookie, length of the name that follows
 EVENTS_BYTES = 4096
 
 
@@ -34,7 +34,7 @@ class HostLine:
         self._agreed = False
 
     def agrees(self, line: LineSettings) -> bool:
-        """False only when host and unit certainly cannot understand each other."""
+        """False only if host and unit certainly cannot understand each other."""
         content = fcntl.ioctl(self._master, TCGETS2, bytes(_termios2.size))
         if self._judged is None or self._judged[1] is not line or self._judged[0] != content:
             self._judged = (content, line)
@@ -46,7 +46,7 @@ class HostLine:
 
 
 class HostSideWatch:
-    """Counts the openers of the host's end by inotify; the unit's own descriptor does not count."""
+    """Counts opens of the host's end with inotify; the unit's own descriptor does not count."""
 
     def __init__(self, path: str) -> None:
         library = ctypes.CDLL(None, use_errno=True)

@@ -1,7 +1,7 @@
 """Command lines to replies.
 
-Checks run in a fixed order: length and CRC of the line, known name, initialised, mode, then the command's
-own checks of its arguments and of the handle. A command that fails a check has no effect.
+Checks run in a fixed order: length and CRC of the line, known name, initialised, mode, then the command's own
+checks of its arguments and handle. A command that fails a check has no effect.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from sim.polaris.unit.unit import Unit
 from sim.polaris.unit.unit_faults import Power, UnitFaults
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
-LOOK_S = 0.1  # between two checks for what happens without a command
+LOOK_S = 0.1  # between checks for events without a command
 
 
 class CommandInterpreter:
-    """Carries out the command lines of all hosts, one after another; its state outlives each of them."""
+    """Executes the command lines of all hosts, one after another; its state outlives each of them."""
 
     def __init__(self, unit: Unit) -> None:
         self.unit = unit
@@ -47,7 +47,7 @@ class CommandInterpreter:
         if kept is not None and self.unit.frames.number() == self._replies_frame:
             return kept
         if self._starts_s is not None:
-            return b""  # a unit that is starting is deaf
+            return b""  # a unit that is starting does not listen
         self.reply_line = self.unit.line
         try:
             reply = self._carry_out(line)
@@ -57,7 +57,7 @@ class CommandInterpreter:
 
     @property
     def line(self) -> LineSettings:
-        """The line settings at which the unit listens now."""
+        """Line settings with which the unit listens now."""
         return self.unit.line
 
     def restart(self, after_s: float | None = None) -> None:
@@ -68,11 +68,11 @@ class CommandInterpreter:
         self._starts_s = time.monotonic() + (self.unit.behaviour.reset_s if after_s is None else after_s)
 
     def suspect_break(self) -> None:
-        """The host flushed both directions, as before a break: it is one if silence follows."""
+        """The host flushed both directions, as before a break: it is a break if silence follows."""
         self._break_s = time.monotonic() + self.unit.behaviour.break_silence_s
 
     def deny_break(self) -> None:
-        """The host went on talking: there was no break."""
+        """The host continued talking: there was no break."""
         self._break_s = None
 
     def host_left(self) -> None:
@@ -86,7 +86,7 @@ class CommandInterpreter:
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 
     def unasked(self) -> bytes:
-        """What the unit sends unasked: RESET, once it has restarted."""
+        """What the unit sends unsolicited: RESET after a restart."""
         if self._watch_dog_ns:
             self._check_watch_dog()
         if self._faults.any_acting:

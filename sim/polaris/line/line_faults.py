@@ -15,12 +15,12 @@ from sim.theatre.noise import noise
 
 DEVICE = "tracker line"
 WHOLE_PERCENT = 100.0
-USUAL_LIMIT_S = 2.0  # of a host, for a command whose time limit it does not know
+USUAL_LIMIT_S = 2.0  # of a host, for a command whose time limit is unknown
 BITS = 8
 
 
 class LineFaults:
-    """Faults of the line between host and unit. Costs one look-up while there are none."""
+    """Faults of the line between host and unit. Costs one look-up if there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -28,7 +28,7 @@ class LineFaults:
         self._count = 0  # commands received while there were faults
 
     def to_unit(self, line: bytes) -> bytes:
-        """A command line as it reaches the unit."""
+        """A command line as received by the unit."""
         if self._board.empty:
             return line
         self._count += 1
@@ -36,7 +36,7 @@ class LineFaults:
         return _flipped(line, generator) if line and self._strikes("garble_commands", generator) else line
 
     def to_host(self, line: bytes, reply: bytes) -> bytes:
-        """A reply as it reaches the host, possibly late; empty when it is lost."""
+        """A reply as received by the host, possibly late; empty if lost."""
         if self._board.empty:
             return reply
         if not reply:  # the unit has no power
@@ -68,7 +68,7 @@ class LineFaults:
             self._unit.take_time(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
-        """Let host time and theatre time pass: a host's time limits run on its own clock."""
+        """Let host time and theatre time pass: a host's time limits use its own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
             self._unit.take_time(duration_s)
@@ -79,7 +79,7 @@ class LineFaults:
 
 
 def _flipped(data: bytes, generator: np.random.Generator) -> bytes:
-    """The bytes with one bit flipped, never into or out of a CR."""
+    """The bytes with one bit flipped, but never into or out of a CR."""
     damaged = bytearray(data)
     place = int(generator.integers(len(data)))
     bit = int(generator.integers(BITS))

@@ -1,9 +1,9 @@
 """A serial line as a pseudo-terminal.
 
-The unit keeps the host's end open, so that hosts may come, go and be killed. What a real line would show
-has three substitutes: the settings of the host's end can be read here (rate, stop bits, odd parity; the
+The unit keeps the host's end open, so hosts may connect, disconnect and be killed. Three substitutes replace
+what a real line would show: the settings of the host's end can be read here (rate, stop bits, odd parity; the
 kernel keeps neither data bits nor even parity); packet mode reports flushes, and flushing both directions
-followed by silence stands for a break, which no pseudo-terminal carries; inotify reports opening and closing.
+followed by silence represents a break, which no pseudo-terminal carries; inotify reports opening and closing.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from sim.polaris.line.host_side import HostLine, HostSideWatch, packet_mode
 from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.line.line_settings import LineSettings
 
-FULL_PATIENCE_S = 0.5  # a serial line does not wait: what the host has not read by then is lost
+FULL_PATIENCE_S = 0.5  # a serial line does not wait: anything unread by then is lost
 THROTTLE_STEP_S = 0.01  # a throttled reply is sent in steps of this length
-SLOW_ANSWER_S = 0.02  # beyond this the host may have sent a break meanwhile
-UNNOTICED_S = 0.005  # waking up late by this much is no delay: a real unit takes some ms to reply
+SLOW_ANSWER_S = 0.02  # if longer, the host may have sent a break in the meantime
+UNNOTICED_S = 0.005  # waking up this late is no delay: a real unit takes some ms to reply
 FLUSH_GAP_S = 0.005  # a flush of both directions may be reported in two parts
 SEVEN_BITS = bytes(byte & 0x7F for byte in range(256))
-UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # as read at a wrong baud rate
+UNREADABLE = bytes((byte * 0x9D + 0x37) & 0xFF | 0x80 for byte in range(256))  # as received at a wrong rate
 _TERMIOS_INPUT_SPEED, _TERMIOS_OUTPUT_SPEED = 4, 5
 
 
@@ -60,11 +60,11 @@ class PseudoTerminal:
         self._arrived_s = 0.0  # when the last byte of a command arrived on a throttled line
         self._flushed_input_s = 0.0
         if self._behaviour.power_up_reset:
-            self._write(ascii_reply(REPLY_RESET))  # read by whoever opens the line without flushing it
+            self._write(ascii_reply(REPLY_RESET))  # read by a host that opens the line without flushing it
 
     @property
     def endpoint(self) -> str:
-        """The address that hosts open."""
+        """The address for hosts."""
         return f"serial://{self._path}"
 
     def files(self) -> tuple[int, ...]:
@@ -133,7 +133,7 @@ class PseudoTerminal:
         return not self._behaviour.enforces_line or self._host.agrees(line)
 
     def _broken_meanwhile(self) -> bool:
-        """True when the host seems to have sent a break while its command was carried out."""
+        """Whether the host seems to have sent a break while its command was executed."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:
             suspected = self._controlled(os.read(self._master, 1)[0]) or suspected

@@ -19,7 +19,7 @@ from sim.polaris.line.pseudo_terminal import PseudoTerminal
 
 REFUSED = REPLY_ERROR.encode("ascii")
 WAITING_HOSTS = 4  # hosts that may queue for the connection
-WAITING_LOOK_S = 0.2  # a silent host has given way so long after the next one came
+WAITING_LOOK_S = 0.2  # a silent host yields this long after the next one has connected
 
 
 class EndSignal:
@@ -46,7 +46,7 @@ class Server:
         self._end = end
         self._listener: socket.socket | None = None
         self._silent_host_s = interpreter.unit.behaviour.silent_host_s
-        self._silent_until_s = inf  # host time from which the present host gives way to one that waits
+        self._silent_until_s = inf  # host time from which a silent host yields to a waiting one
 
     def serve_line(self, line: PseudoTerminal) -> None:
         """Serve a serial line."""
@@ -94,7 +94,7 @@ class Server:
                     channel.send(reply, interpreter.reply_line)
 
     def _hears(self) -> None:
-        """The host has given a command that was not refused, or has just come."""
+        """The host has given a command that was not refused, or has just connected."""
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 

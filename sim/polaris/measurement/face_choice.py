@@ -1,4 +1,4 @@
-"""Which face of a tool is tracked: the one turned most towards the sensor, with hysteresis."""
+"""Which face of a tool is tracked: the one facing the sensor most directly, with hysteresis."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sim.polaris.tools.definition import ToolDefinition
 Vectors = NDArray[np.float64]
 
 LEAST_TO_FIT = 3
-HYSTERESIS_DEG = 2.0  # by which another face must be turned towards the sensor more than the tracked one
+HYSTERESIS_DEG = 2.0  # by which another face must face the sensor more directly than the tracked one
 ONLY_FACE = 1
 ALL_FACES = 0xFF
 
 
 @dataclass(frozen=True)
 class FittedFace:
-    """The seen markers of one face: their numbers, their rows in the measurement, and the fit to them."""
+    """The visible markers of one face: their numbers, their rows in the measurement, and the fit."""
 
     face: int
     markers: list[int]
@@ -36,10 +36,10 @@ def best_face(
     previous: int = 0,
     allowed: int = ALL_FACES,
 ) -> FittedFace | None:
-    """The face to track; None when no face has enough visible markers for a fit.
+    """The face to track; None if no face has enough visible markers for a fit.
 
     `seen` are the numbers of the markers in `measured_mm` (n, 3), in the same order, `previous` is the face
-    of the last frame, `allowed` has one bit per face that may be tracked, the lowest for face 1.
+    of the last frame, `allowed` has one bit per face that may be tracked, lowest bit for face 1.
     """
     faces = [face for face in sorted(set(definition.faces)) or [ONLY_FACE] if allowed >> (face - 1) & 1]
     if len(faces) == 1:

@@ -1,7 +1,7 @@
 """One frame: every enabled tool and every stray, measured marker by marker.
 
 The noise of a frame is a function of the scene's seed, the session and the frames since it started, so
-asking again for the same frame, or not asking for others, changes nothing.
+requesting the same frame again, or skipping others, changes nothing.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ class Frame:
     """Everything one reply can report. `tools` pairs each enabled port's handle with what was found."""
 
     number: int
-    tools: tuple[tuple[Port, Tracked | None], ...]  # None: this handle has nothing that can be seen
+    tools: tuple[tuple[Port, Tracked | None], ...]  # None: nothing visible under this handle
     strays: tuple[Stray, ...]
     system_status: SystemStatus
 
 
 class Measurer:
-    """Measures the scene of a world as a unit with these volumes does."""
+    """Measures the scene of a world like a unit with these volumes."""
 
     def __init__(self, world: World, volumes: tuple[Volume, ...]) -> None:
         truth = world.scene.tracker
@@ -71,27 +71,27 @@ class Measurer:
         self._noise_key = DEVICE
 
     def hangs_on_mount(self, port: Port) -> bool:
-        """True when the tool of this port is the reference frame M on the mount."""
+        """Whether this port's tool is the reference frame M on the mount."""
         return port.definition is not None and self._scene.hangs_on_mount(port.definition)
 
     def begin_session(self) -> None:
-        """Tracking starts: every session after the first has noise of its own.
+        """Tracking starts: every session after the first has its own noise.
 
-        A watch that reads the tracker between the steps of a case then changes none of its numbers, and does
-        not see the noise of an earlier session again.
+        A guard that reads the tracker between the steps of a case therefore changes none of its numbers, and
+        does not see the noise of an earlier session again.
         """
         self._sessions += 1
         if self._sessions > 1:
             self._noise_key = f"{DEVICE}, session {self._sessions}"
 
     def forget_tools(self) -> None:
-        """Drop what is cached: tools were loaded, freed or enabled."""
+        """Drop caches: tools were loaded, freed or enabled."""
         self._visibility.forget()
         self._faces.clear()
 
     @property
     def light(self) -> SystemStatus:
-        """Bits of the system status that ambient light sets."""
+        """Bits of the system status set by ambient light."""
         too_much = self._disturbances.now().sunlight
         return SystemStatus.TOO_MUCH_INFRARED if too_much else SystemStatus(0)
 

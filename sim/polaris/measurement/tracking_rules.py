@@ -1,8 +1,8 @@
-"""From the measured markers of one tool to its pose, or to the reason why there is none.
+"""From one tool's measured markers to its pose, or to the reason why there is none.
 
 In the unit's order: fit at least three markers, drop those beyond the maximum angle, out of the volume, and
-beyond the maximum 3D error, then test the spread of the rest; enough markers must be left after each step.
-What a reply may report of a tool outside the volume depends on the request: `as_asked` applies that rule.
+beyond the maximum 3D error, then test the spread of the rest; enough markers must remain after each step.
+What a reply may report about a tool outside the volume depends on the request: `as_asked` applies that rule.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Tracked:
 
     @property
     def markers_mm(self) -> tuple[tuple[float, float, float] | None, ...]:
-        """Measured position of each marker of the definition; None when it was not seen."""
+        """Measured position of each marker of the definition; None if it was not seen."""
         places = dict(zip(self.seen, self.measured_mm, strict=True))
         return tuple(places.get(number) for number in range(len(self.marker_digits)))
 
@@ -82,8 +82,8 @@ def track(
 def as_asked(tracked: Tracked, *, outside: bool, partially_outside: bool) -> Tracked:
     """The tool as a reply reports it.
 
-    `outside`: tools out of the volume were asked for. `partially_outside`: the unit reports a tool unasked
-    when some markers, but fewer than the minimum, are inside.
+    `outside`: tools out of the volume were requested. `partially_outside`: the unit reports a tool
+    unrequested if some markers, but fewer than the minimum, are inside.
     """
     hidden = PortStatus.OUT_OF_VOLUME if partially_outside else OUTSIDE
     if outside or not tracked.volume_status & hidden:
@@ -141,7 +141,7 @@ class _Judge:
         return self._told(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
-        """The markers that pass a rule; the others get the digit of that rule."""
+        """The markers that pass a rule; the others are assigned the digit of that rule."""
         for k in numbers:
             if not keep[k]:
                 self._digits[markers[k]] = int(digit)
@@ -170,7 +170,7 @@ def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
 
 
 def _spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
-    """Whether the used markers spread far enough along each of their principal axes.
+    """Whether the spread of the used markers is large enough along each of their principal axes.
 
     NDI's measure is not public; here it is the distance between the outermost markers.
     """

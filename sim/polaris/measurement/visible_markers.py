@@ -21,7 +21,7 @@ SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an est
 
 @dataclass(frozen=True)
 class Group:
-    """Markers of one tool: how they are measured, and the rows that both sensors see."""
+    """Markers of one tool: their measurement errors, and the rows that both sensors see."""
 
     sight: Sight
     seen: list[int]
@@ -30,16 +30,16 @@ class Group:
 
 @dataclass(frozen=True)
 class VisibleMarkers:
-    """All markers in view. `tools` by handle: None for a handle without markers or not in the room."""
+    """All markers in view. `tools` by handle: None for a handle without markers or a tool not in the room."""
 
     tools: dict[int, Group | None]
-    frame: Group | None  # reference frame M while no handle holds its definition
+    frame: Group | None  # reference frame M unless a handle has its definition
     fixed: Group
     phantoms: Group
 
 
 class MarkerVisibility:
-    """Computes the visible markers when something has moved, and caches them until then."""
+    """Computes the visible markers when something has moved, and caches them in between."""
 
     def __init__(self, scene: TrueScene, optics: Optics, seed: int, volume: Volume, line_mm: float) -> None:
         self._scene = scene
@@ -110,7 +110,7 @@ class MarkerVisibility:
         )
 
     def _fixed(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
-        """Spheres that belong to no tool: the fiducials, unless they are those of a tool, and others."""
+        """Spheres that belong to no tool: the fiducials, unless they are a tool's, and others."""
         scene = self._scene
         more = extra_strays(self._seed, disturbance.strays, self._volume)
         if as_tool:

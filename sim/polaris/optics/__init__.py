@@ -1,1 +1,1 @@
-"""How well the sensors see a single marker: volume, noise, bias and phantoms."""
+"""How the sensors measure a single marker: volume, noise, bias and phantoms."""

@@ -1,8 +1,8 @@
-"""The unit's systematic error: a fixed smooth field of the volume.
+"""The unit's systematic error: a fixed smooth field over the volume.
 
 A sum of plane waves drawn from the seed, times a power of the depth. Amplitude and power are chosen so that
 the field has the stated rms length over each of two volumes. This is what data sheets call volumetric
-accuracy: the mean error of many readings of a marker at rest.
+accuracy: the mean error of many readings of a stationary marker.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Vectors = NDArray[np.float64]
 WAVES = 8
 WAVELENGTH_MM = (1500.0, 3000.0)  # longer than any tool: neighbouring markers share their bias
 DEPTH_RATIO = 2.0  # of the z component to x and y
-GRID_POINTS = 15  # per axis, over which the field is scaled
+GRID_POINTS = 15  # per axis, used to scale the field
 POWER_RANGE = (-6.0, 6.0)
 POWER_STEPS = 20  # of the bisection
 
@@ -29,7 +29,7 @@ class BiasField:
     """The error (n, 3) at points (n, 3), tracker frame, mm."""
 
     def __init__(self, seed: int, stated: tuple[tuple[Volume, float], ...]) -> None:
-        """`stated` pairs one or two volumes, the smaller first, with the rms length over them in mm."""
+        """`stated` pairs one or two volumes, the smaller first, with their rms length in mm."""
         generator = noise(seed, "tracker bias", 0)
         directions = generator.standard_normal((WAVES, 3))
         directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -68,7 +68,7 @@ class _Sizes:
 
 
 def _fitting_power(small: _Sizes, large: _Sizes, ratio: float) -> float:
-    """The power of the depth that gives this ratio of the two rms lengths; the ratio grows with it."""
+    """The power of the depth that yields this ratio of the two rms lengths; the ratio grows with it."""
     low, high = POWER_RANGE
     for _ in range(POWER_STEPS):
         middle = (low + high) / 2.0

@@ -1,7 +1,7 @@
 """Measurement of a single marker: noise that grows with depth, plus a fixed smooth bias.
 
-Tracker frame, mm. A stereo base of half a metre measures depth three to four times worse than the other
-two axes, and both worsen with the square of the distance.
+Tracker frame, mm. With a stereo base of half a metre, depth is measured three to four times worse than the
+other two axes, and both degrade with the square of the distance.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim.theatre.scene.model import TrackerTruth
 
 Vectors = NDArray[np.float64]
 
-HALF_BASE_MM = 250.0  # the two sensors sit on y, left and right of the origin
+HALF_BASE_MM = 250.0  # the two sensors are on y, left and right of the origin
 # Field of view of both sensors: not public; it only has to contain every volume.
 FIELD_DEPTHS_MM = (300.0, 4000.0)
 FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # of |x| and |y|
@@ -38,7 +38,7 @@ class Sight:
 
 
 class Optics:
-    """The pair of sensors. The scene's noise is that at the middle of the unit's first volume."""
+    """The pair of sensors. The scene's noise is defined at the middle of the unit's first volume."""
 
     def __init__(self, truth: TrackerTruth, seed: int, volumes: tuple[Volume, ...]) -> None:
         self._sigma_mm = np.array([truth.noise_xy_mm, truth.noise_xy_mm, truth.noise_z_mm])

@@ -1,8 +1,8 @@
 """The measuring volumes of the units and their records in the feature list.
 
-Tracker frame: origin at the sensor, z backwards, so that everything in view has negative z. A volume is a
-pyramid with a knee; the ten numbers are those of the feature list (SFLIST 03), in its own units: lengths
-in 1/100 mm, slopes in 1/100 000.
+Tracker frame: origin at the sensor, z backwards, so everything in view has negative z. A volume is a pyramid
+with a knee; the ten numbers are those of the feature list (SFLIST 03), in its own units: lengths in 1/100 mm,
+slopes in 1/100 000.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ronna_hw.wire.polaris import LF, SFLIST_DIMENSION_SCALE
 
 SLOPE_SCALE = 100_000  # slopes are given per 1000 mm, in hundredths
 NO_CAP = 999_999
-WAVELENGTHS = "24"  # as real Spectras send it; how its two digits are to be read is not public
+WAVELENGTHS = "24"  # as sent by real Spectras; the meaning of its two digits is not public
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Phantom markers: intersections of the rays of different markers.
 
-Stereo matching cannot tell two markers in one epipolar plane apart: besides the true positions it finds up to
-two more.
+Stereo matching cannot distinguish two markers in one epipolar plane: it finds up to two positions
+besides the true ones.
 """
 
 from __future__ import annotations

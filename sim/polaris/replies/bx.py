@@ -39,7 +39,7 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) ->
     for port, tracked in frame.tools:
         if port.enabled and port.occupied:
             parts.extend(_tool(frame, port, tracked, options, behaviour))
-        else:  # nothing more, for any option
+        else:  # nothing more, whatever the options
             parts.append(_handle.pack(port.handle, HandleStatus.DISABLED))
     if options & ReplyOption.STRAY_PASSIVE:
         parts.append(_strays(frame.strays, options, behaviour))

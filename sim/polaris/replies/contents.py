@@ -13,7 +13,7 @@ Point = tuple[float, float, float]
 
 
 def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
-    """The tool as reported: outside the volume, request and unit decide what is left out."""
+    """The tool as reported: outside the volume, request and unit decide what is omitted."""
     if tracked is None or not tracked.volume_status:
         return tracked
     outside = bool(options & ReplyOption.OUT_OF_VOLUME)
@@ -46,7 +46,7 @@ def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
 
 
 def reported_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Stray, ...]:
-    """The strays whose positions are sent: those inside the volume, all with option 0800."""
+    """The strays whose positions are sent: those inside the volume, or all with option 0800."""
     if options & ReplyOption.OUT_OF_VOLUME:
         return strays
     return tuple(stray for stray in strays if stray.inside)

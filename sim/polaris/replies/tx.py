@@ -90,7 +90,7 @@ def _strays(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBeha
 
 
 def _bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
-    """The flags as hex digits: one number with flag 0 highest, or four flags to a digit in turn."""
+    """The flags as hex digits: one number with flag 0 highest, or four flags per digit in order."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
         return ""

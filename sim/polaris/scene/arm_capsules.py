@@ -1,9 +1,8 @@
 """The arm as a few capsules that block the tracker's line of sight.
 
-Roughly the hull of a KR 6 R900 and of what its flange carries. The joints are those of the nominal arm,
-which is millimetres away from the true one. Head and guide hang on one mount, which keeps clear of the
-patient: a plate on the flange, a riser at its end, away from the patient, and from its top a bridge over to
-the tool's axis.
+Roughly the hull of a KR 6 R900 and its tools. The joints are those of the nominal arm, which is millimetres
+off the true one. Head and guide share one mount, which keeps clear of the patient: a plate on the flange, a
+riser at its end, away from the patient, and a bridge from its top to the tool's axis.
 
           top ---- bridge ---- on the axis
            |                        |
@@ -32,12 +31,12 @@ UPPER_ARM_RADIUS_MM = 90.0
 FOREARM_RADIUS_MM = 55.0
 WRIST_RADIUS_MM = 45.0
 MOUNT_RADIUS_MM = 12.0
-RISER_MM = 130.0  # beside the tool's axis, towards the flange
+RISER_MM = 130.0  # distance from the tool's axis, towards the flange
 RISER_TOP_MM = 170.0  # above the tool centre point
-CAMERA_RADIUS_MM = 22.0  # housing of 29 mm, measured over its corners
+CAMERA_RADIUS_MM = 22.0  # housing of 29 mm, measured across its corners
 GUIDE_RADIUS_MM = 8.0
-CAMERA_LENGTH_MM = 80.0  # of housing and lens, from the lens' centre backwards
-SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints between which upper arm and forearm reach
+CAMERA_LENGTH_MM = 80.0  # housing and lens, from the lens' centre backwards
+SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints at the ends of upper arm and forearm
 
 
 class ArmBody:
@@ -59,7 +58,7 @@ class ArmBody:
     def capsules(
         self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix, *, past_mount: bool = False
     ) -> Capsules:
-        """In the tracker frame; `past_mount` as what hangs on the mount itself is seen."""
+        """In the tracker frame; `past_mount` as seen by objects on the mount itself."""
         shoulder, elbow, wrist = self._joints_mm(arm)
         flange = arm.robot_from_flange
         limbs: list[Limb] = [
@@ -88,9 +87,9 @@ class ArmBody:
 
 
 def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
-    """Plate and riser in the tool frame, and where the riser ends."""
+    """Plate and riser in the tool frame, and the end of the riser."""
     away_mm = float(np.linalg.norm(flange_mm[:2]))
-    # A tool on the flange's axis has its riser on any side.
+    # A tool on the flange's axis may have its riser on any side.
     towards = flange_mm[:2] / away_mm if away_mm > 0.0 else np.array([-1.0, 0.0])
     beside = towards * RISER_MM
     foot, top = np.array([*beside, flange_mm[2]]), np.array([*beside, -RISER_TOP_MM])
@@ -98,14 +97,14 @@ def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:
 
 
 def _guide(mount: Mount, top: Vector) -> tuple[list[Limb], list[Limb]]:
-    """The bridge to its upper end, which is of the mount, and the tube; in the tool frame."""
+    """The bridge to its upper end, part of the mount, and the tube; in the tool frame."""
     ends = [(0.0, 0.0, -mount.guide.reach_mm - up) for up in (0.0, mount.guide.bore_mm)]
     lower, upper = apply(matrix_of(mount.tool_from_tip_true), ends)
     return [(top, upper, MOUNT_RADIUS_MM)], [(upper, lower, GUIDE_RADIUS_MM)]
 
 
 def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
-    """The bridge and the beam that carries the cameras, which are of the mount, and the cameras; likewise."""
+    """The bridge and the camera beam, parts of the mount, and the cameras; in the tool frame."""
     ends = [(0.0, 0.0, 0.0), (0.0, 0.0, -CAMERA_LENGTH_MM)]  # the lens' centre, the back of the housing
     left, right = (apply(inverse(matrix_of(one.camera_from_tool)), ends) for one in (scene.left, scene.right))
     beam = (left.mean(axis=0), right.mean(axis=0))
@@ -114,7 +113,7 @@ def _stereo_head(scene: Scene, top: Vector) -> tuple[list[Limb], list[Limb]]:
 
 
 def _turns(axis: tuple[float, float, float]) -> tuple[Matrix, Matrix]:
-    """What a rotation about an axis adds to the identity, times sine and one minus cosine (Rodrigues)."""
+    """Terms added to the identity by a rotation about an axis, times sine and 1 - cosine (Rodrigues)."""
     x, y, z = np.array(axis) / np.linalg.norm(axis)
     skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     return skew, skew @ skew

@@ -17,7 +17,7 @@ class Disturbance:
     hidden_fiducials: frozenset[int] = frozenset()
     hidden_tools: frozenset[str] = frozenset()
     hidden_tool_markers: frozenset[tuple[str, int]] = frozenset()  # marker counted from 1
-    bent: tuple[tuple[str, float], ...] = ()  # how far the last marker is pushed aside, mm
+    bent: tuple[tuple[str, float], ...] = ()  # sideways displacement of the last marker, mm
     turned: tuple[tuple[str, float], ...] = ()  # about the x axis of the tool, degrees
     moved: tuple[tuple[str, Vector], ...] = ()  # in the tracker frame, mm
     interfered: frozenset[str] = frozenset()
@@ -32,14 +32,14 @@ NONE = Disturbance()
 
 
 class Disturbances:
-    """Collects the effects from the tracker's fault board and from the room's."""
+    """Collects effects from the fault boards of the tracker and the room."""
 
     def __init__(self, board: FaultBoard, room: ShiftedRoom) -> None:
         self._board = board
         self._room = room
 
     def now(self) -> Disturbance:
-        """The effects at this moment; `NONE` after one look-up while there is no fault."""
+        """The current effects; `NONE` after one look-up if there are no faults."""
         board, room = self._board, self._room.now()
         if board.empty and room is NOTHING_MOVED:
             return NONE

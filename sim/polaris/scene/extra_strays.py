@@ -12,15 +12,15 @@ from sim.theatre.noise import noise
 
 Vectors = NDArray[np.float64]
 
-INNER_SHARE = 0.7  # share of the volume's depth and width in which they lie
-REFLECTION_PRESENCE = 0.3  # share of the frames in which a glint is bright enough
+INNER_SHARE = 0.7  # share of the volume's depth and width in which they are
+REFLECTION_PRESENCE = 0.3  # share of frames in which a reflection is bright enough
 REFLECTION_SPREAD_MM = 3.0  # a reflection wanders over its surface
 SPHERES, REFLECTIONS = "tracker extra spheres", "tracker reflections"
 
 
 @lru_cache(maxsize=8)
 def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
-    """Positions (n, 3) of further spheres; the first ones do not depend on the number."""
+    """Positions (n, 3) of further spheres; the first ones do not depend on the count."""
     return _places(seed, SPHERES, count, volume)
 
 

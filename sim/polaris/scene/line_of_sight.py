@@ -1,7 +1,7 @@
 """Occlusion: the head as an ellipsoid and the arm as capsules between marker and sensor.
 
-Tracker frame, mm. A marker inside a body's hull is mounted on that body and stands out of it: that body
-never hides it.
+Tracker frame, mm. A marker inside a body's hull is mounted on that body and protrudes from it: that
+body never hides it.
 """
 
 from __future__ import annotations

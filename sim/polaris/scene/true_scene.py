@@ -37,7 +37,7 @@ class TrueTool:
 
 
 class TrueScene:
-    """The scene without noise. What never moves is computed once; the arm is read for each frame."""
+    """The scene without noise. Static parts are computed once; the arm is read for each frame."""
 
     def __init__(self, world: World) -> None:
         scene = world.scene
@@ -77,7 +77,7 @@ class TrueScene:
         return self._world.mounted_tool()
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
-        """The fiducials where the room's faults have moved them."""
+        """The fiducials as displaced by the room's faults."""
         return apply(self._tracker_from(room), self._centres_mm + room.of_spheres_mm(self.fiducial_numbers))
 
     def bodies(
@@ -88,9 +88,9 @@ class TrueScene:
         *,
         past_mount: bool = False,
     ) -> tuple[Body, ...]:
-        """Opaque bodies: the head, where there is one, which hides the same wherever it is moved; the arm.
+        """Opaque bodies: the head, if any, regardless of its displacement; the arm.
 
-        The frames stand out of the mount that carries them, on posts: `past_mount` it hides none of them.
+        The frames protrude from the mount on posts: with `past_mount` it hides none of them.
         """
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
@@ -101,7 +101,7 @@ class TrueScene:
         )
 
     def hangs_on_mount(self, definition: ToolDefinition) -> bool:
-        """True for the reference frame M, as long as there is an arm that carries it."""
+        """Whether this is the reference frame M and there is an arm to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
     def on_mount(self, tool: TrueTool) -> bool:
@@ -111,7 +111,7 @@ class TrueScene:
     def tool(
         self, definition: ToolDefinition, place: int | None, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """A loaded tool, whatever definition was loaded for it; None when it is not in the room."""
+        """A loaded tool, whatever definition was loaded for it; None if it is not in the room."""
         if arm is not None and definition.part_number == self.frame_on_mount.part_number:
             return self.frame(arm, disturbance)
         if definition.part_number == GUIDE_FRAME_PART_NUMBER and self._tip_from_frame is not None:
@@ -126,11 +126,11 @@ class TrueScene:
         return _disturbed(names, self._places[place], markers, disturbance)
 
     def stands_on_head(self, definition: ToolDefinition) -> bool:
-        """True for the x-shaped frame, where the spheres on the head are its own."""
+        """Whether this is the x-shaped frame and the spheres on the head are its own."""
         return bool(self._frame_rows) and definition.part_number == X_FRAME_PART_NUMBER
 
     def _frame_on_head(self, disturbance: Disturbance) -> TrueTool:
-        """The x-shaped frame: its spheres stand where they were put back; one that was not is never seen."""
+        """The x-shaped frame with spheres where they were reattached; one that was not is never seen."""
         names = frozenset({X_FRAME_NAME, X_FRAME_PART_NUMBER})
         places = self.fiducials_at(disturbance.room)
         there = [row for row in self._frame_rows if row is not None]
@@ -158,7 +158,7 @@ class TrueScene:
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
     ) -> TrueTool | None:
-        """The frame on the guide while that hangs there: badly seated with it, but not bent with its tip."""
+        """The frame on the guide while that is mounted: it shares the guide's bad seating, not its bend."""
         if arm is None or self.mounted_tool() != self._world.scene.mount.tool_number_guide:
             return None
         pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
@@ -166,7 +166,7 @@ class TrueScene:
         return _disturbed(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
-        """TRACKER <- ROBOT with the tracker where the room's faults have moved it."""
+        """TRACKER <- ROBOT with the tracker as displaced by the room's faults."""
         if room is NOTHING_MOVED:
             return self._tracker_from_robot
         moved = self._tracker_from_robot.copy()

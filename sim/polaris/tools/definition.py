@@ -1,4 +1,4 @@
-"""Tool definitions: read by the unit from the memory of a handle, written as a tool maker does.
+"""Tool definitions: read by the unit from a handle's memory, written as by a tool maker.
 
 Layout in `ronna_hw.wire.polaris_rom`. Positions in mm and unit normals, both in the tool's own frame.
 """
@@ -18,14 +18,14 @@ MAXIMUM_ANGLE_DEG = 90
 MAXIMUM_ERROR_MM = 2.0  # of one marker from the fitted definition
 MANUFACTURER = "RONNA"
 LEAST_NORMAL_LENGTH = 0.5  # a unit vector in single precision is far longer
-SUBTYPE_BELOW_TYPE = 1  # in real files the subtype is the main type - 1
+SUBTYPE_BELOW_TYPE = 1  # in real files the subtype is the main type minus 1
 TOOL_GROUP = 1
 FIRST_FACE = 1
 MOST_GROUPS = 20
 TEST_MARKERS_MM = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))
 CONSTANT_TEN = 10.0
 CONSTANT_NINE = 9
-# Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients refuse zero.
+# Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients reject zero.
 SERIAL_SEQUENCE = 1
 SERIAL_YEAR = 2024
 
@@ -63,12 +63,12 @@ class ToolDefinition:
     part_number: str
     marker_type: int
     flags: int = 0
-    faces: tuple[int, ...] = ()  # face of each marker, from 1; empty when there is one face
+    faces: tuple[int, ...] = ()  # face of each marker, from 1; empty if there is only one
     minimum_spread_mm: tuple[float, float, float] = (
         0.0,
         0.0,
         0.0,
-    )  # along the principal axes of the markers; 0 is any
+    )  # along the principal axes of the markers; 0 means any
     lit: tuple[bool, bool, bool] = (False, False, False)  # whether visible LEDs 1 to 3 are present
     switches: tuple[bool, bool, bool] = (False, False, False)
     in_port: bool = False  # it has a tool-in-port diode
@@ -164,7 +164,7 @@ def write_definition(tool: TrackerTool) -> bytes:
 
 
 def wiring_definition() -> bytes:
-    """The test definition that TTCFG gives a wired tool without memory."""
+    """The test definition that TTCFG assigns to a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
 

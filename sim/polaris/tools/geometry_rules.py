@@ -1,4 +1,4 @@
-"""Unique-geometry rules: segment lengths tell a tool from its mirror image and from other tools."""
+"""Unique-geometry rules: segment lengths distinguish a tool from its mirror image and from other tools."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ WAVELENGTH_BITS = 0x07  # of the marker type
 def warning_of(
     tool: ToolDefinition, others: list[ToolDefinition], behaviour: UnitBehaviour
 ) -> WarningCode | None:
-    """The warning of PINIT for `tool` in presence of `others`; None for a valid tool."""
+    """The warning of PINIT for `tool` in the presence of `others`; None for a valid tool."""
     unique = _has_unique_segments(tool, behaviour)
     conflicts = any(_conflict(tool, other, behaviour) for other in others)
     if not unique:

@@ -16,7 +16,7 @@ ALL_FACES = 0xFF
 
 @dataclass
 class Port:
-    """One handle. `place` is the place of the scene that the tool takes, in order of loading."""
+    """One handle. `place` is the tool's place in the scene, in order of loading."""
 
     handle: int
     dummy: bool = False  # has no markers; only makes the illuminators fire
@@ -37,12 +37,12 @@ class Port:
 
     @property
     def occupied(self) -> bool:
-        """True while the handle has a tool; a passive one cannot be unplugged."""
+        """Whether the handle has a tool; a passive one cannot be unplugged."""
         return not self.unoccupied and (self.wired_port == 0 or self.dummy or self.tool is not None)
 
     @property
     def reflects(self) -> bool:
-        """True for a tool lit by the unit's own illuminators."""
+        """Whether its tool is lit by the unit's own illuminators."""
         return self.wired_port == 0 and not self.active_wireless
 
     @property
@@ -71,7 +71,7 @@ class PortTable:
         return self._new(dummy=dummy, active_wireless=active_wireless)
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
-        """A new handle for a socket; raises Refusal when it has one already, or none is left."""
+        """A new handle for a socket; raises Refusal if it already has one, or none is left."""
         if self.of_socket(number) is not None:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE)
         port = self._new(dummy=dummy, wired_port=number, tool=None if dummy else tool)
@@ -111,7 +111,7 @@ class PortTable:
         return tuple(port for port in self if port.enabled)
 
     def free_place(self) -> int:
-        """The lowest place of the scene that no loaded tool has."""
+        """The lowest place in the scene not used by a loaded tool."""
         taken = {port.place for port in self._ports.values()}
         return next(place for place in range(self._size + 1) if place not in taken)
 

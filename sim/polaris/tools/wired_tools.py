@@ -11,7 +11,7 @@ from ronna_hw.wire.polaris_rom import ROM_BYTES
 from sim.polaris.errors import BadWiredTool
 
 DEVICE_IDENTIFIER_BYTES = 8
-LARGEST_FILE_BYTES = 65_536  # beyond what any memory takes: told by its length
+LARGEST_FILE_BYTES = 65_536  # beyond any memory: rejected by its length
 
 
 @dataclass
@@ -24,7 +24,7 @@ class WiredTool:
 
     @classmethod
     def from_definition(cls, content: bytes, number: int, user_memory_bytes: int) -> WiredTool:
-        """A tool whose memory holds `content`; raises PSU-002 when the length is wrong."""
+        """A tool with `content` in its memory; raises PSU-002 when the length is wrong."""
         if len(content) < ROM_BYTES or len(content) > PVWR_SPACE_BYTES:
             raise BadWiredTool(
                 f"the definition of wired tool {number} has {len(content)} bytes",
@@ -39,7 +39,7 @@ class WiredPorts:
     """The sockets of the tool interface, numbered from 1; `count` is 0 without an interface."""
 
     count: int
-    tools: dict[int, WiredTool] = field(default_factory=dict)  # all that are at hand, plugged in or not
+    tools: dict[int, WiredTool] = field(default_factory=dict)  # all available ones, plugged in or not
     plugged: set[int] = field(default_factory=set)
 
     def add(self, tool: WiredTool) -> None:

@@ -22,7 +22,7 @@ _ALL = int(sum(Alert))
 class Alerts:
     """Alert bits from three sources: simulated by the host, lasting, and a bump that stays until cleared.
 
-    Reading the new ones clears them.
+    Reading new ones clears them.
     """
 
     def __init__(self) -> None:
@@ -35,7 +35,7 @@ class Alerts:
         self._raised = Alert(0)
 
     def reset(self) -> None:
-        """Power-up: forget bump and simulated alerts; lasting ones are found again."""
+        """Power-up: clear bump and simulated alerts; lasting ones are detected again."""
         self._simulated = self._raised = self._new = self.current = Alert(0)
         self._update()
 
@@ -45,7 +45,7 @@ class Alerts:
         self._update()
 
     def impose(self, bits: int) -> None:
-        """Set what is really wrong with the unit now."""
+        """Set the unit's actual problems."""
         self._lasting = Alert(bits & _ALL)
         self._update()
 
@@ -53,7 +53,7 @@ class Alerts:
         """Raise a bump, if detection is on; it stays until the host clears it."""
         if alert is Alert.BUMP and not self.detects_bumps:
             return
-        self._new |= alert  # a second bump is a new alert too
+        self._new |= alert  # a second bump is also a new alert
         self._raised |= alert
         self._update()
 

@@ -1,7 +1,7 @@
 """Behaviour that public sources leave open, one named parameter each.
 
-The defaults are best estimates. A driver must work with every alternative; choose one by
-`ronna-sim polaris --set NAME=VALUE`.
+The defaults are best estimates. A driver must work with every alternative; choose one with `ronna-sim
+polaris --set NAME=VALUE`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sim.polaris.unit.refusal import ErrorCode
 
 @dataclass(frozen=True, kw_only=True)
 class UnitBehaviour:
-    """Behaviour of the unit for which public sources are silent or disagree."""
+    """Unit behaviour on which public sources are silent or disagree."""
 
     # line
     enforces_line: Annotated[

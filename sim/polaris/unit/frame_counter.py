@@ -1,8 +1,8 @@
 """Frame numbers: 60 counts per second of theatre time, whatever the illuminator rate.
 
-On a clock that follows the host, a request gets the latest frame, and the same one again when it comes too
-soon. On a clock that its users advance, each request waits for the next frame, so it gets exactly one; from
-the first request to the end of tracking, cycles of the robot do not pass a frame before it is asked for.
+On a clock that follows the host, a request gets the latest frame, or the same one again if it comes too soon.
+On a clock that its users advance, each request waits for the next frame, so it gets exactly one; from the
+first request to the end of tracking, robot cycles do not pass a frame before it is requested.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class FrameCounter:
         self._epoch_ns = clock.now_ns()
         self._begin = 0
         self.last = 0  # frame number of the last request
-        self.missed = 0  # measurements that a fault skips after each one
+        self.missed = 0  # measurements skipped by a fault after each one
         self._counts_per_frame = 1
 
     def start(self, *, restart: bool, rate_hz: int) -> None:
@@ -50,18 +50,18 @@ class FrameCounter:
         self._clock.expect_reader(0)
 
     def pass_one(self) -> None:
-        """A request repeated the last frame; a clock that its users advance moves on all the same."""
+        """A request repeated the last frame; a clock that its users advance moves on anyway."""
         if not self._clock.paced:
             self._clock.wait_until_ns(self._clock.now_ns() + NANOSECONDS_PER_SECOND // COUNTS_PER_SECOND)
 
     @property
     def repeats(self) -> bool:
-        """True when two requests may get the same frame."""
+        """Whether two requests may get the same frame."""
         return self._clock.paced
 
     @property
     def last_is_newest(self) -> bool:
-        """True while a clock that its users advance has come to no frame after the last one."""
+        """True while a clock that its users advance has reached no frame after the last one."""
         return not self._clock.paced and self._count_at(self._clock.now_ns()) <= self.last
 
     def since_start(self, frame: int) -> int:

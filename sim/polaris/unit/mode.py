@@ -8,7 +8,7 @@ from sim.polaris.unit.behaviour import UnitBehaviour
 
 
 class Mode(StrEnum):
-    """The unit's modes, in the words of `Info.Status.System Mode`."""
+    """The unit's modes, in the terms of `Info.Status.System Mode`."""
 
     NOT_INITIALISED = "Booted"
     SETUP = "Initialized"

@@ -1,4 +1,4 @@
-"""Models: identity, ports, volumes and limits. Serial numbers are made up."""
+"""Models: identity, ports, volumes and limits. Serial numbers are invented."""
 
 from __future__ import annotations
 

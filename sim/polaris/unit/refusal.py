@@ -1,4 +1,4 @@
-"""Codes of `ERRORhh` and `WARNINGhh`: why a command is refused, and what the unit warns of."""
+"""Codes of `ERRORhh` and `WARNINGhh`: why a command is refused, and what the unit warns about."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class ErrorCode(IntEnum):
-    """Codes that this unit sends; their meanings are in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
+    """Codes sent by this unit; their meanings are in `ronna_hw.wire.polaris.ERROR_MEANINGS`."""
 
     UNKNOWN_COMMAND = 0x01
     TOO_LONG = 0x02

@@ -49,7 +49,7 @@ class Unit:
         self.infrared_checked = False
         self.beeps_until_s = 0.0
         self._frame: Frame | None = None
-        self._frame_was_lost = False  # on its way to the host, which will ask for it again
+        self._frame_was_lost = False  # lost on its way to the host, which will request it again
         self.parameters = UserParameters(model, self.wired.count, self.alerts, lambda: self.mode.value)
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
         self.parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
@@ -105,7 +105,7 @@ class Unit:
         self.clock.sleep(duration_s)
 
     def plug(self, number: int) -> None:
-        """Plug a wired tool in; an initialised unit gives it a handle."""
+        """Plug in a wired tool; an initialised unit gives it a handle."""
         if number in self.wired.plugged or number not in self.wired.tools:
             return
         self.wired.plugged.add(number)
@@ -114,7 +114,7 @@ class Unit:
             self._port_changed(SystemStatus.PORT_OCCUPIED)
 
     def unplug(self, number: int) -> None:
-        """Pull a wired tool out."""
+        """Unplug a wired tool."""
         if number not in self.wired.plugged:
             return
         self.wired.plugged.discard(number)
@@ -146,7 +146,7 @@ class Unit:
         return kept
 
     def get_in_step(self) -> None:
-        """The host begins again after a disturbance of the line."""
+        """The host resynchronises after a disturbance of the line."""
         self._frame_was_lost = True
 
     def diagnostic_frame(self, port: Port) -> Frame:
@@ -169,15 +169,15 @@ class Unit:
     def _next_number(self) -> int:
         """Number of the frame that a request gets.
 
-        Where each request gets exactly one frame, one that was lost on the line is given again: otherwise all
-        that follow would be other ones, with other noise.
+        If each request gets exactly one frame, one that was lost on the line is sent again: otherwise all
+        later ones would differ, with other noise.
         """
         lost, self._frame_was_lost = self._frame_was_lost, False
         again = lost and self._frame is not None and self.frames.last_is_newest
         return self.frames.last if again else self.frames.number()
 
     def _holds_frame(self) -> bool:
-        """True while a fault stops new measurements; another fault makes the unit skip frames."""
+        """True while a fault blocks new measurements; another fault makes the unit skip frames."""
         self.frames.missed = sum(int(fault.argument) for fault in self.faults.active("skip_frames"))
         if not self.faults.active("repeat_frames"):
             return False

@@ -1,4 +1,4 @@
-"""Faults of the unit itself: alerts, refusals, delays, tools on cables, loss of power.
+"""Faults of the unit itself: alerts, refusals, delays, tools on cables, power loss.
 
 They act before each command. Faults of markers and light are in `scene/disturbance.py`, those of the line to
 the host in `line/line_faults.py`.
@@ -23,11 +23,11 @@ class Power(Enum):
 
     STAYS = auto()
     GONE = auto()
-    RETURNS = auto()  # now, after a loss or a dip
+    RETURNS = auto()  # restored after a loss or a dip
 
 
 class UnitFaults:
-    """The tracker's faults applied to a unit. Costs one look-up while there are none."""
+    """The tracker's faults applied to a unit. Costs one look-up if there are none."""
 
     def __init__(self, unit: Unit) -> None:
         self._unit = unit
@@ -45,12 +45,12 @@ class UnitFaults:
 
     @property
     def any_acting(self) -> bool:
-        """True while the script has a fault of the tracker or one has yet to end."""
+        """Whether the script has a tracker fault, or one has yet to end."""
         left = self._dead or bool(self._alerts or self._plugged or self._pulled)
         return left or not self._board.empty
 
     def power(self) -> Power:
-        """What has happened to the supply since the previous call."""
+        """What happened to the supply since the previous call."""
         was_dead, self._dead = self._dead, bool(self._board.active("power_off"))
         if self._dead:
             return Power.GONE
@@ -102,7 +102,7 @@ class UnitFaults:
             raise Refusal(code)
 
     def _change_plugs(self) -> None:
-        """Plug and unplug tools on cables as their faults say."""
+        """Plug and unplug tools on cables as scripted."""
         unit = self._unit
         plugged = {int(fault.argument) for fault in self._board.active("plug")}
         pulled = {int(fault.argument) for fault in self._board.active("unplug")}
@@ -126,7 +126,7 @@ def _corrupt(port: Port) -> None:
 
 
 def _lay_ready(unit: Unit, number: int) -> None:
-    """Have a test tool at hand for a socket that has none."""
+    """Provide a test tool for a socket that has none."""
     wired = unit.wired
     wired.count = max(wired.count, number)
     if number not in wired.tools:

@@ -22,9 +22,9 @@ RETURN_WARNING = "Param.Default Wavelength.Return Warning"
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter: a whole number if it has `limits`, otherwise text.
+    """One parameter: an integer if it has `limits`, otherwise text.
 
-    `kept` parameters are what SAVE stores; `options` names the values of an enumeration.
+    `kept` parameters are stored by SAVE; `options` names the values of an enumeration.
     """
 
     name: str
@@ -126,7 +126,7 @@ def _number(
     options: str = "",
     while_tracking: bool = False,
 ) -> Parameter:
-    """A whole number that hosts may set and SAVE stores."""
+    """An integer that hosts may set and SAVE stores."""
     return Parameter(
         name, str(default), description, True, while_tracking, limits, kept=True, options=options
     )

@@ -18,14 +18,14 @@ from sim.polaris.unit.user_parameter_table import (
 )
 
 LONGEST_TEXT = 255
-DEVICE_PREFIX = "PS-0."  # names may carry the device they belong to
+DEVICE_PREFIX = "PS-0."  # names may include their device
 WILDCARD = "*"
 TYPE_INTEGER, TYPE_TEXT = "1", "2"  # field `type` of GETINFO; the codes are not public
 ATTRIBUTE_READ, ATTRIBUTE_WRITE = "1", "3"
 
 
 class UserParameters:
-    """All parameters of a unit. Saved values survive `reset`, as they survive a power cut."""
+    """All parameters of a unit. Saved values survive `reset`, like a power cut."""
 
     def __init__(
         self, model: UnitModel, wired_ports: int, alerts: Alerts, mode_name: Callable[[], str]
@@ -49,11 +49,11 @@ class UserParameters:
         return live() if live else self._values[known.name]
 
     def number(self, name: str) -> int:
-        """The value of one whole-number parameter."""
+        """The value of one integer parameter."""
         return int(self.value(name))
 
     def list(self, pattern: str) -> tuple[Parameter, ...]:
-        """The parameters that a name, or a prefix and `*`, selects."""
+        """The parameters selected by a name, or by a prefix and `*`."""
         if not pattern.endswith(WILDCARD):
             return (self._known(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
@@ -72,7 +72,7 @@ class UserParameters:
         return ";".join(fields)
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
-        """Change a parameter; raises Refusal when it does not exist, is read-only, or the value is wrong."""
+        """Change a parameter; raises Refusal if it does not exist, is read-only, or the value is invalid."""
         parameter = self._writable(name, tracking=tracking)
         if parameter.limits is not None:
             value = str(_number_within(value, parameter.limits))
@@ -81,7 +81,7 @@ class UserParameters:
         self._store(parameter, value)
 
     def set_default(self, pattern: str, *, tracking: bool) -> None:
-        """Restore factory values; a wildcard skips what is read-only."""
+        """Restore factory values; a wildcard skips read-only ones."""
         if not pattern.endswith(WILDCARD):
             parameter = self._writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
@@ -95,7 +95,7 @@ class UserParameters:
         self._saved = {name: self._values[name] for name, p in self._parameters.items() if p.kept}
 
     def save_value(self, name: str, value: str) -> None:
-        """Set and save one setting, as an earlier user of the unit did."""
+        """Set and save one setting, like an earlier user of the unit."""
         self.set(name, value, tracking=False)
         self._saved[name] = value
 

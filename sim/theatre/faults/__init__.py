@@ -1,6 +1,6 @@
 """Faults, scripted and live: what goes wrong in the theatre, and when.
 
-Each device has a module with its kinds of fault; a device asks its own board whether one acts now.
+Each device has a module with its kinds of fault; a device queries its own board for active ones.
 """
 
 from sim.theatre.faults.board import FaultBoard

@@ -1,4 +1,4 @@
-"""The faults that concern a device now."""
+"""The faults that currently affect a device."""
 
 from __future__ import annotations
 
@@ -11,30 +11,30 @@ from sim.theatre.world import World
 
 
 class FaultBoard:
-    """The faults of one device, as the world's script has them now. Cheap to ask while there are none."""
+    """The current scripted faults of one device. Cheap to query when there are none."""
 
     def __init__(self, world: World, device: str, cycle: Callable[[], int] | None = None) -> None:
-        """`cycle` tells which cycle the device is in, for one that counts them."""
+        """`cycle` returns the device's current cycle, if it counts cycles."""
         self._world = world
         self._device = device
         self._cycle = cycle
-        self._cycles_began_s: dict[int, float] = {}  # of the cycles that faults begin with
+        self._cycles_began_s: dict[int, float] = {}  # start of the cycles that faults begin with
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
-        self._happened: set[tuple[Fault, float]] = set()  # momentary ones already reported, and their onset
+        self._happened: set[tuple[Fault, float]] = set()  # momentary ones already reported, with their onset
 
     @property
     def empty(self) -> bool:
-        """True while the script has no fault of this device; the cheapest query."""
+        """Whether the script has no fault of this device; the cheapest query."""
         self._refresh()
         return not self._faults
 
     def active(self, kind: str) -> tuple[Fault, ...]:
-        """All lasting faults of that kind that act now."""
+        """All active lasting faults of this kind."""
         return tuple(fault for fault in self.acting() if fault.kind.name == kind)
 
     def acting(self) -> tuple[Fault, ...]:
-        """All lasting faults of any kind that act now."""
+        """All active lasting faults of any kind."""
         return tuple(fault for fault, _ in self.acting_since())
 
     def acting_since(self) -> tuple[tuple[Fault, float], ...]:
@@ -47,9 +47,9 @@ class FaultBoard:
         )
 
     def happened(self, kind: str) -> tuple[Fault, ...]:
-        """Momentary faults of that kind that have become due since the last call; each is reported once.
+        """Momentary faults of this kind that have become due since the last call; each is reported once.
 
-        One that is bound to a step happens once each time the step is entered.
+        One bound to a step happens once each time the step is entered.
         """
         now_s = self._world.clock.now_s()
         due = []

@@ -1,4 +1,4 @@
-"""Faults of the cameras: what they see, their stream, control channel, triggers and clocks, and lens."""
+"""Faults of the cameras: view, stream, control channel, triggers and clocks, and lens."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from sim.theatre.faults.kinds import (
 from sim.theatre.scene.model import Scene
 
 BOTH = "both"
-SMALLEST_PATH_BYTES = 68  # the least that a network may carry
+SMALLEST_PATH_BYTES = 68  # the smallest packet size a network may carry
 MOST_SPOTS = 500
 MOST_STAINED_PERCENT = 60.0  # spots overlap: far more would take long and look no different
 

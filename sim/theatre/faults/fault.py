@@ -15,11 +15,11 @@ def _never(_cycle: int) -> float:
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of a script: one of `at_s`, `step` and `cycle` says when it begins."""
+    """One fault of a script: one of `at_s`, `step` and `cycle` determines when it begins."""
 
     kind: FaultKind
     arguments: Arguments
-    duration_s: float  # theatre time; 0 for a momentary fault, infinite when no end is given
+    duration_s: float  # theatre time; 0 for a momentary fault, infinite without an end
     at_s: float | None = None
     step: str | None = None
     lasts: bool = False  # beyond that step
@@ -33,7 +33,7 @@ class Fault:
 
     @property
     def phrase(self) -> str:
-        """As it is written in a script, without beginning and duration."""
+        """As written in a script, without beginning and duration."""
         words = iter(self.arguments)
         return " ".join(
             next(words) if word in TERMINALS else word
@@ -42,7 +42,7 @@ class Fault:
 
     @property
     def effect(self) -> str:
-        """What it does, and when, for the one who has just asked for it."""
+        """Its effect and timing, as shown to the person who injected it."""
         begins = "from now on" if self.at_s is None else f"from theatre time {self.at_s:.3f} s on"
         if self.step is not None:
             begins = f"{'when' if self.lasts else 'whenever'} step {self.step} begins"
@@ -56,12 +56,12 @@ class Fault:
     def onset_s(
         self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float] = _never
     ) -> float:
-        """Theatre time at which it begins; infinite while its step does not run, or before its cycle."""
+        """Theatre time at which it begins; infinite while its step is not running, or before its cycle."""
         if self.at_s is not None:
             return self.at_s
         if self.cycle is not None:
             return cycle_began_s(self.cycle)
-        if self.begins_in(step) and not self.lasts:  # the control port gives those a time
+        if self.begins_in(step) and not self.lasts:  # the control port sets a time for those
             return step_started_s
         return math.inf
 

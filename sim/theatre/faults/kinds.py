@@ -12,7 +12,7 @@ Arguments = tuple[str, ...]
 Check = Callable[[Arguments, Scene], Iterable[str]]
 
 WHOLE_PERCENT = 100.0
-# Arguments as the grammar's terminals, and how usage and examples show them.
+# Arguments as terminals of the grammar, and as shown in usage and examples.
 USAGE = (("INT", "N"), ("NUMBER", "X"), ("SIGNED", "±X"))
 EXAMPLE = (("INT bytes", "1500 bytes"), ("INT", "2"), ("NUMBER", "5"), ("SIGNED", "-1.5"))
 EXAMPLE_NAMES = {"tracker": "robot_frame", "camera": "left"}
@@ -23,10 +23,10 @@ TERMINALS = ("INT", "NUMBER", "SIGNED", "NAME")
 class FaultKind:
     """One kind of fault of one device.
 
-    `phrase` is what stands between the device's name and `for`: words as they are written, arguments as
-    the grammar's terminals (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or
-    to the end when none is given; a momentary one happens once and has none.
-    `check` yields what is wrong with the arguments in a scene: "expected X, got Y".
+    `phrase` is the text between the device's name and `for`: words verbatim, arguments as terminals of the
+    grammar (`occlude marker INT`, `drop NUMBER %`). A lasting fault acts for its duration, or to the end if
+    none is given; a momentary one happens once and has none. `check` yields what is wrong with the arguments
+    in a scene: "expected X, got Y".
     """
 
     name: str
@@ -56,7 +56,7 @@ def anything(_arguments: Arguments, _scene: Scene) -> Iterator[str]:
 
 @dataclass(frozen=True)
 class OneOf:
-    """Checks that the first argument is one of those known."""
+    """Checks that the first argument is one of the known ones."""
 
     what: str
     known: Sequence[str]
@@ -66,7 +66,7 @@ class OneOf:
 
 
 def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
-    """Check that an argument is at most this."""
+    """Check that an argument does not exceed a limit."""
 
     def check(arguments: Arguments, _scene: Scene) -> Iterator[str]:
         if float(arguments[argument]) > largest:
@@ -86,7 +86,7 @@ def both(first: Check, second: Check) -> Check:
 
 
 def expected(what: str, known: Sequence[str], got: str) -> Iterator[str]:
-    """The mistake, unless the value is one of those known."""
+    """The mistake, unless the value is one of the known ones."""
     if got not in known:
         yield f"expected {what} {either(known)}, got {got}"
 
@@ -104,7 +104,7 @@ def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
 class DeviceFaults:
     """Declares the kinds of fault of one device.
 
-    `prefix` tells their names from those of other devices; `first` checks the first argument of each.
+    `prefix` distinguishes their names from those of other devices; `first` checks the first argument of each.
     """
 
     def __init__(self, device: str, prefix: str = "", first: Check | None = None) -> None:
@@ -121,7 +121,7 @@ class DeviceFaults:
         return self._kind(name, phrase, meaning, check, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
-        """A lasting fault of a percentage, after the first argument where that is checked."""
+        """A lasting fault of a percentage, after the first argument if that is checked."""
         percent = at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
         return self.lasting(name, phrase, meaning, percent)
 

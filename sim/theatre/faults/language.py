@@ -6,10 +6,10 @@
     since step == relocalization:T2: room shift cart 0 2 0 mm
     now: tracker occlude tool robot_frame for 1 s
 
-Times are theatre time. Cycles are telegrams that the robot's controller has sent since it was started. A
-fault of `when` acts while the step runs, one of `since` from its first beginning on; `relocalization:T1` is
-the step of one trajectory, `relocalization` that of each. `now` is for the
-control port; in a script it is the beginning.
+Times are theatre time. Cycles are telegrams sent by the robot's controller since its start. A fault with
+`when` acts while the step runs, one with `since` from its first start on; `relocalization:T1` is the
+step of one trajectory, `relocalization` that of each. `now` is for the control port; in a script it
+means the beginning.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ CYCLES_OF = "robot"  # the device whose cycles a script can name
 TRIGGERS = ("at", "when", SINCE, NOW)
 DEVICES = ("tracker", "robot", "camera", "room")
 LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
-MOST_MISTAKES = 20  # that are told at once
-MOST_LISTED = 6  # of what may stand at a place; beyond this the closest ones are listed
+MOST_MISTAKES = 20  # reported at once
+MOST_LISTED = 6  # of what is allowed at a position; with more, the closest ones are listed
 END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
-BEGINS_NOW = f"{NOW}: "  # put before a line that was typed without a beginning
+BEGINS_NOW = f"{NOW}: "  # prepended to a line typed without a beginning
 EXAMPLE = "at 12.5 s: tracker occlude marker 2 for 2 s"
 READABLE = {
     "INT": "a whole number",
@@ -81,7 +81,7 @@ COMMENT: /#[^\n]*/
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 with every line that is not a fault, and what was probably meant."""
+    """Parse a script; raises SIM-003 with every invalid line, and what was probably meant."""
     from lark.exceptions import UnexpectedInput
 
     if len(text) > LONGEST_SCRIPT:
@@ -108,7 +108,7 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
 
 
 def parse_request(line: str) -> Fault:
-    """The one fault of a line that was typed at the control port; without a beginning it begins now.
+    """The single fault in a line typed at the control port; without a beginning it begins now.
 
     Raises SIM-003.
     """
@@ -121,15 +121,15 @@ def parse_request(line: str) -> Fault:
 
 
 def at_moment(now_s: float) -> str:
-    """The beginning of a line that acts from that theatre time on: to the nanosecond, as the clock counts.
+    """The beginning of a line that acts from that theatre time on, with nanosecond resolution like the clock.
 
-    Rounded any coarser it could lie ahead of a clock that stands until somebody asks for time.
+    Coarser rounding could place it ahead of a clock that stands still until someone advances it.
     """
     return f"at {now_s:.9f} s"
 
 
 def begin_now(line: str, now_s: float) -> str:
-    """The line with `now`, or no beginning at all, replaced by the present theatre time."""
+    """The line with `now`, or a missing beginning, replaced by the present theatre time."""
     if not _begins(line):
         return f"{at_moment(now_s)}: {line}"
     trigger, colon, rest = line.partition(":")
@@ -137,7 +137,7 @@ def begin_now(line: str, now_s: float) -> str:
 
 
 def begin_with_step(text: str, step: str, now_s: float) -> str:
-    """The script in which the faults that last since that step begin at the present theatre time."""
+    """The script with the faults that last since that step starting at the present theatre time."""
     begins = [fault.line for fault in parse_faults(text) if fault.lasts and fault.begins_in(step)]
     lines = text.split("\n")
     for number in begins:
@@ -150,7 +150,7 @@ def _begins(line: str) -> bool:
 
 
 def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
-    """Text of a script that is right for `scene` and the devices in it; raises SIM-003."""
+    """Text of a script that is valid for `scene` and the devices in it; raises SIM-003."""
     try:
         text = read_bounded(path, LONGEST_SCRIPT).decode()
     except InputRefused as error:
@@ -169,9 +169,9 @@ def check_faults(
     devices: Sequence[str] = DEVICES,
     loaded: Sequence[str] | None = None,
 ) -> None:
-    """Raise SIM-003 with every fault of a device, marker or tool that is not there.
+    """Raise SIM-003 with every fault of a device, marker or tool that does not exist.
 
-    `loaded` are the tools that a client has loaded into the tracker, where that is known.
+    `loaded` are the tools that a client has loaded into the tracker, if known.
     """
     mistakes = []
     for fault in faults:
@@ -198,9 +198,9 @@ def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[st
 
 
 class Mistake(NamedTuple):
-    """What is wrong with a line, a line that is right, and what this one was probably meant to be.
+    """What is wrong with a line, an example of a valid line, and what this one was probably meant to be.
 
-    Only the first of a script advises.
+    Only the first in a script gives advice.
     """
 
     what: str
@@ -217,7 +217,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
 
 
 def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
-    """The mistake at which the parser stopped; what was meant is searched for where it `advises`."""
+    """The mistake at which the parser stopped; the intended line is only searched for if it `advises`."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
     names: set[str] = set()
@@ -243,7 +243,7 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
     said = None
     if any(
         word not in READABLE.values() for word in words
-    ):  # else an argument is wrong, which only they know
+    ):  # otherwise an argument is wrong, which the parser's error says best
         said = meant(
             typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
         )
@@ -252,7 +252,7 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
 
 
 def _reads(line: str) -> bool:
-    """True for a line of the language."""
+    """Whether this is a valid line."""
     from lark.exceptions import UnexpectedInput
 
     try:
@@ -282,7 +282,7 @@ def _symbol(word: str) -> str:
 
 
 def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
-    """The fault, and whether the line gave a duration."""
+    """The fault, and whether the line stated a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
     duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)

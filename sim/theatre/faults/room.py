@@ -1,6 +1,7 @@
 """Faults outside the devices: the room moves, screws loosen, manual errors, altered tools.
 
-Ways and forces are along the axes of the robot before it moved; of a tool, along those of its tip frame.
+Displacements and forces are along the axes of the robot before it moved; for a tool, along
+those of its tip frame.
 """
 
 from __future__ import annotations

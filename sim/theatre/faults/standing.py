@@ -17,7 +17,7 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """The script by which a world that goes on has them still, to the end that they were given."""
+    """The script that reproduces them in a continued world, until the end they were given."""
     now_s = world.clock.now_s()
     lines = []
     for way in rolled_mm(FaultBoard(world, ROOM), now_s):

@@ -1,4 +1,4 @@
-"""What a line that is no fault may have been meant to say: a line that the language reads."""
+"""Suggests what an invalid line was probably meant to say, as a valid line."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from difflib import get_close_matches
 from sim.theatre.faults.kinds import TERMINALS, FaultKind
 
 LONGEST_COMPARED = 200  # characters of a line
-MOST_TRIED = 4  # of the lines that look alike: each is parsed
-LEAST_ALIKE = 0.6  # of a line and what it may have meant; below, an example says more
+MOST_TRIED = 4  # similar lines: each is parsed
+LEAST_ALIKE = 0.6  # similarity between a line and its suggestion; below this, an example is more helpful
 _ARGUMENT = re.compile(r"[+-]?[0-9]+([.][0-9]+)?|[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _TRIGGER = re.compile(r"\s*(at|when|since|now)\b[^:]*(:[A-Za-z0-9_.-]+)?:")  # a step may name its trajectory
 
 
 def nearest_kind(line: str, kinds: Sequence[FaultKind]) -> FaultKind | None:
-    """The kind whose phrase is most like what the line says after its beginning; None when none is near."""
+    """The kind whose phrase is most similar to the line after its beginning; None if none is close."""
     by_usage = {kind.usage: kind for kind in kinds}
     return next((by_usage[usage] for usage in _nearest(_said(line), [*by_usage], 1)), None)
 
 
 def meant(line: str, kinds: Sequence[FaultKind], reads: Callable[[str], bool]) -> str | None:
-    """What was probably meant, with the numbers and names of the line; None when nothing is near enough."""
+    """What was probably meant, with the line's numbers and names; None if nothing is close enough."""
     begins, says = line[: len(line) - len(_said(line))], _said(line)
     phrase, lasts, duration = says.partition(" for ")
     filled = [one for kind in kinds for one in _filled(kind, phrase.split())]
@@ -34,15 +34,15 @@ def meant(line: str, kinds: Sequence[FaultKind], reads: Callable[[str], bool]) -
 
 
 def _said(line: str) -> str:
-    """Without the beginning, where there is one."""
+    """Without its beginning, if it has one."""
     found = _TRIGGER.match(line)
     return line[found.end() :].lstrip() if found else line
 
 
 def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
-    """The phrase of a kind with the arguments that stand at their places in the line."""
+    """A kind's phrase with the arguments found at their places in the line."""
     phrase = [kind.device, *kind.phrase.split()]
-    for said in (words, [kind.device, *words]):  # the device is easily left out
+    for said in (words, [kind.device, *words]):  # the device is easily forgotten
         if len(said) in (len(phrase), len(phrase) - 1):  # so is the unit at the end
             pairs = zip(phrase, [*said, ""], strict=False)
             filled = [word if known in TERMINALS else known for known, word in pairs]

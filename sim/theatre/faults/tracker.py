@@ -11,7 +11,7 @@ from sim.theatre.scene.model import Scene, TrackerTool
 
 SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
 SOCKETS = ("1", "2", "3")  # of the unit for wired tools that can be connected
-# Bits of Info.Status.Alerts that have a meaning.
+# Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
 TRACKER = DeviceFaults("tracker")
 lasting, share, once = TRACKER.lasting, TRACKER.share, TRACKER.once
@@ -22,7 +22,7 @@ def _tools(name: str, scene: Scene) -> list[TrackerTool]:
 
 
 def _tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    # Where there are places for other tools, a client may load definitions that the scene does not know.
+    # If there are places for other tools, a client may load definitions unknown to the scene.
     if not scene.tracker.places and not _tools(arguments[0], scene):
         yield from expected("tool", [tool.name for tool in scene.tracker.tools], arguments[0])
 
@@ -35,7 +35,7 @@ def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
 
 
 def tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
-    """Check that the tool of a fault is in the scene, or that a client has loaded its definition."""
+    """Check that the fault's tool is in the scene, or that a client has loaded its definition."""
     if fault.kind.check in (_tool, _tool_marker) and not _tools(fault.argument, scene):
         known = [*(tool.name for tool in scene.tracker.tools), *loaded]
         yield from expected("tool", list(dict.fromkeys(known)), fault.argument)

@@ -1,4 +1,4 @@
-"""The true arm: parameter set S, which reproduces the magnitudes that were measured on a real robot.
+"""The true arm: parameter set S, which reproduces magnitudes measured on a real robot.
 
 Set S, one standard deviation each: link translations 0.40 mm and rotations 0.05 deg per axis, joint
 offsets 0.05 deg, harmonics 0.015 and 0.008 deg, backlash 0.02 deg, sag 0.03 deg, repeatability 0.015 mm
@@ -22,7 +22,7 @@ HARMONIC_2_RAD = radians(0.008)
 BACKLASH_RAD = radians(0.02)
 SAG_RAD = radians(0.03)
 REPEATABILITY_MM = 0.015
-# Flange down, stereo head reaching forward: above the head, away from every singularity.
+# Flange down, stereo head reaching forward: above the head, clear of every singularity.
 HOME_DEG = (0.0, -75.0, 99.0, 0.0, 66.0, 180.0)
 
 

@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class Carrier(StrEnum):
-    """Screws of their own, or the x-shaped frame."""
+    """Individual screws, or the x-shaped frame."""
 
     FREE = "free"
     XFRAME = "xframe"

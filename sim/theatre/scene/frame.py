@@ -1,6 +1,6 @@
 """The x-shaped frame on a generated head: screwed to the skull by one foot, next to the entry points.
 
-It stays from the CT to the end of the operation; its spheres come off and are put back like any others.
+It stays on from the CT to the end of the operation; its spheres are removed and reattached like any others.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sim.theatre.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, skin
 
 Vector = NDArray[np.float64]
 
-# From the middle of the cap towards the patient's left, where the tracker stands: it sees a tool up to 60
+# From the middle of the cap towards the patient's left, on the tracker's side: it sees a tool up to 60
 # degrees off its normal.
 TILT_RAD = (radians(15.0), radians(25.0))
 SIDE_RAD = radians(35.0)  # to either side of straight left
@@ -39,7 +39,7 @@ class FrameOnHead:
     body_mm: Vector
 
     def leaves_free(self, entry_mm: Vector, outwards: Vector) -> bool:
-        """Whether a guide over an entry (3,), along the unit vector, stays clear of it."""
+        """Whether a guide over an entry (3,), along the unit vector, is clear of it."""
         away = self.body_mm - entry_mm
         along = np.clip(away @ outwards, 0.0, GUIDE_MM)
         aside = np.linalg.norm(away - along[:, None] * outwards, axis=1)

@@ -9,7 +9,7 @@ from sim.theatre.scene.quantities import NotNegative, Positive
 
 
 class Guide(Strict):
-    """The true guide, as opposed to what its records state, and its instrument.
+    """The true guide and its instrument, as opposed to the records.
 
     Its tip frame is that of the mandrel with which the tip was calibrated; z points down the bore.
     """
@@ -44,7 +44,7 @@ class Guide(Strict):
 
 
 class Hands(Strict):
-    """What the room's hands do, and how exactly."""
+    """Manual accuracy."""
 
     gauge_mm: NotNegative = Field(
         default=0.005, description="Error of a dial reading on the gauge, one standard deviation."

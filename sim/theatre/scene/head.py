@@ -18,7 +18,7 @@ from sim.theatre.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, draw
 
 Vector = NDArray[np.float64]
 
-HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # here the wrist stays away from its singularity
+HEAD_IN_ROBOT_MM = (760.0, 0.0, 200.0)  # keeps the wrist away from its singularity
 POSITION_SPREAD_MM = 15.0
 ROTATION_SPREAD_RAD = radians(5.0)
 RECLINE_RAD = radians(60.0)  # of the vertex above the horizontal
@@ -26,9 +26,9 @@ CAP_HALF_ANGLE_RAD = radians(50.0)
 STANDOFF_MM = 16.0  # skin to the centre of the sphere
 SMALLEST_DISTANCE_MM = 38.0
 SMALLEST_SIDE_DIFFERENCE_MM = 8.0  # of triangles: below 6 mm three points are ambiguous
-JIG_MM = 0.2  # per axis: how far a sphere is from where its template would have it
+JIG_MM = 0.2  # per axis: deviation of a sphere from its template position
 ENTRY_HALF_ANGLE_RAD = radians(22.0)
-TILT_RAD = radians(10.0)  # of a trajectory against the skin's normal
+TILT_RAD = radians(10.0)  # between a trajectory and the skin's normal
 DEPTH_RANGE_MM = (35.0, 75.0)
 ENTRY_CLEARANCE_MM = 28.0  # from every sphere, so that guide and cameras fit
 ATTEMPTS = 20_000
@@ -42,9 +42,9 @@ def draw_head(
     *,
     x_frame: bool = False,
 ) -> Head:
-    """Draw a head with that many spheres (3..8) and targets; raises SIM-001 when they do not fit.
+    """Draw a head with this many spheres (3..8) and targets; raises SIM-001 when they do not fit.
 
-    With a template the spheres are implanted by it, each a little off; with `x_frame` they are the frame's.
+    With a template the spheres are implanted with it, each slightly off; with `x_frame` they are the frame's.
     """
     if not 3 <= markers <= 8:
         raise BadScene(f"a head carries 3 to 8 markers, not {markers}")
@@ -92,7 +92,7 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
 
 
 def _implanted(generator: np.random.Generator, template: MarkerTemplate) -> tuple[Fiducial, ...]:
-    """The spheres of a template, as its jig places them."""
+    """The spheres of a template, as placed with its jig."""
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
@@ -109,7 +109,7 @@ def _well_spread(centres: Vector) -> bool:
     distances = np.linalg.norm(centres[rows] - centres[columns], axis=1)
     if distances.min() < SMALLEST_DISTANCE_MM:
         return False
-    # With three or four points the distances alone must tell them apart.
+    # With three or four points the distances alone must identify them.
     if len(centres) <= 4:
         spacing = np.diff(np.sort(distances)).min()
         return bool(spacing >= (SMALLEST_SIDE_DIFFERENCE_MM if len(centres) == 3 else 2.0))

@@ -1,7 +1,7 @@
-"""The scene: where everything really is. Read by every simulated device, written once.
+"""The scene: the true state of everything. Read by every simulated device, written once.
 
-Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths mm, angles rad.
-`nominal` values are what the hardware's papers say; `true` values are what is really there.
+Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths mm, angles rad. `nominal`
+values are those on paper; `true` values are the real ones.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ Count = Annotated[int, Field(ge=1)]
 SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
 HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
 Name = Annotated[str, Field(min_length=1)]
-ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as the controller's inputs report it
+ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as reported by the controller's inputs
 SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
-BASE_MM = 16.0  # from the head of a screw to the centre of its sphere
-MOST_WORN_PERCENT = 60.0  # of a film: beyond, nothing of a sphere is found
-FRAME_TOLERANCE_MM = 0.01  # of the distances of a frame of one piece
+BASE_MM = 16.0  # from a screw's head to the centre of its sphere
+MOST_WORN_PERCENT = 60.0  # of a film: with more, the sphere cannot be found
+FRAME_TOLERANCE_MM = 0.01  # on the distances within a one-piece frame
 SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
 
 
@@ -149,7 +149,7 @@ class Head(Strict):
 
 
 class CtProtocol(Strict):
-    """How the CT is scanned: voxel size, grid and noise."""
+    """CT acquisition: voxel size, grid and noise."""
 
     pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Pixel spacing.")
     slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="Slice spacing.")
@@ -160,7 +160,7 @@ class CtProtocol(Strict):
 
 
 class LinkError(Strict):
-    """How one link of the true arm differs from the nominal one."""
+    """Deviation of one link of the true arm from the nominal one."""
 
     translation_mm: Numbers3 = Field(description="Displacement of the next joint.")
     rotation_rad: Numbers3 = Field(description="Rotation vector of the next joint.")
@@ -169,8 +169,8 @@ class LinkError(Strict):
 class ArmTruth(Strict):
     """The true arm: nominal geometry plus these errors, in the order A1..A6.
 
-    The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and
-    backlash with the sign of the last motion; at rest a repeatability error is added.
+    The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and backlash with
+    the sign of the last motion; at rest a repeatability error is added.
     """
 
     variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(default="kr6_r900_sixx", description="Arm model.")
@@ -229,7 +229,7 @@ class Mount(Strict):
 
 
 class CameraTruth(Strict):
-    """A camera as it really is: pinhole, distortion k1 k2 p1 p2 k3, and its place on the head."""
+    """The true camera: pinhole, distortion k1 k2 p1 p2 k3, and its pose on the head."""
 
     serial: str = Field(description="Serial number reported by the camera.")
     focal_px: tuple[FocalPixels, FocalPixels] = Field(
@@ -257,10 +257,10 @@ class TrackerTool(Strict):
 
 
 class TrackerTruth(Strict):
-    """The tracker: where it is, how well it measures a single marker, and what it takes for one.
+    """The tracker: its pose, its accuracy for a single marker, and what it mistakes for one.
 
     Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
-    volume: what manufacturers state as its accuracy.
+    volume: what manufacturers state as accuracy.
     """
 
     robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit is.")
@@ -291,7 +291,7 @@ class TrackerTruth(Strict):
 
 
 class Stand(Strict):
-    """The calibration stand on the table, empty until ball or divot is put on it.
+    """The calibration stand on the table, empty until ball or divot is placed on it.
 
     Divot and ball share one position to within the stand's own tolerance.
     """
@@ -345,7 +345,7 @@ class CalibrationError(Strict):
 
 
 class Scene(Strict):
-    """Everything that is true in the theatre."""
+    """The complete truth about the theatre."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of this file format."

@@ -1,7 +1,7 @@
 """The named scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
 
-The room: the robot's base is the origin, x forward, z up. The patient half sits, the vertex up and towards
-the robot; the tracker looks at the head from above and the side.
+The room: the robot's base is the origin, x forward, z up. The patient is semi-reclined, the vertex up and
+towards the robot; the tracker views the head from above and the side.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ MINI_AREA_PX = (800, 800)
 # The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
 MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
 TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
-TRACKER_DISTANCE_MM = 1900.0  # from the middle between both
-# Four markers whose six distances differ by at least 4 mm, so that the frame has one pose only.
+TRACKER_DISTANCE_MM = 1900.0  # from the midpoint of the two
+# Four markers whose six distances differ by at least 4 mm, so that the pose is unique.
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
-# The bench of a tracker: `bench-near` lies within the volume of a Polaris Vicra.
-USUAL_REFLECTIONS = 2  # of a room with lamps and instruments in it
-# The stand is put where it was asked for by hand, its dials are set along the robot's axes by eye.
+# The bench of a tracker: `bench-near` is within the volume of a Polaris Vicra.
+USUAL_REFLECTIONS = 2  # in a room with lamps and instruments
+# The stand is placed by hand where requested, its dials aligned with the robot's axes by eye.
 STAND_MM = (563.0, -325.0, 230.0)
 STAND_SPREAD_MM = 3.0
-DIVOT_MM = 0.005  # per axis: as such stands are made
+DIVOT_MM = 0.005  # per axis: manufacturing tolerance of such stands
 DIALS_RAD = radians(1.0)
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
@@ -56,7 +56,7 @@ def named_scene(
     """Draw a named scene; raises SIM-001 for an unknown name.
 
     The default scene has 5 markers and 3 targets, the mini scene 3 and 1; with `x_frame` the four markers of
-    that frame, which the tracker is given as a tool.
+    that frame, which the tracker knows as a tool.
     """
     if name not in SCENES:
         raise BadScene(f"unknown scene {name!r}", expected=", ".join(SCENES))
@@ -94,7 +94,7 @@ def named_scene(
 
 
 def _stand(seed: int) -> Stand:
-    """As it was put on the table; drawn by itself, so that the rest of a scene does not depend on it."""
+    """As placed on the table; drawn separately, so that the rest of a scene does not depend on it."""
     generator = noise(seed, "stand", 0)
 
     def three(values: np.ndarray) -> tuple[float, float, float]:

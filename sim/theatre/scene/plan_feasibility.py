@@ -1,9 +1,9 @@
 """Whether the arm can carry out a drawn plan, so that every drawn scene is feasible.
 
-A trajectory is served when some turn about its axis brings the tool to every sphere in the orientation of
-the trajectory, then to where the guide is held before the entry, and the stereo head to the target as well,
-for a phantom with a ball there; each time from a point above, with all poses in one posture of the arm. In
-that turn no sphere may stand before or behind another one in either camera. Robot frame, mm.
+A trajectory is served if some turn about its axis brings the tool to every sphere in the orientation of the
+trajectory, then to where the guide is held before the entry, and also the stereo head to the target, for a
+phantom with a ball there; each from a point above, with all poses in one arm posture. At that turn no sphere
+may be in front of or behind another one in either camera. Robot frame, mm.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ Vector = NDArray[np.float64]
 APPROACH_MM = 60.0  # of the tool, outside the sphere or the skin
 STANDOFF_MM = 30.0  # from the entry to the guide, in the plan of a phantom
 TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
-# Postures of the arm, the usual one first. The wrist's own two are alike: its ranges are symmetric.
+# Arm postures, the usual one first. The wrist's two are equivalent: its ranges are symmetric.
 STATUSES = (2, 0, 3, 1)
-MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some millimetres wrong
+MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some millimetres off
 SPHERE_MM = 5.75  # radius
-BESIDE_MM = 4.0  # around each sphere: a millimetre more than the planner asks for
-# A4 and A6 turn more than once around, so they reach every angle.
+BESIDE_MM = 4.0  # around each sphere: a millimetre more than the planner requires
+# A4 and A6 turn more than a full circle, so they reach every angle.
 LIMITED = (0, 1, 2, 4)
 
 
 class PlanFeasibility:
-    """The arm, and the spheres (n, 3) it must look at."""
+    """The arm, and the spheres (n, 3) it must measure."""
 
     def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
         self._arm = description(variant)
@@ -44,7 +44,7 @@ class PlanFeasibility:
         self._known: dict[tuple[int, bytes], bool] = {}
 
     def serves(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
-        """True when one posture reaches all trajectories, each entry (3,) and target (3,)."""
+        """Whether one posture reaches all trajectories, each entry (3,) and target (3,)."""
         return any(all(self._one(*ends, status) for ends in trajectories) for status in STATUSES)
 
     def _one(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
@@ -64,7 +64,7 @@ class PlanFeasibility:
         return self._known[key]
 
     def _sees(self, orientation: Vector) -> bool:
-        """Whether each sphere, with the tool on it, stands free of the others in both cameras."""
+        """Whether each sphere, with the tool on it, is clear of the others in both cameras."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
             eyes = self._spheres_mm + orientation @ np.array(camera_mm)

@@ -1,8 +1,8 @@
 """Positions of the spheres in the theatre.
 
-Their screws stay, bases and spheres come off after the CT and are put back: each then stands a little beside
-its place in the CT. One may also stand on a screw that has loosened or on a base that is bent, on the base of
-another, or not at all. Cameras and tracker see the spheres of the theatre, the scanner those of the CT.
+Their screws stay, bases and spheres are removed after the CT and reattached: each is then slightly off its
+position in the CT. One may also be on a loosened screw or a bent base, on the base of another, or missing.
+Cameras and tracker see the spheres of the theatre, the scanner those of the CT.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from sim.theatre.noise import noise
 from sim.theatre.scene.model import Fiducial, Scene
 
-SEATING = "seating"  # of the noise: each screw has its own, whatever the others are
+SEATING = "seating"  # of the noise: each screw has its own, independent of the others
 
 
 def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
@@ -21,7 +21,7 @@ def spheres_in_theatre(scene: Scene) -> tuple[Fiducial, ...]:
 
 
 def _put_back(sphere: Fiducial, scene: Scene) -> Fiducial:
-    """The sphere on its screw as it is now."""
+    """The sphere on its screw in its present state."""
     place_mm = np.array(sphere.centre_ct_mm) + sphere.displaced_mm
     place_mm += noise(scene.seed, SEATING, sphere.number).normal(0.0, scene.head.seating_error_mm, 3)
     wanted = sphere.base_in_theatre or sphere.number

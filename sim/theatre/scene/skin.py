@@ -1,4 +1,4 @@
-"""The skin of the drawn heads: an ellipsoid, and the cap of it that a surgeon can reach. CT frame."""
+"""The skin of generated heads: an ellipsoid, and the cap of it that a surgeon can reach. CT frame."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sim.theatre.rigid import rotation_towards
 Vector = NDArray[np.float64]
 
 SEMI_AXES_MM = (75.0, 95.0, 90.0)  # left-right, front-back, foot-head
-CENTRE_CT_MM = (3.2, -41.7, 812.4)  # anywhere but the origin: a swapped axis must show
+CENTRE_CT_MM = (3.2, -41.7, 812.4)  # anywhere but the origin, so that a swapped axis shows
 CAP_AXIS_CT = (0.0, -1.0, 1.0)  # forehead to vertex: towards the ceiling
 
 
@@ -27,7 +27,7 @@ def drawn_direction(generator: np.random.Generator, axis: Vector, half_angle_rad
 
 
 def skin_at(direction: Vector) -> tuple[Vector, Vector]:
-    """Point of the skin in that direction from the centre, relative to it, and the outward normal."""
+    """Point on the skin in that direction from the centre, relative to it, and the outward normal."""
     axes = np.array(SEMI_AXES_MM)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2

@@ -1,7 +1,7 @@
 """The mount on the flange and the two cameras on it, as built: the design plus tolerances.
 
-Design: magnification 0.25 with 50 mm lenses, so 250 mm working distance and a 45 x 24 mm field; the
-optical axes meet in the tool centre point at 55 degrees.
+Design: magnification 0.25 with 50 mm lenses, so 250 mm working distance and a 45 x 24 mm field; the optical
+axes intersect at the tool centre point at 55 degrees.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from sim.theatre.rigid import inverse, matrix_from, pose_of, rotation_from_vecto
 from sim.theatre.scene.model import CameraTruth, Mount
 
 TOOL_IN_FLANGE_MM = (220.0, 0.0, 60.0)
-TOOL_ERROR_MM = 2.0  # per axis, parameter set S: the mount is not where its drawing says
+TOOL_ERROR_MM = 2.0  # per axis, parameter set S: deviation of the mount from its drawing
 MARKER_IN_TOOL_MM = (-150.0, 0.0, -140.0)
 HALF_ANGLE_RAD = radians(27.5)
 WORKING_DISTANCE_MM = 250.0
 FOCAL_PX = 62.5 / 0.0055  # image distance over pixel pitch
 SENSOR_CENTRE_PX = (1023.5, 543.5)
-# Where the two cameras stand in the tool frame by the design.
+# Design positions of the two cameras in the tool frame.
 CAMERAS_IN_TOOL_MM = tuple(
     (0.0, side * WORKING_DISTANCE_MM * sin(HALF_ANGLE_RAD), -WORKING_DISTANCE_MM * cos(HALF_ANGLE_RAD))
     for side in (-1.0, 1.0)
@@ -39,7 +39,7 @@ def draw_mount(generator: np.random.Generator) -> Mount:
     identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
     error_mm = generator.normal(0.0, TOOL_ERROR_MM, 3)
     true = matrix_from(np.array(TOOL_IN_FLANGE_MM) + error_mm, np.eye(3))
-    # M faces back along the tool axis, so that it looks up when the tool points down.
+    # M faces back along the tool axis, so it faces up when the tool points down.
     marker = matrix_from(MARKER_IN_TOOL_MM, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
     return Mount(
         flange_from_tool_nominal=identity.model_copy(update={"translation_mm": TOOL_IN_FLANGE_MM}),
