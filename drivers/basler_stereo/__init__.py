@@ -1,6 +1,7 @@
-"""Two Basler cameras over GigE Vision, by a client of our own: no vendor library, no root.
+"""Two Basler cameras over GigE Vision, with our own client: no vendor library, no root.
 
-`BaslerStereoPair` is resolved on first use: the receiver process does not import what only the driver needs.
+`BaslerStereoPair` is resolved on first use, so that the receiver process does not import what
+only the driver needs.
 """
 
 from __future__ import annotations

@@ -35,12 +35,12 @@ KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
 
 
 class Camera:
-    """Deadlines are host monotonic time. One thread at a time; the heartbeat has its own."""
+    """Deadlines are host monotonic time. Used by one thread at a time; the heartbeat has its own."""
 
     def __init__(
         self, side: str, address: str, options: BaslerOptions, link_bytes: LinkBytes | None = None
     ) -> None:
-        """`link_bytes` is told what passes on the control channel, and about each image of the stream."""
+        """`link_bytes` records the traffic of the control channel, and a note of each image of the stream."""
         self.side = side
         self._bytes = link_bytes or LinkBytes("", None)
         self._address = address
@@ -80,18 +80,18 @@ class Camera:
 
     @property
     def counters(self) -> StreamCounters | None:
-        """What happened on the present stream, or None when there is none."""
+        """Statistics of the present stream, or None if there is none."""
         return self._receiver.counters if self._receiver else None
 
     @property
     def trigger_command(self) -> Command | None:
-        """What triggers one frame; None when a line does."""
+        """The command that triggers one frame; None if a trigger line does."""
         return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
-        """Open the control channel and identify the camera; raises GEV-001, GEV-008. Takes no control.
+        """Open the control channel and identify the camera; raises GEV-001, GEV-008. Does not take control.
 
-        When no camera replies, the message names those that broadcast discovery finds.
+        If no camera replies, the message names those found by broadcast discovery.
         """
         try:
             self._control = ControlChannel(self._address, passed=self._bytes.passed)
@@ -106,8 +106,8 @@ class Camera:
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, apply the known state, find the packet size.
 
-        Waits for the heartbeat of a controller that died. Raises GEV-005 when another application is
-        in control; on any error control is given back.
+        Waits until the heartbeat of a dead controller times out. Raises GEV-005 when another application is
+        in control; on any error control is released.
         """
         self._receiver_process = receiver_process
         try:
@@ -121,7 +121,7 @@ class Camera:
             known_state.set_area(self._features, self.area)
             self._choose_packet_size(deadline_s)
             self.tick_frequency_hz = self._read_tick_frequency(deadline_s)
-        except BaseException:  # also an interruption: a camera that stays controlled refuses everybody else
+        except BaseException:  # including interruptions: a camera that stays controlled refuses everyone else
             with contextlib.suppress(RonnaError, OSError):
                 self.release(deadline_s)
             raise
@@ -133,12 +133,12 @@ class Camera:
         self.area = area
 
     def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
-        """Exposure and gain, None for the smallest, also while streaming; raises GEV-011."""
+        """Exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         self._until(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
     def temperature_C(self, deadline_s: float) -> float | None:
-        """Inside the camera; None when it does not say."""
+        """Internal temperature; None if not reported."""
         self._until(deadline_s)
         return known_state.temperature_C(self.features)
 
@@ -157,7 +157,7 @@ class Camera:
                 point_stream_to(self.control, stream, deadline_s)
                 known_state.lock_transport(self.features, True)
                 self.features.execute("AcquisitionStart")
-            except BaseException:  # also an interruption: nobody would read the stream any more
+            except BaseException:  # including interruptions: no one would read the stream
                 self._close_receiver()
                 raise
 
@@ -172,7 +172,7 @@ class Camera:
             self._close_receiver()
 
     def tie(self, clock: Clock, deadline_s: float) -> Tie | None:
-        """Its tick count now, tied to theatre time; None for a camera without a time stamp counter."""
+        """Its present tick count, tied to theatre time; None for a camera without a time stamp counter."""
         if not self.tick_frequency_hz:
             return None
         try:
@@ -185,7 +185,7 @@ class Camera:
             return None
         ticks = high << 32 | low
         if not ticks:
-            return None  # the register exists and does nothing
+            return None  # the register exists but has no effect
         half_s = (after_s - before_s) / 2.0
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
@@ -193,9 +193,9 @@ class Camera:
         """The next frame has been triggered: discard what came before it."""
         self.receiver.discard()
         if self._trigger is None:
-            self._next_block = None  # a line fires when it likes
+            self._next_block = None  # a line may fire at any time
             return
-        # this family begins with 1; of others nothing is known before the first frame
+        # this family begins with 1; for others nothing is known before the first frame
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
@@ -211,7 +211,7 @@ class Camera:
         return None
 
     def check_control(self, deadline_s: float) -> None:
-        """Raise GEV-007 when the camera does not reply, GEV-015 when we no longer control it."""
+        """Raise GEV-007 if the camera does not reply, GEV-015 if it is no longer under our control."""
         require_control(self.control, deadline_s)
 
     def release(self, deadline_s: float) -> None:

@@ -27,7 +27,7 @@ class WrongModel(ConnectError):
 
 
 class WrongSerial(ConnectError):
-    """The camera is of the right model, but not the one calibrated for this side."""
+    """The camera is the right model, but not the one calibrated for this side."""
 
     code = "GEV-003"
     action = "Check which camera is mounted; after replacing one, calibrate the head and edit the file."
@@ -63,7 +63,7 @@ class NoReply(LinkTimeout):
 
 
 class MalformedReply(ProtocolError):
-    """A reply does not have the form that the command requires."""
+    """A reply does not have the form that its command requires."""
 
     code = "GEV-008"
     action = "Check that a GigE Vision camera is at this address; note its firmware and report it."
@@ -77,14 +77,14 @@ class BadDescription(ProtocolError):
 
 
 class MissingFeature(DeviceError):
-    """The camera lacks a feature, or the feature does not take this value."""
+    """The camera lacks a feature, or the feature does not accept this value."""
 
     code = "GEV-010"
     action = "Check the model and its firmware; this driver needs an area scan camera with software trigger."
 
 
 class OutOfRange(LimitError):
-    """An area, exposure or gain is outside what the camera allows."""
+    """An area, exposure or gain is outside the camera's limits."""
 
     code = "GEV-011"
     action = "Choose a value within the limits; areas also have a step size."

@@ -31,8 +31,8 @@ def camera_image(
 ) -> CameraImage | None:
     """The reading of one side; None without a leader, since such a frame has neither time nor shape.
 
-    CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing;
-    their pixels are 0.
+    CORRUPT: area or pixel format in the leader differ from the settings. PARTIAL: packets are missing,
+    and their pixels are 0.
     """
     if frame.leader is None:
         return None
@@ -62,7 +62,7 @@ def stereo_reading(
 ) -> StereoReading:
     """Both sides of one trigger; its validity is the worst of left, right and `match`.
 
-    Its device clock is that of the left camera.
+    Its device clock is the left camera's.
     """
     stamped = left or right
     ticks = stamped.stamp.device_clock if stamped else 0

@@ -1,7 +1,7 @@
 """The traffic on one camera's links, for recording.
 
-Every datagram of the control channel; of the stream what each image says about itself, and the counters. The
-receiver process sends its resend requests and keep-alives by itself: they are not among the datagrams.
+Every datagram of the control channel; for the stream, a note per image, and the counters. Resend requests and
+keep-alives are sent by the receiver process and are not included.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from ronna_hw.devices.byte_sink import ByteSink, Direction
 
 
 class LinkBytes:
-    """Of the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
+    """For the camera `name`, such as `stereo.left`; `sink` is None without a recorder."""
 
     def __init__(self, name: str, sink: ByteSink | None) -> None:
         self._name = name
@@ -25,7 +25,7 @@ class LinkBytes:
             self._sink.passed(f"{self._name}.control", direction, data)
 
     def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
-        """An image came, whole or not."""
+        """Record the arrival of an image, complete or not."""
         if self._sink is None:
             return
         leader = {} if frame.leader is None else frame.leader._asdict()

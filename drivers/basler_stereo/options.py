@@ -97,7 +97,7 @@ class BaslerOptions(Strict):
 def read_options(config: DeviceConfig) -> BaslerOptions:
     """The checked options of the theatre file; raises GEV-016 listing all mistakes."""
     try:
-        # by way of JSON: strict types, but a whole number may stand for a float
+        # via JSON: strict types, but an integer may stand for a float
         return BaslerOptions.model_validate_json(json.dumps(config.options))
     except ValidationError as error:
         mistakes = describe_mistakes(error, BaslerOptions)

@@ -1,4 +1,4 @@
-"""Two GigE Vision cameras that are triggered together, as a `StereoPair`."""
+"""Two GigE Vision cameras triggered together, as a `StereoPair`."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ from ronna_hw.devices.readings import AreaOfInterest, StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
-CLOSE_LIMIT_S = 1.0  # per camera, also for a dead one
-_FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; left only by `recover`
+CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
+_FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; cleared only by `recover`
 
 T = TypeVar("T")
 
@@ -44,8 +44,8 @@ T = TypeVar("T")
 class BaslerStereoPair(PairDevice[Camera]):
     """Calls are synchronous; one thread at a time. Time limits are host time, in seconds.
 
-    A camera that falls silent is waited for within the time limit, and the interrupted work is repeated: it
-    stays under our control until its heartbeat time-out, so a short absence only costs time.
+    If a camera falls silent, the driver waits for it within the time limit and repeats the interrupted work:
+    it stays under our control until its heartbeat times out, so a short absence only costs time.
     """
 
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
@@ -60,12 +60,12 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @staticmethod
     def conformance_options() -> dict[str, Any]:
-        """Options for a conformance run on cameras about which nothing else is known."""
+        """Options for a conformance run on unknown cameras."""
         return {"expected_model": ""}
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What was found at `configure` that is no error but should be known."""
+        """Observations at `configure` that are not errors but should be known."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
@@ -73,15 +73,15 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     @property
     def counters(self) -> tuple[StreamCounters | None, StreamCounters | None]:
-        """What happened on the present streams, left and right."""
+        """Statistics of the present streams, left and right."""
         self._guard.require("counters", READABLE)
         left, right = self._pair
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Packets lost on the way of the present streams, and temperatures; nothing before they run.
+        """Packets lost in the present streams, and temperatures; empty before the streams start.
 
-        No published limit of the temperature is known here: it is told, not judged.
+        No published temperature limit is known, so it is reported without being judged.
         """
         deadline_s = time.monotonic() + timeout_s
         facts: list[Fact] = []
@@ -109,7 +109,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find both cameras and check models and serial numbers; takes no control.
+        """Find both cameras and check models and serial numbers; does not take control.
 
         Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
         """
@@ -122,7 +122,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     def configure(self, timeout_s: float = 10.0) -> None:
         """Take control of both and bring them to a known state: software trigger, full frame, packet size.
 
-        Waits up to `timeout_s` for the heartbeat time-out of a client that died in control. Raises GEV-005
+        Waits up to `timeout_s` for the heartbeat of a dead controlling client to time out. Raises GEV-005
         when another application is in control, GEV-006 to GEV-012 when configuration fails; then neither
         camera is controlled.
         """
@@ -146,7 +146,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._guard.enter(Lifecycle.CONFIGURED, streams=counters)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were.
+        """Set the part of each sensor to read; on GEV-011 both cameras are unchanged.
 
         A running stream is stopped and restarted; its block ids restart.
         """
@@ -164,7 +164,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Expose by that share of the time that was configured or set last; raises GEV-011."""
+        """Multiply the exposure configured or set last by `share`; raises GEV-011."""
         self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
         self._expose(share * exposure_us, gain_raw, timeout_s)
@@ -182,13 +182,13 @@ class BaslerStereoPair(PairDevice[Camera]):
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger; with trigger `line1`, wait for one.
 
-        A side without an image is None and the reading MISSING, as long as its camera replies. Images from
-        different triggers are UNPAIRED, two that are older than the trigger STALE. When neither camera sent
-        an image, or the pair is UNPAIRED or STALE, both are triggered once more; GEV-013 when there is still
-        no image. After an incomplete pair the streams restart, so that a late image is never taken for one
-        of the next trigger.
+        A side without an image is None and the reading MISSING, provided its camera replies. Images from
+        different triggers are UNPAIRED, two older than the trigger STALE. If neither camera sent an
+        image, or the pair is UNPAIRED or STALE, both are triggered once more; raises GEV-013 if there is
+        still no image. After an incomplete pair the streams restart, so that a late image is never
+        attributed to the next trigger.
 
-        Raises GEV-007 when a camera stays silent until `timeout_s`; call again then. Raises, with FAULT
+        Raises GEV-007 when a camera stays silent until `timeout_s`; then call again. Raises, with FAULT
         latched, GEV-014 (a camera silent beyond its heartbeat time-out), GEV-015 (control lost) or GEV-017
         (our receiver process ended).
         """
@@ -217,7 +217,9 @@ class BaslerStereoPair(PairDevice[Camera]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def close(self) -> None:
-        """Stop, release control and close; at most about three seconds with dead cameras. Never raises."""
+        """Stop, release control and close; takes about three seconds at most with dead
+        cameras. Never raises.
+        """
         if self._guard.state is Lifecycle.CLOSED:
             return
         self._release_all()
@@ -229,9 +231,9 @@ class BaslerStereoPair(PairDevice[Camera]):
         return self._grabber
 
     def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
-        """Do one piece of work, again after a silence; a camera lost or no longer controlled latches FAULT.
+        """Do one piece of work, repeated after a silence; a lost camera or lost control latches FAULT.
 
-        So does one that stays silent while it is being set: its settings are then unknown.
+        So does a camera that stays silent while its settings are changed, since they are then unknown.
         """
         try:
             while True:
@@ -269,7 +271,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         try:
             identities = (left.connect(deadline_s), right.connect(deadline_s))
             check_pair(*identities, self._options)
-        except BaseException:  # also an interruption: neither camera stays controlled
+        except BaseException:  # including interruptions: neither camera stays controlled
             _close_all((left, right))
             raise
         return (left, right), identities
@@ -283,7 +285,7 @@ class BaslerStereoPair(PairDevice[Camera]):
                 camera.notices.clear()
                 camera.configure(self._receiver_process, deadline_s)
                 done.append(camera)
-        except BaseException:  # also an interruption: neither camera nor receiver is left behind
+        except BaseException:  # including interruptions: neither cameras nor receiver are left behind
             for camera in done:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.release(deadline_s)
@@ -307,7 +309,7 @@ class BaslerStereoPair(PairDevice[Camera]):
             for camera, area in zip(self._pair, areas, strict=True):
                 camera.set_area(area, deadline_s)
         except NoReply:
-            raise  # nothing more can be asked of that camera now
+            raise  # the camera can no longer be queried
         except RonnaError:
             for camera, area in zip(self._pair, before, strict=True):
                 camera.set_area(area, deadline_s)

@@ -1,7 +1,7 @@
-"""Whether two images come from the same trigger, judged by the cameras' own clocks. No I/O, no clock read.
+"""Whether two images come from the same trigger, judged by the cameras' own clocks. No I/O, no clock access.
 
-Each camera counts ticks from its own zero. Latching the counter when the stream starts ties it to theatre
-time; every correctly paired image renews the tie, so that clock drift never accumulates.
+Each camera counts ticks from its own zero. Latching the counter at the start of the stream ties it to theatre
+time; every correctly paired image renews the tie, so that clock drift does not accumulate.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from ronna_hw.devices.readings import Validity
 
-DRIFT = 2e-4  # of a camera's clock against another: 100 ppm each
+DRIFT = 2e-4  # of one camera's clock relative to another: 100 ppm each
 
 
 @dataclass(frozen=True)
@@ -27,12 +27,12 @@ class Tie:
         return self.theatre_s + (ticks - self.ticks) / self.frequency_hz
 
     def error_s(self, now_s: float) -> float:
-        """Bound on the error of `moment_s` now."""
+        """Bound on the present error of `moment_s`."""
         return self.uncertainty_s + DRIFT * max(0.0, now_s - self.theatre_s)
 
 
 class PairClock:
-    """Judges the pairs of one stream. `skew_s`: how far apart two exposures of one trigger may begin."""
+    """Judges the pairs of one stream. `skew_s`: largest difference between one trigger's exposure starts."""
 
     def __init__(self, ties: tuple[Tie | None, Tie | None], skew_s: float) -> None:
         self._ties = ties
@@ -40,18 +40,18 @@ class PairClock:
 
     @property
     def tied(self) -> bool:
-        """True when the counts of both cameras are tied to theatre time."""
+        """Whether the counts of both cameras are tied to theatre time."""
         return None not in self._ties
 
     def moments_s(self, ticks: tuple[int, int]) -> tuple[float | None, float | None]:
-        """Theatre time at which each exposure began, as far as it is known."""
+        """Theatre time at which each exposure began, if known."""
         left, right = (
             tie.moment_s(count) if tie else None for tie, count in zip(self._ties, ticks, strict=True)
         )
         return left, right
 
     def judge(self, ticks: tuple[int, int], triggered_s: float, now_s: float) -> Validity:
-        """UNPAIRED when left and right come from different triggers; STALE when both are older; else OK.
+        """UNPAIRED if left and right come from different triggers; STALE if both are older; else OK.
 
         `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
         ties the first pair cannot be judged.
@@ -68,7 +68,7 @@ class PairClock:
     def confirm(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> None:
-        """The pair was good: tie both clocks to a time between its trigger and now."""
+        """The pair is valid: tie both clocks to a time between its trigger and now."""
         known = [moment_s for moment_s in self.moments_s(ticks) if moment_s is not None]
         moment_s = min(max(triggered_s, sum(known) / len(known) if known else triggered_s), now_s)
         left, right = (

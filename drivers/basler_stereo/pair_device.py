@@ -15,7 +15,7 @@ from ronna_hw.errors import RonnaError
 
 
 class HasArea(Protocol):
-    """A camera that reads a part of its sensor."""
+    """A camera that reads part of its sensor."""
 
     area: AreaOfInterest
 
@@ -24,7 +24,7 @@ C = TypeVar("C", bound=HasArea)
 
 
 class PairDevice(Generic[C]):
-    """The part of a `StereoPair` that does not depend on how its cameras are reached."""
+    """The part of a `StereoPair` that is independent of how its cameras are accessed."""
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock, options: BaslerOptions) -> None:
         self._name = name
@@ -58,7 +58,7 @@ class PairDevice(Generic[C]):
 
     @property
     def areas(self) -> tuple[AreaOfInterest, AreaOfInterest]:
-        """The parts of the sensors that are read, left and right; known from `configure` on."""
+        """The sensor areas that are read, left and right; known from `configure` on."""
         self._guard.require("areas", READABLE)
         left, right = self._pair
         return left.area, right.area

@@ -18,12 +18,12 @@ from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
-ALIVE_LIMIT_S = 0.5  # to find out whether a camera that sent nothing still replies
+ALIVE_LIMIT_S = 0.5  # to check whether a camera that sent nothing still replies
 ASK_AGAIN_S = 0.1  # between two such checks: the heartbeat shares the channel
-PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first has come
+PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first
 PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
-SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this there is only one trigger
+SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this only one trigger is sent
 NOT_TAKEN = "Reconnect to reset their triggers; if they are still busy then, grab less often."
 NO_PULSE = "Check the source of the trigger pulse and its wiring to input Line1 of both cameras."
 
@@ -52,7 +52,7 @@ class PairGrabber:
         try:
             right.start(deadline_s)
             self._tie(deadline_s)
-        except BaseException:  # also an interruption: one camera alone must not go on streaming
+        except BaseException:  # including interruptions: a single camera must not keep streaming
             for camera in self._cameras:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.stop(deadline_s)
@@ -67,10 +67,10 @@ class PairGrabber:
     def grab(self, sequence: int, deadline_s: float) -> StereoReading:
         """Trigger once and return the pair of that trigger.
 
-        Triggers a second time when neither camera sent an image, or when left and right come from different
+        Triggers a second time if neither camera sent an image, or if left and right come from different
         triggers, as happens when the computer stalls between the two commands. After an incomplete pair the
-        streams restart, so that a late image is never taken for one of the next trigger. Raises GEV-007,
-        GEV-013 to GEV-015, GEV-017.
+        streams restart, so that a late image is never attributed to the next trigger. Raises GEV-007, GEV-013
+        to GEV-015, GEV-017.
         """
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
@@ -86,7 +86,7 @@ class PairGrabber:
     def await_replies(self, deadline_s: float) -> None:
         """Return when both cameras reply again.
 
-        The heartbeat decides when one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
+        The heartbeat decides whether one is lost: raises GEV-014, GEV-015; GEV-007 at the deadline.
         """
         for camera in self._cameras:
             while True:
@@ -117,7 +117,7 @@ class PairGrabber:
         return self._reading(frames, sequence, triggered_s)
 
     def _restarts_after(self, frames: Frames) -> bool:
-        """Whether the streams restart before the next trigger: the pair of this one is incomplete."""
+        """Whether the streams restart before the next trigger, because this one's pair is incomplete."""
         if self._options.trigger == "line1":  # a restart could miss the next pulse
             return None in frames and frames != (None, None)
         return any(frame is None or frame.missing_packets for frame in frames)
@@ -141,7 +141,7 @@ class PairGrabber:
                 raise result
 
     def _collect(self, deadline_s: float) -> Frames:
-        """A frame of each camera; the wait for the second is shorter."""
+        """A frame from each camera; the wait for the second is shorter."""
 
         def hopeless() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
@@ -167,7 +167,7 @@ class PairGrabber:
             raise self._missed()
 
     def _missed(self) -> TriggerMissed:
-        """Neither camera sent an image: the error with what is known about the reason."""
+        """The error for a trigger without any image, with what is known about the reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed("no pulse came on the trigger line", expected=expected, action=NO_PULSE)
@@ -207,10 +207,10 @@ class PairGrabber:
     ) -> tuple[Validity, tuple[float | None, float | None]]:
         left, right = (frame.leader if frame else None for frame in frames)
         if left is None or right is None:
-            return Validity.OK, (None, None)  # the missing side says enough
+            return Validity.OK, (None, None)  # the missing side is reported anyway
         ticks = (left.ticks, right.ticks)
         if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
-            # a counter still at zero when the stream started looked like one that does not run
+            # a counter still at zero at the start of the stream looked like one that does not run
             self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
         match = self._pair_clock.judge(ticks, triggered_s, now_s)

@@ -1,4 +1,4 @@
-"""Whether two cameras are the pair that the theatre file expects, and their identity as one device."""
+"""Checks that two cameras are the pair expected by the theatre file, and combines their identities."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""KUKA KR C4: RSI over UDP in a process of its own, EKI over TCP for everything that is not motion.
+"""KUKA KR C4: RSI over UDP in a separate process, EKI over TCP for everything except motion.
 
-`KukaRsiArm` is resolved on first use: the real-time process does not import what only the driver needs.
+`KukaRsiArm` is resolved on first use, so that the real-time process does not import what
+only the driver needs.
 """
 
 from __future__ import annotations

@@ -44,8 +44,8 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
-CLOSING_STOP_S = 1.0  # host time that close() gives the arm to come to rest
-RUNS_S = 0.2  # since the real-time process last looked around: then it is worth talking to
+CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
+RUNS_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 UNVERIFIED = (
     "the controller does not say which program it runs: each axis in turn goes out and back by less than "
     "0.05 mm at the flange to show it, with a person beside the arm"
@@ -67,7 +67,7 @@ class KukaRsiArm:
     notices: tuple[str, ...] = ()
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
-        """Opens nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 when the configuration is wrong."""
+        """Opens nothing. Raises CFG-001, CFG-002, RSI-013 or RSI-017 for an invalid configuration."""
         self._name = name
         self._clock = clock
         self._options = options = read_options(name, config.options)
@@ -103,7 +103,7 @@ class KukaRsiArm:
         return self._watch.fault
 
     def observe(self) -> LastKnown[ArmReading]:
-        streaming = self._guard.state in STREAMING  # unlike `state` this does not look for new faults
+        streaming = self._guard.state in STREAMING  # unlike `state`, this does not check for new faults
         says = standing_facts(self._connections.said)
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
@@ -112,12 +112,12 @@ class KukaRsiArm:
 
     @property
     def controller(self) -> ControllerCommands:
-        """All that is no motion: tool and base, override, program, the controller's own state."""
+        """Everything except motion: tool and base, override, program, controller state."""
         return ControllerCommands(self._name, self._guard, self._connections)
 
     @property
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
-        """The last cycles of the stream, oldest first; they stand still once a fault is latched."""
+        """The last cycles of the stream, oldest first; frozen once a fault is latched."""
         return link.recorded_cycles() if (link := self._connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
@@ -126,7 +126,7 @@ class KukaRsiArm:
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.
 
-        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 when it is another controller or set-up.
+        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
         self._guard.require("connect", (Lifecycle.DISCONNECTED,))
         identity = self._connections.find_controller(timeout_s, self._watch)
@@ -134,7 +134,7 @@ class KukaRsiArm:
         return identity
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """Start the real-time process, which takes the RSI port. Raises RSI-001."""
+        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self._guard.require("configure", (Lifecycle.CONNECTED,))
         self._connections.start_link(timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED)
@@ -156,23 +156,22 @@ class KukaRsiArm:
         self._t1_confirmed_by = person if IN_T1 in self._asked else ""
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """What the controller says now of everything that `activate` looks at."""
+        """What the controller now reports of everything that `activate` checks."""
         return tuple(facts_of(self._ask(timeout_s), verified=self._connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
-        """Let the next `activate` start in T1: somebody with the pendant stands beside the arm.
+        """Let the next `activate` start in T1, with someone next to the arm holding the pendant.
 
-        Motions then keep 250 mm/s and a tenth of the axes' full speed.
+        Motions then stay within 250 mm/s and a tenth of the axes' full speed.
         """
         self._t1_confirmed_by = require_person(confirmed_by)
 
     def activate(self, timeout_s: float = 10.0) -> None:
-        """Start the RSI program and answer its telegrams; returns when corrections act.
+        """Start the RSI program and answer its telegrams; returns when corrections take effect.
 
-        Raises EKI-006 when the controller does not report which context it runs (see
-        `confirm_start`), EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no
-        telegram comes, RSI-015 when RSI and EKI disagree about the axes. What goes wrong after the start is
-        latched: `recover` leaves it.
+        Raises EKI-006 when the controller does not report which context it runs (see `confirm_start`),
+        EKI-007 when it is not ready, EKI-008 when it refuses, RSI-002 when no telegram comes, RSI-015 when
+        RSI and EKI disagree about the axes. Errors after the start are latched; `recover` clears them.
         """
         self._guard.require("activate", (Lifecycle.CONFIGURED,))
         person, self._micro_move_confirmed_by = self._micro_move_confirmed_by, ""
@@ -185,10 +184,10 @@ class KukaRsiArm:
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
-        """As `activate`, for a controller that does not say what it runs: it shows by a micro-move.
+        """Like `activate`, for a controller that does not report what it runs: a micro-move tests it.
 
-        Each axis in turn goes out and back by less than 0.05 mm at the flange, beside a person who has
-        confirmed it. Raises RSI-018, latched, when an axis does anything else.
+        Each axis in turn moves out and back by less than 0.05 mm at the flange, once someone next to the arm
+        has confirmed. Raises RSI-018, latched, when an axis does anything else.
         """
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)
@@ -228,11 +227,11 @@ class KukaRsiArm:
         )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, reads everything anew.
+        """FAULT -> CONFIGURED: ends what runs, acknowledges the controller's messages, re-reads everything.
 
-        Moves nothing. A broken EKI session is opened anew, again and again until the time is over. While
-        CONNECTED a message of an earlier run is acknowledged, and the arm stays so. Raises what stands in
-        the way, such as EKI-007; a fault then stays latched.
+        Moves nothing. A broken EKI session is reopened, with retries until the time limit. While CONNECTED a
+        message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what prevents it,
+        such as EKI-007; a fault then stays latched.
         """
         self._watch.notice()
         require_person(acknowledged_by)
@@ -268,14 +267,14 @@ class KukaRsiArm:
                 link.wait(lambda s: not s.moving, CLOSING_STOP_S)
                 self._follower.await_end(CLOSING_STOP_S)
                 stream.end_stream(connections.eki, link, time.monotonic() + CLOSING_STOP_S)
-        connections.close_eki()  # first: what its reader hears it judges beside the link's own memory
+        connections.close_eki()  # first: its reader uses the link's memory
         connections.close_link()
         self._guard.enter(Lifecycle.CLOSED)
 
     # Reading
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
-        """Measured axes: from the stream while it runs, otherwise asked by EKI."""
+        """Measured axes: from the stream while it runs, otherwise requested by EKI."""
         self._watch.raise_new()
         self._guard.require("read_state", READABLE)
         if self._guard.state in STREAMING:
@@ -283,7 +282,7 @@ class KukaRsiArm:
         return self._readings.of_controller(self._ask(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
-        """Number of the tool that the controller's inputs report; 0 is none."""
+        """Number of the tool reported by the controller's inputs; 0 is none."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
         return ToolIdentity(self._readings.stamp(), self._ask(timeout_s).tool)
@@ -325,7 +324,7 @@ class KukaRsiArm:
         self._guard.require("stop", (*STREAMING, Lifecycle.FAULT))
         link = self._connections.open_link
         if link is None or not link.alive:
-            return  # nothing moves the arm
+            return  # nothing is moving the arm
         number = link.stop(_STOP_ORDERS[kind])
         resting = self._follower.wait(
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s

@@ -18,7 +18,7 @@ class Connections:
     """Opened and closed one by one; accessing one that is not open raises."""
 
     def __init__(self, name: str, config: DeviceConfig, options: KukaOptions, context: RsiContext) -> None:
-        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or wrong endpoint."""
+        """Opens nothing. Raises CFG-001 or CFG-002 for a missing or invalid endpoint."""
         self._name = name
         self._rsi = config.address("rsi").require("udp")
         self._eki_address = config.address("eki_project").require("tcp")
@@ -27,7 +27,7 @@ class Connections:
         self.open_eki: EkiClient | None = None
         self.open_link: LinkClient | None = None
         self.bytes = LinkBytes(name)
-        self.verified = False  # the controller says that it runs our context
+        self.verified = False  # the controller reports that it runs our context
 
     @property
     def said(self) -> ControllerState | None:
@@ -36,14 +36,14 @@ class Connections:
 
     @property
     def eki(self) -> EkiClient:
-        """The EKI session; raises EKI-001 when there is none."""
+        """The EKI session; raises EKI-001 if there is none."""
         if self.open_eki is None:
             raise ControllerNotFound(f"{self._name}: no EKI session is open")
         return self.open_eki
 
     @property
     def link(self) -> LinkClient:
-        """The real-time process; raises RSI-002 when there is none."""
+        """The real-time process; raises RSI-002 if there is none."""
         if self.open_link is None:
             raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
@@ -51,7 +51,7 @@ class Connections:
     def find_controller(self, timeout_s: float, listener: Listener, *, retry: bool = False) -> Identity:
         """Open the EKI session and identify the controller; `retry`: repeatedly until the time limit.
 
-        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 when it is another controller or set-up.
+        Raises EKI-001 when nothing answers, EKI-005 or EKI-006 for a different controller or set-up.
         """
         self.close_eki()
         opening = stream.reopen_controller if retry else stream.open_controller
@@ -61,7 +61,7 @@ class Connections:
         return identity
 
     def start_link(self, timeout_s: float) -> None:
-        """Start the real-time process, which takes the RSI port. Raises RSI-001."""
+        """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self.close_link()
         settings = stream.link_settings(self._rsi, self._context, self._options)
         self.open_link = LinkClient(settings, timeout_s, self.bytes.of_rsi)

@@ -9,12 +9,12 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.settings import AXIS_NAMES
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
-LEAST_PRECISION = 3  # digits after the point: with fewer the arm never settles within its tolerance
+LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
 def usable_context(device: str, options: KukaOptions) -> RsiContext:
-    """The context of the options; raises WIR-001 for a broken file, RSI-017 with every reason against it."""
+    """The context from the options; raises WIR-001 for a broken file, RSI-017 listing every objection."""
     context = load_context(options.context)
     if options.cycle_ms is not None:
         program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
@@ -61,8 +61,9 @@ def reasons_against(context: RsiContext) -> Iterator[str]:
 
 
 def _limits(context: RsiContext) -> Iterator[str]:
-    """The driver's own monitor judges up to the end switches: the controller must neither clamp nor trip
-    before, and what AXISCORR lets through AXISCORRMON must not stop."""
+    """The driver's own monitor checks up to the end switches: the controller must neither clamp nor trip
+    before, and what AXISCORR passes must not trip AXISCORRMON.
+    """
     correction, monitor = context.axis_correction, context.axis_monitor
     if correction is None:
         yield "limits of AXISCORR are missing: its default of 5 deg would clamp silently"

@@ -1,4 +1,4 @@
-"""Controllers on the networks of a search, each in the form of a theatre file entry."""
+"""Controllers on the searched networks, each as a theatre file entry."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 DRIVER = "kuka_rsi"
-EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # where a KR C4 is as delivered
+EXAMPLE_CONTROLLER = f"tcp://172.31.1.147:{PROJECT_PORT}"  # default address of a KR C4
 KNOCK_LIMIT_S = 0.5  # a controller on the same network accepts within milliseconds
 KNOCKS_AT_ONCE = 64
 MOST_ADDRESSES = 1024  # of one network; a cell's has 254
@@ -33,35 +33,35 @@ STREAM = (
 
 
 def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every controller with our EKI server: at the addresses given, or else in the networks.
+    """Every controller with our EKI server: at the given addresses, or else on the networks.
 
-    A controller serves one EKI client at a time; one that serves another is found and not identified.
+    A controller serves one EKI client at a time; one that serves another is found but not identified.
     """
     known = search.controllers or tuple(_listening(search.interfaces))
     found = []
     for number, controller in enumerate(known, start=1):
         proposal = _proposal(controller, stream_of(search))
-        if search.controllers or not proposal.absent:  # other machines listen in a network as well
+        if search.controllers or not proposal.absent:  # on a network, other machines also listen
             found.append(proposal)
         progress(number / len(known))
     return found
 
 
 def example_arm(search: Search) -> Proposal:
-    """The table of an arm that was not found."""
+    """The table for an arm that was not found."""
     return Proposal(
         DRIVER, "", _endpoints(EXAMPLE_CONTROLLER, stream_of(search)), _options(), (VARIANT, STREAM)
     )
 
 
 def stream_of(search: Search) -> str:
-    """Receiving address of telegrams: as given, or as in the shipped Ethernet file."""
+    """Receiving address for telegrams: as given, or as in the shipped Ethernet file."""
     ethernet = load_context().ethernet
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
 
 
 def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
-    """Addresses of the networks that take a connection on the port of our EKI server."""
+    """Addresses on the networks that accept a connection on the port of our EKI server."""
     hosts = [host for each in interfaces for host in _hosts(each)]
     with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
         for host, taken in zip(hosts, pool.map(_listens, hosts), strict=True):
@@ -70,7 +70,7 @@ def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
 
 
 def _hosts(interface: Interface) -> list[str]:
-    """Addresses of one network but our own; inside this computer only its own."""
+    """Addresses of one network except our own; on loopback only its own."""
     if interface.loopback:
         return [interface.address]
     network = IPv4Network(f"{interface.address}/{interface.prefix}", strict=False)
@@ -86,7 +86,7 @@ def _listens(host: str) -> bool:
 
 
 def _proposal(controller: Endpoint, stream: str) -> Proposal:
-    """As far as it lets itself be known: one that serves another client, or is silent, is proposed."""
+    """As far as it can be identified: one that serves another client, or is silent, is also proposed."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
     what, variant, absent = "a controller", None, ""
     try:

@@ -45,7 +45,7 @@ def error_of_fault(
     message: int = 0,
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
-    """The error of the latched fault, or None when there is none. `message`: the controller's, 0 for none."""
+    """The error for the latched fault, or None if there is none. `message`: the controller's, 0 for none."""
     where = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
@@ -91,7 +91,7 @@ def error_of_fault(
 def error_of_wait(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
-    """The error when no telegram with the axes that EKI tells has come in time; it names who sent others."""
+    """The error when no telegram with the axes reported by EKI has arrived in time; names other senders."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counted = (
         (state.disagreeing, "reported other axes"),
@@ -143,7 +143,7 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused:
 
 
 def losses_text(begun: LinkState, state: LinkState) -> str:
-    """Losses in between, for a message; empty when there were none."""
+    """Losses between two states, for a message; empty if there were none."""
     cycles, late, lost = (
         max(now - before, 0)
         for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))

@@ -1,8 +1,8 @@
 """Latches faults: of the real-time process, the EKI channel, and the controller itself.
 
-The real-time process stops the arm for what it sees by itself. What only EKI tells (emergency stop, guard,
-mode, drives, a message, or that the channel broke) is noticed here as soon as it arrives, and stops the arm.
-The reader of that channel looks here also while nothing arrives, so that nobody has to ask.
+The real-time process stops the arm for faults that it detects itself. What only EKI reports (emergency stop,
+guard, mode, drives, a message, or a broken channel) is noticed here as soon as it arrives, and stops the arm.
+The reader of that channel also calls this while nothing arrives, so that no polling is needed.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
-EKI_SILENCE_S = 2.0  # twenty periods of the unasked state; EKI is not for control
+EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for real-time control
 STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 
 
@@ -33,11 +33,11 @@ class FaultWatch:
         self._guard = guard
         self._connections = connections
         self._options = options
-        # As patient as that process is with us, and with the controller.
+        # As patient as that process is with this program and with the controller.
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
-        self._raised: RonnaError | None = None  # the fault that a caller has already been given
-        self.mode = OperationMode.EXT  # in which the stream was started: a change stops the arm
+        self._raised: RonnaError | None = None  # the fault that was already raised to a caller
+        self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
     @property
     def fault(self) -> RonnaError | None:
@@ -82,7 +82,7 @@ class FaultWatch:
         self._raised = self._guard.fault
 
     def raise_new(self) -> None:
-        """Raise a latched fault to the first call that meets it; later calls are refused and name it."""
+        """Raise a latched fault to the first call after it; later calls are refused and name it."""
         fault = self.fault
         if fault is not None and fault is not self._raised:
             self._raised = fault
@@ -96,7 +96,7 @@ class FaultWatch:
             raise fault
 
     def controller_said(self, state: ControllerState) -> None:
-        """From the EKI reader: the controller's state, asked or unasked."""
+        """From the EKI reader: a state from the controller, requested or not."""
         self.notice()
         if self._guard.state not in STREAMING:
             return
@@ -105,11 +105,11 @@ class FaultWatch:
             self._stop_for(ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}"))
 
     def controller_quiet(self) -> None:
-        """From the EKI reader: nothing has come for a while. What has become too long is latched."""
+        """From the EKI reader: nothing has arrived for a while. A silence that is too long is latched."""
         self.notice()
 
     def controller_lost(self, failure: RonnaError) -> None:
-        """From the EKI reader: the channel broke. Nobody tells of an emergency stop any more."""
+        """From the EKI reader: the channel broke, so an emergency stop would no longer be reported."""
         if self._guard.state in STREAMING:
             self.notice()
             self._stop_for(failure)

@@ -1,4 +1,4 @@
-"""The last cycles before a fault, as a table that a person can read."""
+"""The last cycles before a fault, as a readable table."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HEAD = ("cycle", "IPOC", "ms", "turnaround us", "choice")
 
 
 def attach_flight_record(error: RonnaError, arm: str, cycles: Sequence[RecordedCycle]) -> None:
-    """Give an error the cycles before it, as a file for the folder of the run."""
+    """Attach the cycles before it to an error, as a file for the run folder."""
     if cycles:
         title = f"{arm}: the last {len(cycles)} cycles before {error}"
         error.attachments[FILE_NAME.format(arm=arm)] = flight_table(cycles, title)

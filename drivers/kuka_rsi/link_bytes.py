@@ -11,7 +11,7 @@ BytesPassed = Callable[[Direction, bytes], None]
 
 
 class LinkBytes:
-    """Whom to hand them to, if anybody; asked when a link is opened."""
+    """The recorder's sinks, if any; queried when a link is opened."""
 
     def __init__(self, arm: str) -> None:
         self._arm = arm
@@ -27,7 +27,7 @@ class LinkBytes:
 
     @property
     def of_rsi(self) -> Callable[[list[KeptCycle], int], None] | None:
-        """Takes the telegrams and replies that the real-time process has kept."""
+        """Receives the telegrams and replies kept by the real-time process."""
         sink, link = self.sink, f"{self._arm}.rsi"
         if sink is None:
             return None

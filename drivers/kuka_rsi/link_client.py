@@ -30,7 +30,7 @@ from ronna_hw.devices.readings import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
-END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and end, after its input was closed
+END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and exit, once its input was closed
 LONGEST_MESSAGE = 4000
 GIVE_OUR_ADDRESS = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
@@ -38,7 +38,7 @@ GIVE_OUR_ADDRESS = (
 )
 
 Condition = Callable[[LinkState], bool]
-Kept = Callable[[list[KeptCycle], int], None]  # is handed cycles, and the number of bytes that were lost
+Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
 
 
 class LinkClient:
@@ -52,7 +52,7 @@ class LinkClient:
     ) -> None:
         """`settings` is called with the descriptors of mailbox and event. Raises RSI-001.
 
-        `kept` is handed, from a thread of this object, what passed on the link.
+        `kept` is called from a thread of this object with the link's traffic.
         """
         self._memory_fd = os.memfd_create("kuka_rsi")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
@@ -60,7 +60,7 @@ class LinkClient:
         self._mailbox = Mailbox(self._memory_fd)
         self._settings = replace(settings(self._memory_fd, self._event_fd), keeps_bytes=kept is not None)
         self._kept = kept
-        self.surroundings = Surroundings()  # by which the next motions are watched
+        self.surroundings = Surroundings()  # used to monitor the next motions
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._words: str | None = None
@@ -77,7 +77,7 @@ class LinkClient:
         self._pulse = threading.Thread(target=self._beat, name="rsi heartbeat", daemon=True)
         try:
             self._begin(timeout_s)
-        except BaseException:  # also an interruption: the real-time process ends with its client
+        except BaseException:  # including interruptions: the real-time process ends with its client
             self.close()
             raise
 
@@ -109,9 +109,9 @@ class LinkClient:
         stop_number: int | None = None,
         axes_rad: JointVector | None = None,
     ) -> int:
-        """Give a command; returns its number. A motion is overtaken by any stop after `stop_number`.
+        """Give a command; returns its number. A motion is overridden by any stop after `stop_number`.
 
-        `axes_rad` is where the controller says its axes are, for OPEN.
+        `axes_rad` are the axes as reported by the controller, for OPEN.
         """
         with self._lock:
             self._commands += 1
@@ -121,7 +121,7 @@ class LinkClient:
             return self._commands
 
     def stop(self, kind: StopOrder) -> int:
-        """Order a stop; it acts on the next reply. Returns its number."""
+        """Order a stop; it takes effect with the next reply. Returns its number."""
         with self._lock:
             self._stops += 1
             self._mailbox.order_stop(self._stops, kind)
@@ -156,7 +156,7 @@ class LinkClient:
         return self._mailbox.histogram()
 
     def jitter_histogram(self) -> tuple[int, ...]:
-        """The same of jitter."""
+        """The same for jitter."""
         return self._mailbox.jitter_histogram()
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
@@ -175,7 +175,7 @@ class LinkClient:
         )
 
     def close(self) -> None:
-        """End the process: it stops the arm first. Bounded in time, never raises, may be called twice."""
+        """End the process, which stops the arm first. Bounded in time, never raises, may be called twice."""
         if self._closing.is_set():
             return
         self._closing.set()
@@ -192,7 +192,7 @@ class LinkClient:
             self._process.stderr.close()
         if self._pulse.is_alive():
             self._pulse.join()
-        self._hand_over()  # what passed while the process ended
+        self._hand_over()  # traffic during the end of the process
         self._mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)

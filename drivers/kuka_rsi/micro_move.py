@@ -1,7 +1,7 @@
 """The micro-move: tests what an unverified controller does with a correction.
 
-Each axis goes out and back by so little that nothing on the arm moves by more than 0.05 mm. The last axis
-comes first: it moves next to nothing, and a controller that adds corrections up shows itself there.
+Each axis moves out and back so little that nothing on the arm moves by more than 0.05 mm. The last axis comes
+first: it moves almost nothing, and a controller that accumulates corrections is exposed there.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from ronna_hw.arm.motion.planning import plan_joint_move
 from ronna_hw.devices.readings import JointVector
 
 LARGEST_SHIFT_MM = 0.05
-REACH_BEYOND_FLANGE_MM = 150.0  # of a tool: nothing on the arm may move further than the limit
+REACH_BEYOND_FLANGE_MM = 150.0  # for a tool: nothing on the arm may move farther than the limit
 LARGEST_ANGLE_RAD = radians(0.02)
 SLOW = 0.1  # of the working speed
-STRAY_RAD = radians(0.002)  # of an axis that should stand still: twenty digits of the wire
-ANSWERED_SHARE = 0.75  # of the commanded angle that must be measured
-LOOK_S = 0.002  # host time between two looks at the measured axes
-AXIS_LIMIT_CYCLES = 500  # for one axis to get there and settle: some five times what it takes
+STRAY_RAD = radians(0.002)  # for an axis that should not move: twenty digits of the wire
+ANSWERED_SHARE = 0.75  # share of the commanded angle that must be measured
+LOOK_S = 0.002  # host time between checks of the measured axes
+AXIS_LIMIT_CYCLES = 500  # for one axis to move and settle: about five times what it takes
 TELEGRAMS_LIMIT_S = 10.0  # host time
 CYCLES_WATCHED = 25  # before anything moves
 PROBE_RAD = 1e-4
@@ -35,7 +35,7 @@ PROBE_RAD = 1e-4
 def verify_by_motion(name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits) -> None:
     """Raises RSI-018 when the cycle differs, or an axis does not move exactly as commanded.
 
-    The caller ends the stream then: corrections that add up go on as long as they are sent.
+    The caller then ends the stream, since accumulating corrections continue as long as they are sent.
     """
     _require_cycle(name, link)
     start = link.state.commanded_rad
@@ -76,7 +76,7 @@ def _go(
     target: JointVector,
     axis: int,
 ) -> None:
-    # An axis that stands beside an end of its range comes back there.
+    # An axis close to an end of its range moves away from it.
     to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
     plan = plan_joint_move(kinematics, link.state.commanded_rad, target, to_the_ends)
     number = link.command(CommandKind.MOVE, plan)

@@ -1,4 +1,4 @@
-"""Hands one motion to the real-time process and follows it to its end."""
+"""Passes one motion to the real-time process and follows it to its end."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.motion.planning import MotionPlan
 
-POLL_S = 0.5  # of host time between two looks at the theatre's time while a motion runs
-STOP_S = 1.0  # host time for a motion to come to rest that has used up its time
+POLL_S = 0.5  # host time between checks of theatre time during a motion
+STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
 class MotionFollower:
@@ -27,10 +27,10 @@ class MotionFollower:
         self._under_way = threading.Lock()  # held while a motion is followed
 
     def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
-        """Execute a plan that was made when `stops` stops were known; returns the state once it has settled.
+        """Execute a plan made when `stops` stops were known; returns the state once it has settled.
 
-        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of the controller's cycles,
-        RSI-012 when it was refused, and the fault that ended it.
+        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of controller cycles, RSI-012
+        when it was refused, and the fault that ended it.
         """
         if not self._under_way.acquire(blocking=False):
             raise MotionRefused(f"{self._name}: another motion is running")
@@ -40,12 +40,12 @@ class MotionFollower:
             self._under_way.release()
 
     def await_end(self, timeout_s: float) -> None:
-        """Let another thread see that its motion was stopped, before the link ends."""
+        """Let another thread notice that its motion was stopped, before the link ends."""
         if self._under_way.acquire(timeout=max(0.0, timeout_s)):
             self._under_way.release()
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
-        """As `LinkClient.wait`; the death of the real-time process is latched as well."""
+        """Like `LinkClient.wait`; also latches the death of the real-time process."""
         try:
             return self._connections.link.wait(condition, timeout_s)
         except LinkProcessDied as error:
@@ -66,7 +66,7 @@ class MotionFollower:
             self._watch.notice()
             if link.stalled_s > POLL_S:
                 self._watch.raise_any()
-            # The controller's cycles are theatre time; when none come, silence trips.
+            # The controller's cycles are theatre time; if none arrive, the silence limit trips.
             waited_s = (link.state.cycles - begun.cycles) * self._cycle_s
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)

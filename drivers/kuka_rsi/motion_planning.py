@@ -41,20 +41,20 @@ class MotionPlanner:
         return self._limits
 
     def plan(self, motion: Motion, start_rad: JointVector, mode: OperationMode) -> MotionPlan:
-        """The path of a motion from `start_rad`; raises what `plan_motion` raises."""
+        """The path of a motion from `start_rad`; raises the errors of `plan_motion`."""
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
     def clear(self, plan: MotionPlan, link: LinkClient, mode: OperationMode) -> MotionPlan:
-        """The plan with its speeds by place, when nothing on its way comes too near; raises ARM-007."""
+        """The plan with its speed limits along the path, if nothing comes too close; raises ARM-007."""
         around = self._around(mode)
-        if around != link.surroundings:  # the real-time process reads what is new only
+        if around != link.surroundings:  # the real-time process reads only changes
             link.surroundings = around
         path = sweep_path(self._kinematics, plan, link.surroundings)
         path.require(f"the path of {self._name}")
         return with_speed_steps(plan, path)
 
     def preview(self, motion: Motion, start_rad: JointVector, mode: OperationMode) -> PathPreview:
-        """What `plan` and `clear` would have the arm do; raises what `plan` raises."""
+        """What `plan` and `clear` would make the arm do; raises the errors of `plan`."""
         plan = self.plan(motion, start_rad, mode)
         limits = self.limits(mode).slowed(motion.speed_fraction)
         return preview(self._kinematics, plan, self._around(mode), limits)

@@ -17,10 +17,10 @@ from ronna_hw.text.counting import counted
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
 SILENCE_LIMIT_S = 0.25
-HEARTBEAT_LIMIT_S = 1.0  # a program that does other work may be held up for tens of milliseconds
+HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens of milliseconds
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
-REHEARSAL_LEAD_US = 500  # over before whoever sends needs the processor, and the caches still warm
-LARGEST_SPEED_FRACTION = 0.125  # above it two prepared steps at once are more than a controller takes
+REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
+LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
 
 
 def _ip_address(text: str) -> str:

@@ -1,4 +1,4 @@
-"""Finds out why an arm does not answer: whether the port of its stream is free, and what EKI says.
+"""Finds out why an arm does not answer: whether its stream port is free, and what EKI reports.
 
 A controller serves one EKI client at a time and needs a moment before the next, so there is only one
 connection, the driver's own.
@@ -50,7 +50,7 @@ probe = KukaProbe()
 
 
 def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
-    """Whether the driver can listen where the controller is to send: bind as it would, and let go."""
+    """Whether the driver can listen on the controller's destination: bind as it would, and release."""
     subject = f"stream port {endpoint}"
     try:
         bind(endpoint.host, endpoint.port).close()
@@ -60,7 +60,7 @@ def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
 
 
 def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
-    """(what was seen, what to do)."""
+    """(observation, what to do)."""
     if error.errno == errno.EADDRINUSE:
         if user := user_of_udp_port(endpoint.host, endpoint.port):
             return f"in use by {user}", "Stop that program; it may be another run of the robot."

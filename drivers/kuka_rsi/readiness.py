@@ -1,4 +1,4 @@
-"""What the controller says about itself, as facts of readiness."""
+"""The controller's own report, as facts of readiness."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from drivers.kuka_rsi.eki.controller_state import ControllerState
 from ronna_hw.devices.readiness import MESSAGES, Fact
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 
-MODES = (OperationMode.EXT, OperationMode.T1)  # that a case can begin in, T1 beside a person
+MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
 MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
 AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 def standing_facts(state: ControllerState | None) -> tuple[Fact, ...]:
-    """Settings made by a person and reported by the controller unasked; empty before its first report."""
+    """Settings made by a person and reported by the controller unsolicited; empty before its first report."""
     return () if state is None else tuple(_standing(state))
 
 
 def _standing(state: ControllerState) -> Iterator[Fact]:
-    """`activate` switches on drives that are off."""
+    """Drives that are off are no objection: `activate` switches them on."""
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
@@ -40,7 +40,7 @@ def _message(number: int) -> str:
 
 
 def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
-    """Everything that `activate` looks at."""
+    """Everything that `activate` checks."""
     yield from _standing(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,

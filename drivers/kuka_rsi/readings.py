@@ -1,4 +1,4 @@
-"""Readings of the arm: from the stream while it runs, otherwise from what the controller says by EKI."""
+"""Readings of the arm: from the stream while it runs, otherwise from the controller's EKI state."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import ArmReading, Stamp, Validity
 from ronna_hw.errors import RonnaError
 
-STALE_S = 0.5  # age of a measured pose beyond which it is called stale, host time
+STALE_S = 0.5  # host time: age at which a measured pose is called stale
 
 
 class ArmReadings:
-    """Numbers the readings of one arm, and keeps the newest for observers."""
+    """Numbers the readings of one arm, and keeps the latest for observers."""
 
     def __init__(self, connections: Connections, clock: Clock, silence_limit_s: float) -> None:
         self._connections = connections
@@ -38,14 +38,14 @@ class ArmReadings:
         return self._newest
 
     def of_controller(self, state: ControllerState) -> ArmReading:
-        """Axes of a `State` that was asked for."""
+        """Axes of a requested `State`."""
         self._newest = self._reported(state, self.stamp())
         return self._newest
 
     def newest(self, *, streaming: bool) -> ArmReading | None:
-        """What has reached us last, asked or unasked; never raises, in any thread."""
+        """The latest, requested or unsolicited; never raises, in any thread."""
         eki, link = self._connections.open_eki, self._connections.open_link
-        # Another thread may be closing the link or the clock: then what was read before is the newest.
+        # Another thread may be closing the link or the clock: then the previous reading is the latest.
         with contextlib.suppress(RonnaError, OSError, ValueError, MailboxTorn):
             now_s, host_s = self._clock.now_s(), time.monotonic()
             if streaming and link is not None:

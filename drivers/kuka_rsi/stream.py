@@ -1,4 +1,4 @@
-"""Opens the controller, starts its RSI program, and ends it: the steps that need EKI and RSI together."""
+"""Opens the controller, starts its RSI program, and ends it: the steps that involve both EKI and RSI."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMode, Reference, RsiState
 
-FIRST_PAUSE_S = 0.1  # between two attempts to open the EKI session again; each is twice the one before
+FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI session; doubled each time
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
@@ -46,10 +46,10 @@ def open_controller(
     timeout_s: float,
     passed: BytesPassed | None = None,
 ) -> tuple[EkiClient, Identity, bool]:
-    """Connect by EKI and check that the controller runs our context for our arm; True when it confirms that.
+    """Connect by EKI and check that the controller runs our context for our arm; True if it confirms that.
 
-    Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 when it is set up otherwise, EKI-006 when it
-    does not say and option `accept_unverified` is off.
+    Raises EKI-001 when nothing, or no KR C4, answers, EKI-005 for a different set-up, EKI-006 when it does
+    not report it and the option `accept_unverified` is off.
     """
     deadline = time.monotonic() + timeout_s
     eki = EkiClient(address.host, address.port, timeout_s, passed)
@@ -83,7 +83,7 @@ def reopen_controller(
     timeout_s: float,
     passed: BytesPassed | None = None,
 ) -> tuple[EkiClient, Identity, bool]:
-    """As `open_controller`, retried with growing pauses: after a loss the server must first reopen."""
+    """Like `open_controller`, retried with growing pauses: after a loss the server must first reopen."""
     deadline = time.monotonic() + timeout_s
     pause_s = FIRST_PAUSE_S
     while True:
@@ -136,10 +136,10 @@ def start_stream(
     timeout_s: float,
     modes: tuple[OperationMode, ...],
 ) -> OperationMode:
-    """Switch the drives on, start the RSI program, answer its telegrams, wait until corrections act.
+    """Switch the drives on, start the RSI program, answer its telegrams, wait until corrections take effect.
 
-    Until then every correction is zero: what is sent before RSI_MOVECORR would act in one jump. In T1 the
-    operator switches the drives on and presses the start key. Returns the operating mode.
+    Until then every correction is zero: what is sent before RSI_MOVECORR would take effect in one jump. In T1
+    the operator switches the drives on and presses the start key. Returns the operating mode.
     """
     deadline = time.monotonic() + timeout_s
     state = eki.status(rest_of(deadline))
@@ -149,7 +149,7 @@ def start_stream(
         if state.mode is OperationMode.EXT:
             answer = eki.command(CommandName.DRIVES, rest_of(deadline), On=1)
             if answer.code is not AckCode.OK:
-                # What has come up since the state was read says more than the refusal.
+                # What has come up since the state was read is more informative than the refusal.
                 require_ready(eki.status(max(rest_of(deadline), LEAST_TRY_S)), drives=False, modes=modes)
                 raise CommandRefused(
                     f"the controller refused {CommandName.DRIVES}",
@@ -181,13 +181,13 @@ def start_stream(
 def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadline: float) -> None:
     """Acknowledge the controller's messages and read its state again, with no RSI program running.
 
-    Raises EKI-005 to EKI-007 for what is not as it must be, EKI-008 when it refuses for another reason.
+    Raises EKI-005 to EKI-007 for what is not as required, EKI-008 when it refuses for another reason.
     """
     eki.command(CommandName.RSI_STOP, rest_of(deadline))
     refused = None
     try:
         eki.require(CommandName.ACK_ERRORS, rest_of(deadline))
-    except CommandRefused as problem:  # the state tells more than the answer
+    except CommandRefused as problem:  # the state is more informative than the answer
         refused = problem
     state = eki.status(rest_of(deadline))
     require_ours(state, context, options.variant)
@@ -197,7 +197,7 @@ def acknowledge(eki: EkiClient, context: RsiContext, options: KukaOptions, deadl
 
 
 def end_stream(eki: EkiClient, link: LinkClient, deadline: float) -> None:
-    """End the RSI program by the STOP object, or by EKI when that fails, and close the session."""
+    """End the RSI program with the STOP object, or by EKI if that fails, and close the session."""
     number = link.command(CommandKind.END)
     state = link.wait(lambda s: s.command_number >= number, rest_of(deadline))
     ended = None

@@ -45,7 +45,7 @@ from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
 
 CLOSE_LIMIT_S = 1.5  # for all closing commands together, whether the unit replies or not
 
-_FAULTS = (HardwareFailure, LinkLost, SensorBumped, UnitRestarted)  # latched; left only by `recover`
+_FAULTS = (HardwareFailure, LinkLost, SensorBumped, UnitRestarted)  # latched; cleared only by `recover`
 
 T = TypeVar("T")
 OpenTransport = Callable[[Endpoint, float], Transport]
@@ -137,7 +137,7 @@ class PolarisTracker:
 
     @property
     def volume_sections_mm(self) -> tuple[Section, ...]:
-        """As `BoundedTracker`."""
+        """As in `BoundedTracker`."""
         return () if self._volume is None else self._volume.sections_mm
 
     @property
@@ -279,7 +279,7 @@ class PolarisTracker:
             initialise(link, deadline_s)
             identity = read_identity(link, deadline_s)
             check_identity(identity, self._options.expected_model, self._options.expected_serial)
-        except BaseException:  # also an interruption: the serial port is free again
+        except BaseException:  # including interruptions: the serial port is released
             transport.close()
             raise
         self._open_link = link

@@ -139,7 +139,7 @@ class SensorBumped(DeviceError):
 
 
 class TemperatureHold(DeviceError):
-    """The unit has not warmed up, or is too hot; it withholds poses meanwhile."""
+    """The unit has not warmed up, or is too hot; it withholds poses in the meantime."""
 
     code = "NDI-022"
     action = "Wait: tracking resumes by itself when the temperature is in range."

@@ -44,7 +44,7 @@ class ToolOption(Strict):
     ] = None
 
     def definition(self, folder: Path | None = None) -> ToolDefinition:
-        """The definition that `rom` names, relative to `folder`; raises NDI-011, or NDI-013 by its hash."""
+        """The definition `rom` names, relative to `folder`; raises NDI-011, or NDI-013 for another hash."""
         definition = read_definition(find_definition(Path(self.rom), folder))
         found = definition_hash(definition)
         if self.sha256 not in (None, found):
@@ -114,7 +114,7 @@ class PolarisOptions(Strict):
         return tools
 
     def limits_s(self) -> dict[str, float]:
-        """Default time limits by command with those of the theatre file."""
+        """Default time limits by command, overridden by those of the theatre file."""
         return {**COMMAND_TIMEOUT_S, **self.time_limits_s}
 
 

@@ -219,7 +219,7 @@ def _read(path: Path) -> ToolDefinition:
 
 
 def _short_name(path: Path, others: list[Path]) -> str:
-    """The file's name, or its whole path where another one has the same name."""
+    """The file's name, or its full path if another one has the same name."""
     return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
 
 

@@ -1,1 +1,1 @@
-"""GVCP: the control channel to one camera, who it is, and who controls it."""
+"""GVCP: the control channel to one camera, its identity, and control privilege."""

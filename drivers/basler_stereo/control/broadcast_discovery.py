@@ -1,4 +1,4 @@
-"""Broadcast discovery: the GigE Vision devices on a network, for a client that knows no address."""
+"""Broadcast discovery: the GigE Vision devices on a network, for a client without their addresses."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ REQUEST_ID = gev.REQUEST_ID_FIRST
 def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tuple[CameraIdentity, ...]:
     """Every GigE Vision device that replies on one network interface, by address; needs no control.
 
-    A device replies also when its address belongs to another subnet.
+    A device also replies if its address belongs to another subnet.
     """
     found: dict[tuple[str, str], CameraIdentity] = {}
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller, contextlib.suppress(OSError):
         caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        caller.bind((interface.address, 0))  # this chooses the interface as well
+        caller.bind((interface.address, 0))  # also selects the interface
         caller.sendto(gvcp.encode(GvcpCommand.DISCOVERY, REQUEST_ID), (EVERYBODY, gev.GVCP_PORT))
         deadline_s = time.monotonic() + limit_s
         while select.select([caller], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
@@ -40,7 +40,7 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
 
 
 def cameras_near(address: str) -> str:
-    """For a message: the cameras on the network of an address. No other network is asked."""
+    """For messages: the cameras on the network of an address. No other network is queried."""
     if (interface := interface_of(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):
@@ -57,7 +57,7 @@ def _replied(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
         or acknowledge.status != GevStatus.SUCCESS
     ):
         raise MalformedReply(f"{sender[0]}: not a reply to discovery", wire=datagram[:16])
-    # a camera of another subnet replies as well: its own address is in the reply
+    # a camera of another subnet also replies: its own address is in the reply
     place = acknowledge.payload[Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES]
     own = socket.inet_ntoa(place) if any(place) and len(place) == gev.REGISTER_BYTES else sender[0]
     return decode_identity(acknowledge.payload, own)

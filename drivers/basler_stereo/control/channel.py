@@ -15,18 +15,18 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GvcpCommand
 
-FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each further try waits twice as long
-COMMAND_LIMIT_S = 1.5  # for one command with its retries, unless the caller's deadline is nearer
+FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each retry waits twice as long
+COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's deadline is earlier
 REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
-OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id belongs to the receiver process, for its keep-alives
+OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
 DATAGRAM_LIMIT_BYTES = 65_536
-LAST_LOOK_S = 1e-3  # for a reply that came while the host stalled
+LAST_LOOK_S = 1e-3  # for a reply that arrived while the host stalled
 
 
 class ControlChannel:
     """One socket, one command at a time; safe to use from several threads.
 
-    A command is repeated with the same request id, so that a device that replies late does not act twice.
+    Retries reuse the request id, so that a device that replies late does not execute a command twice.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class ControlChannel:
         monotonic: Callable[[], float] = time.monotonic,
         passed: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """`passed` is told of every datagram. Raises OSError when there is no way to the address."""
+        """`passed` is called with every datagram. Raises OSError when there is no route to the address."""
         self._passed = passed
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -50,7 +50,7 @@ class ControlChannel:
         self._lock = threading.RLock()
         self._id_lock = threading.Lock()
         self._request_id = 0
-        self.port_closed = False  # a host is at the address, and nothing listens on its GVCP port
+        self.port_closed = False  # the address is reachable, but nothing listens on its GVCP port
 
     @property
     def address(self) -> str:
@@ -59,12 +59,12 @@ class ControlChannel:
 
     @property
     def local_address(self) -> str:
-        """The host's address on the way to the camera."""
+        """The host's own address on the route to the camera."""
         return str(self._socket.getsockname()[0])
 
     @property
     def link(self) -> socket.socket:
-        """For the receiver process, which sends resend requests and keep-alives on it."""
+        """For the receiver process, which sends resend requests and keep-alives through it."""
         return self._socket
 
     def close(self) -> None:
@@ -87,7 +87,7 @@ class ControlChannel:
         self.ask(GvcpCommand.WRITEREG, gvcp.write_register_command(address, value), deadline_s, what)
 
     def read_memory(self, address: int, count: int, deadline_s: float) -> bytes:
-        """`count` bytes from `address`, in as many pieces as it takes; raises GEV-006, GEV-007, GEV-008."""
+        """`count` bytes from `address`, in as many requests as needed; raises GEV-006, GEV-007, GEV-008."""
         data = bytearray()
         while len(data) < count:
             start = address + len(data)
@@ -120,8 +120,8 @@ class ControlChannel:
     def _finish(
         self, command: GvcpCommand, request_id: int, datagram: bytes, deadline_s: float, what: str
     ) -> bytes:
-        """Wait for the acknowledge of a sent command, repeating it while none comes."""
-        # a deadline that passed while we waited for the lock or the CPU still allows one try
+        """Wait for the acknowledge of a sent command, with retries."""
+        # a deadline that passed while waiting for the lock or the CPU still allows one try
         begun_s = self._monotonic()
         deadline_s = max(deadline_s, begun_s + FIRST_TRY_S)
         limit_s = min(deadline_s, begun_s + COMMAND_LIMIT_S)
@@ -140,9 +140,9 @@ class ControlChannel:
     def _receive(
         self, command: GvcpCommand, request_id: int, until_s: float, deadline_s: float
     ) -> gvcp.Acknowledge | None:
-        """The acknowledge with that request id, or None when it has not come by `until_s`."""
+        """The acknowledge with this request id, or None if it has not arrived by `until_s`."""
         while True:
-            # also after the deadline: what came while the host stalled came in time
+            # even after the deadline: whatever arrived while the host stalled was in time
             left_s = until_s - self._monotonic()
             if left_s < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
@@ -167,7 +167,7 @@ class ControlChannel:
                 return acknowledge
 
     def _send(self, datagram: bytes) -> None:
-        # an error here (network down, closed port) shows as a missing acknowledge, which is reported
+        # an error here (network down, closed port) shows up as a missing acknowledge, which is reported
         with contextlib.suppress(OSError):
             self._socket.send(datagram)
             self._passed(Direction.SENT, datagram)
@@ -190,9 +190,9 @@ def register_write(address: int, value: int) -> Command:
 def send_together(
     commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
 ) -> list[Exception | None]:
-    """Send a command on each of several channels as nearly at once as one host can.
+    """Send a command on each of several channels as close together as one host can.
 
-    All commands leave before the first acknowledge is awaited. Returns per channel None, or what went wrong.
+    All commands are sent before the first acknowledge is awaited. Returns None or an error per channel.
     """
     results: list[Exception | None] = []
     with ExitStack() as locks:

@@ -27,12 +27,12 @@ class Acknowledge:
 def encode(
     command: GvcpCommand, request_id: int, payload: bytes = b"", flags: GvcpFlag = GvcpFlag.ACK_REQUIRED
 ) -> bytes:
-    """A whole command datagram."""
+    """A complete command datagram."""
     return _HEADER.pack(gev.GVCP_KEY, flags, command, len(payload), request_id) + payload
 
 
 def encode_resend(request_id: int, block_id: int, first: int, last: int) -> bytes:
-    """Request packets `first`..`last` of a block again; it is not acknowledged."""
+    """Request packets `first`..`last` of a block again; there is no acknowledge."""
     payload = struct.pack(gev.PACKETRESEND_COMMAND, 0, block_id, first, last)
     return encode(GvcpCommand.PACKETRESEND, request_id, payload, GvcpFlag(0))
 
@@ -116,7 +116,7 @@ def write_memory_command(address: int, data: bytes) -> bytes:
 
 
 def pending_ms(payload: bytes) -> int:
-    """How much longer the device asks us to wait, ms; 0 when it gives no time."""
+    """How much longer the device asks us to wait, ms; 0 if it does not say."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

@@ -13,7 +13,7 @@ from ronna_hw.errors import RonnaError
 
 BEATS_PER_TIMEOUT = 4
 SLOWEST_BEAT_S = 1.0
-SILENT_BEATS = 2  # unanswered in a row, retries included, before the camera may count as lost
+SILENT_BEATS = 2  # consecutive failures, including retries, before the camera may count as lost
 ASK_LIMIT_S = 1.0
 JOIN_LIMIT_S = 1.5
 
@@ -21,10 +21,9 @@ JOIN_LIMIT_S = 1.5
 class Heartbeat:
     """A thread that reads the control privilege; calls `on_lost` once with the reason when it gives up.
 
-    A silent camera is lost when its time-out has passed: until then it keeps us as its controller.
-
-    Any command would restart the camera's timer. Reading the privilege also shows when the camera has
-    restarted or dropped us, and every device counts it as a heartbeat.
+    A silent camera is lost only after its time-out: until then it keeps us as its controller. Any command
+    would restart the camera's timer, but reading the privilege also shows whether the camera has restarted or
+    dropped us, and every device counts it as a heartbeat.
     """
 
     def __init__(

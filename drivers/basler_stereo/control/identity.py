@@ -1,4 +1,4 @@
-"""Who is at an address: the bootstrap registers in a device's reply to GVCP discovery."""
+"""Identity of the device at an address, from the bootstrap registers in its reply to GVCP discovery."""
 
 from __future__ import annotations
 

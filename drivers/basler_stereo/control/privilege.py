@@ -1,6 +1,6 @@
-"""Takes control of a camera, waiting while a dead controller still holds it.
+"""Takes control of a camera, waiting while a dead controller still has it.
 
-A camera keeps the privilege of a dead client until that client's heartbeat time-out lapses.
+A camera keeps the privilege of a dead client until that client's heartbeat times out.
 """
 
 from __future__ import annotations
@@ -13,36 +13,36 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus
 
 ASK_AGAIN_S = 0.1
-LAPSE_MARGIN_S = 0.5  # a camera checks its timer only now and then
+LAPSE_MARGIN_S = 0.5  # cameras check their timer only now and then
 
 
 def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
     """Take the control privilege; `who` names the camera in the message.
 
-    Tries until the current controller's heartbeat time-out has passed, within the deadline (host
-    monotonic time). Raises GEV-005 when that controller is alive or the time is up, GEV-006, GEV-007.
+    Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
+    time). Raises GEV-005 when that controller is alive or time is up, GEV-006, GEV-007.
     """
     give_up_s: float | None = None
     while (refusal := _ask(control, deadline_s)) is not None:
         if give_up_s is None:
             give_up_s = _lapse_s(control, deadline_s)
-        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not for two
+        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not two
             raise ControlTaken(f"{who} is controlled by another application", got=refusal)
         time.sleep(ASK_AGAIN_S)
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:
-    """Raise GEV-015 unless the camera is under control, GEV-007 when it does not reply."""
+    """Raise GEV-015 unless we control the camera, GEV-007 when it does not reply."""
     try:
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
-    except CommandRefused as error:  # under another's exclusive access even reading is rejected
+    except CommandRefused as error:  # while another client has exclusive access, even reading is rejected
         raise ControlLost(f"{control.address} is controlled by another application") from error
     if not privilege & (gev.CCP_CONTROL | gev.CCP_EXCLUSIVE):
         raise ControlLost(f"{control.address} has released control", got=f"privilege {privilege}")
 
 
 def _ask(control: ControlChannel, deadline_s: float) -> str | None:
-    """None when we have control, else how it was refused, in words."""
+    """None if we have control, otherwise the reason for the refusal."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, deadline_s)
         privilege = control.read_register(Bootstrap.CCP, deadline_s)
@@ -54,7 +54,7 @@ def _ask(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _lapse_s(control: ControlChannel, deadline_s: float) -> float:
-    """When a controller that is dead now will have lost control; never later than the deadline."""
+    """When a controller that is dead now will lose control; never later than the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
     except CommandRefused:  # exclusive access: others cannot even read

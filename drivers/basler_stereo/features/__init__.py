@@ -1,1 +1,1 @@
-"""GenICam: the features of a camera, as its own description maps them to registers."""
+"""GenICam: a camera's features, mapped to registers by its own description."""

@@ -1,6 +1,6 @@
 """A camera's own description of its features: fetched from the camera, read as strict XML.
 
-Only the form is checked here; what a node means is in `feature_map`.
+Only the form is checked here; `feature_map` interprets the nodes.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
 LARGEST_FILE_BYTES = 8 * 1024 * 1024  # descriptions are 20 kB to 1 MB
-ADDRESS_LIMIT = 1 << 32  # as GigE Vision counts
+ADDRESS_LIMIT = 1 << 32  # the address range of GigE Vision
 LONGEST_SHOWN = 64  # characters of a text in a message
 ROOT = "RegisterDescription"
 MOST_FIELDS = 1000  # of one node
-MOST_SHARED_FIELDS = 32  # of a register that several nodes share: each of them gets all
+MOST_SHARED_FIELDS = 32  # of a register shared by several nodes: each of them inherits all
 LARGEST_NUMBER = 1 << 64  # registers hold 64 bits
-CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that decide whether this one can be used
+CONDITIONS = ("pIsImplemented", "pIsAvailable")  # nodes that determine whether this one is available
 
 
 @dataclass(frozen=True)
@@ -55,9 +55,9 @@ class Node:
 
 
 def fetch_description(control: ControlChannel, deadline_s: float) -> bytes:
-    """The description file as XML, from the first address that is on the camera itself.
+    """The description file as XML, from the first address on the camera itself.
 
-    Raises GEV-009 when there is none, GEV-006 to GEV-008 when it cannot be read.
+    Raises GEV-009 if there is none, GEV-006 to GEV-008 if it cannot be read.
     """
     for register in (Bootstrap.FIRST_URL, Bootstrap.SECOND_URL):
         block = control.read_memory(register, gev.TEXT_BYTES[register], deadline_s)
@@ -84,7 +84,7 @@ def parse_url(url: str) -> tuple[str, int, int]:
 
 
 def unpacked(data: bytes) -> bytes:
-    """The one member of a ZIP file; raises GEV-009."""
+    """The single member of a ZIP file; raises GEV-009."""
     try:
         return unzip(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -92,7 +92,7 @@ def unpacked(data: bytes) -> bytes:
 
 
 def parse_description(data: bytes) -> dict[str, Node]:
-    """All named nodes by name; raises GEV-009 for XML that is broken or carries a document type."""
+    """All named nodes by name; raises GEV-009 for malformed XML or a document type."""
     try:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
@@ -103,7 +103,7 @@ def parse_description(data: bytes) -> dict[str, Node]:
 
 
 def _nodes(group: ElementTree.Element) -> Iterator[Node]:
-    """Named elements, also those inside groups, and the entries of registers that are shared by several."""
+    """Named elements, including those inside groups, and the entries of shared registers."""
     for element in group:
         kind = _local(element.tag)
         if kind == "Group":
@@ -115,7 +115,7 @@ def _nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """The parts of one register, each with a name; a part inherits what it does not state itself."""
+    """The named parts of one register; a part inherits what it does not state itself."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
@@ -149,7 +149,7 @@ def _field(element: ElementTree.Element) -> Field:
 
 
 def whole_number(text: str | None, what: str) -> int:
-    """A whole number of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
+    """An integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
     try:
         number = int((text or "").strip(), 0)
     except ValueError as error:

@@ -1,8 +1,8 @@
 """Features of a camera by name, through the nodes of its description down to registers.
 
-What is read: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
-Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: a
-feature whose conditions are false counts as absent. Nothing is cached: a camera changes values by itself.
+Supported nodes: Integer, Boolean, Enumeration, Float, Command, IntReg, MaskedIntReg, StructReg, FloatReg,
+Converter, IntConverter, SwissKnife and IntSwissKnife. One description often serves several models: a feature
+whose conditions are false counts as absent. Nothing is cached, since a camera may change values on its own.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from drivers.basler_stereo.features.register_codec import (
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
-# What one call may cost, since nodes that each name two others double it with every level: fields of the
-# nodes that are visited and characters of formulas. Features of real cameras take some hundreds.
+# What one call may cost, since nodes that each refer to two others double it with every level: fields of the
+# visited nodes and characters of formulas. Features of real cameras cost some hundreds.
 COST_LIMIT = 100_000
-REGISTER_COST = 100  # of a question to the camera: a thousand of them take a second
+REGISTER_COST = 100  # for a query to the camera: a thousand of them take a second
 
 _WHOLE = {"IntSwissKnife", "IntConverter"}
 _CONVERTERS = {"Converter", "IntConverter"}
@@ -40,7 +40,7 @@ _REGISTERS = {"IntReg", "MaskedIntReg", "FloatReg"}
 
 
 class Memory(Protocol):
-    """The memory that a description's registers live in."""
+    """The memory that a description's registers are in."""
 
     def read(self, address: int, count: int) -> bytes:
         """`count` bytes, a multiple of 4."""
@@ -53,7 +53,7 @@ class Memory(Protocol):
 
 @dataclass(frozen=True)
 class Limits:
-    """Smallest and largest value and step; None where the description gives none."""
+    """Smallest and largest value and step; None if the description gives none."""
 
     minimum: Number | None
     maximum: Number | None
@@ -66,16 +66,16 @@ class FeatureMap:
     def __init__(self, nodes: dict[str, Node], memory: Memory) -> None:
         self._nodes = nodes
         self._memory = memory
-        self._held: dict[str, Number] = {}  # nodes with a value of their own and no register
+        self._held: dict[str, Number] = {}  # nodes with their own value and no register
         self._left = COST_LIMIT
 
     def has(self, name: str) -> bool:
-        """True when the camera has a feature of that name and it can be used now."""
+        """Whether the camera has this feature and it is available now."""
         self._left = COST_LIMIT
         return name in self._nodes and self._usable(name, 0)
 
     def entries(self, name: str) -> dict[str, int]:
-        """Names and values of an enumeration's entries that can be chosen now."""
+        """Names and values of an enumeration's currently available entries."""
         self._left = COST_LIMIT
         node = self._node(name)
         return {
@@ -129,7 +129,7 @@ class FeatureMap:
         return self._address(register, 0), self._encoded(register, 1 if value is None else value)
 
     def limits(self, name: str) -> Limits:
-        """What values a feature may take now: its own limits, within those of the nodes below it."""
+        """The values that a feature may have now: its own limits, within those of the nodes below it."""
         self._left = COST_LIMIT
         node: Node | None = self._node(name)
         found: list[Number | None] = [None, None, None]
@@ -202,7 +202,7 @@ class FeatureMap:
         return self._final_register(self._below(node, depth) or "", depth + 1)
 
     def _usable(self, name: str, depth: int) -> bool:
-        """True when the conditions of a node hold, and those of the node that holds its value."""
+        """Whether a node's conditions hold, and those of the node with its value."""
         node = self._checked(name, depth)
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
@@ -211,7 +211,7 @@ class FeatureMap:
         return below is None or self._usable(below, depth + 1)
 
     def _below(self, node: Node, depth: int) -> str | None:
-        """The node that holds a node's value; among several, the one that the index selects."""
+        """The node with a node's value; if there are several, the one selected by the index."""
         chooser = None if node.kind in _REGISTERS else node.text("pIndex")
         if chooser is None:
             return node.text("pValue")
@@ -222,7 +222,7 @@ class FeatureMap:
         return node.text("pValueDefault")
 
     def _own_or_other(self, node: Node, tag: str, depth: int) -> Number | None:
-        """The number in a field, or that of the node which its twin `p...` names; None without both."""
+        """The number in a field, or that of the node named by its twin `p...`; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
             read = real_number if node.kind == "Float" else whole_number
@@ -230,7 +230,7 @@ class FeatureMap:
         return None if other is None else self._read(other, depth + 1)
 
     def _computed(self, node: Node, tag: str, depth: int, **given: Number) -> Number:
-        """The value of a node's formula over its variables, constants and expressions."""
+        """The value of a node's formula, given its variables, constants and expressions."""
         values = dict(given)
         for field in node.fields:
             name = field.attributes.get("Name", "")

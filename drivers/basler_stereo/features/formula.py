@@ -16,9 +16,9 @@ from drivers.basler_stereo.features.description import LONGEST_SHOWN
 
 Number = int | float
 
-LONGEST_FORMULA = 4000  # characters; real ones have some hundreds
-DEEPEST = 200  # operations within operations
-LARGEST_WHOLE = 1 << 64  # in the middle of a formula as in a register
+LONGEST_FORMULA = 4000  # characters; real ones have some hundred
+DEEPEST = 200  # nested operations
+LARGEST_WHOLE = 1 << 64  # limit for intermediate results, as for registers
 KEPT_FORMULAS = 64
 
 _GRAMMAR = r"""
@@ -45,11 +45,11 @@ NAME: /[A-Za-z_][A-Za-z0-9_.]*/
 %ignore WS
 """
 
-LARGEST_SHIFT = 64  # beyond it a value is out of range, or nothing is left of it
+LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
 def _power(base: Number, exponent: Number) -> Number:
-    """Exact for whole numbers; raises OverflowError for more than 64 bits."""
+    """Exact for integers; raises OverflowError for more than 64 bits."""
     if not isinstance(base, int) or not isinstance(exponent, int) or exponent < 0:
         return math.pow(base, exponent)
     if abs(base) > 1 and exponent * base.bit_length() > 2 * LARGEST_SHIFT:  # 2 has two bits
@@ -93,9 +93,9 @@ _FUNCTIONS: dict[str, Callable[[Any], Number]] = {
 
 
 def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Number:
-    """The value of a formula; `whole` selects integer arithmetic, dividing towards zero.
+    """The value of a formula; `whole` selects integer arithmetic, with division towards zero.
 
-    Raises GEV-009 for a formula that cannot be read, an unknown name, or a result that does not exist.
+    Raises GEV-009 for a formula that cannot be parsed, an unknown name, or an undefined result.
     """
     try:
         result = _value(_parsed(formula), values, whole, DEEPEST)

@@ -1,4 +1,4 @@
-"""Brings a camera's features to a known, checked state: trigger, exposure, gain, pixel format, area."""
+"""Brings a camera's features to a known, verified state: trigger, exposure, gain, pixel format, area."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.wire import gige_vision as gev
 
-# cameras of this family use the first name, younger standards the others
+# this family uses the first name, later standards the others
 EXPOSURE_NAMES = ("ExposureTimeAbs", "ExposureTime", "ExposureTimeRaw")
 GAIN_NAMES = ("GainRaw", "Gain")
 TEMPERATURE_NAMES = ("TemperatureAbs", "DeviceTemperature")  # whether this model has one is unconfirmed
@@ -23,7 +23,7 @@ FRAME_TRIGGER = "FrameStart"
 SOFTWARE, ACTION, LINE = "Software", "Action1", "Line1"
 TRIGGER_SOURCES = {"software": SOFTWARE, "action": ACTION, "line1": LINE}
 ACTION_GROUP_MASK = 1
-# what would alter images without our knowledge, where a camera has it
+# features that would alter images without our knowledge, if a camera has them
 _FIXED_CHOICES = (
     ("ExposureMode", "Timed"),
     ("ExposureAuto", "Off"),
@@ -54,17 +54,17 @@ class Features(Protocol):
 
 
 def temperature_C(features: Features) -> float | None:
-    """Inside the camera; None when it does not say."""
+    """Internal temperature; None if not reported."""
     name = next(filter(features.has, TEMPERATURE_NAMES), None)
     return None if name is None else float(features.number(name))
 
 
 def apply_known_state(features: Features, options: BaslerOptions, camera: str) -> None:
-    """All settings but the area, of the `camera` that is named in messages.
+    """All settings except the area; `camera` is named in messages.
 
-    Raises GEV-010 for what it lacks, GEV-011 for impossible values.
+    Raises GEV-010 for missing features, GEV-011 for impossible values.
     """
-    if features.has("AcquisitionStop"):  # a library may hide it while nothing runs
+    if features.has("AcquisitionStop"):  # a library may hide it while nothing is running
         features.execute("AcquisitionStop")
     lock_transport(features, False)  # an earlier client may have left it locked
     if options.load_default_user_set and features.has("UserSetLoad"):
@@ -86,7 +86,7 @@ def lock_transport(features: Features, locked: bool) -> None:
 
 
 def arm_trigger(features: Features, options: BaslerOptions) -> None:
-    """One frame per trigger of the chosen source, all other kinds of trigger off; raises GEV-010.
+    """One frame per trigger from the selected source, all other triggers off; raises GEV-010.
 
     Old firmware may lack the action trigger: then its name is not among the entries.
     """
@@ -108,9 +108,9 @@ def arm_trigger(features: Features, options: BaslerOptions) -> None:
 
 
 def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, camera: str) -> None:
-    """Exposure in microseconds and raw gain, None for the smallest; raises GEV-011 with the limits.
+    """Exposure in microseconds and raw gain (None: the smallest); raises GEV-011 with the limits.
 
-    `camera` names it, such as `left camera`.
+    `camera` names it, for example `left camera`.
     """
     exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us, f"exposure_us of the {camera}")
@@ -128,7 +128,7 @@ def full_area(features: Features) -> AreaOfInterest:
 
 
 def set_area(features: Features, area: AreaOfInterest) -> None:
-    """Choose the part of the sensor that is read; raises GEV-011 with the limits.
+    """Set the part of the sensor to read; raises GEV-011 with the limits.
 
     The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
     """

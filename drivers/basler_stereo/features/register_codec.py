@@ -1,4 +1,4 @@
-"""Register bytes to values and back, as a node of the camera's description defines them."""
+"""Register bytes to values and back, as defined by a node of the camera's description."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def register_length(node: Node) -> int:
 
 
 def shares_register(node: Node) -> bool:
-    """True when a node uses only some bits of its register, so that writing must keep the others."""
+    """Whether a node uses only some bits of its register, so that writing must preserve the others."""
     length = register_length(node)
     return register_bits(node, length)[1] < 8 * length
 
@@ -41,7 +41,7 @@ def decode_register(node: Node, data: bytes) -> Number:
 
 
 def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
-    """The bytes that set a register to a value; `current`: its bytes now, for the bits left unchanged."""
+    """The bytes that set a register to a value; `current`: its present bytes, for the bits to preserve."""
     length = register_length(node)
     if node.kind == "FloatReg":
         try:
@@ -55,7 +55,7 @@ def encode_register(node: Node, value: Number, current: bytes = b"") -> bytes:
 
 
 def register_bits(node: Node, length: int) -> tuple[int, int]:
-    """Lowest bit and number of bits that a register's value takes.
+    """Lowest bit and number of bits of a register's value.
 
     In a big-endian register the description counts bits from the most significant one.
     """

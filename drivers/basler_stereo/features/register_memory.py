@@ -1,4 +1,4 @@
-"""A camera's registers as the memory that its GenICam description addresses."""
+"""A camera's registers as the memory addressed by its GenICam description."""
 
 from __future__ import annotations
 

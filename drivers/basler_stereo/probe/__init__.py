@@ -15,7 +15,7 @@ from ronna_hw.devices.probing import Diagnostic, Inspection, Progress, connect_a
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interface_of
 
-CAMERAS_SHARE = 0.5  # of the whole probe; the rest is connecting
+CAMERAS_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class BaslerProbe:
@@ -62,7 +62,7 @@ def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:
 
 
 def _expected(config: DeviceConfig) -> list[Expected]:
-    """The cameras of a theatre file; wrong options and endpoints are left to the driver's own message."""
+    """The cameras of a theatre file; invalid options and endpoints are reported by the driver itself."""
     model = _text(config, "expected_model")
     sides = {side: parse_endpoint(text) for side, text in config.endpoints.items()}
     return [

@@ -1,4 +1,4 @@
-"""Pairs of cameras on the networks of a search, each in the form of a theatre file entry."""
+"""Pairs of cameras on the searched networks, each as a theatre file entry."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ NAMES_TELL = "The names stored in the cameras identify left and right."
 
 
 def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every ordered pair of cameras of one model, those first whose own names say left and right.
+    """Every ordered pair of cameras of one model, starting with those whose own names say left and right.
 
-    A network is asked by one broadcast; no camera is controlled.
+    Each network is queried with one broadcast; no camera is controlled.
     """
     cameras: dict[str, CameraIdentity] = {}  # by address
     for number, network in enumerate(search.interfaces, start=1):
@@ -40,7 +40,7 @@ def _a_pair(one: CameraIdentity, other: CameraIdentity) -> bool:
 
 
 def example_pair() -> Proposal:
-    """The table of a pair that was not found."""
+    """The table for a pair that was not found."""
     chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
     return Proposal(DRIVER, "", _endpoints(EXAMPLE_ADDRESSES), _options(chosen), (WHICH_IS_LEFT,))
 

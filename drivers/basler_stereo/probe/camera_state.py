@@ -1,7 +1,7 @@
-"""What is at a camera's address: who replies, who controls it, which packet size arrives.
+"""State of a camera's address: who replies, who controls it, which packet size arrives.
 
-Reading changes nothing. To find the packet size, a camera that nobody controls is controlled for a moment,
-sends test packets, and is released; one that is controlled is left alone.
+Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
+packets, and is released; a controlled one is left alone.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from ronna_hw.host.port_users import PortUser, user_of_udp_port
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 
-REPLY_LIMIT_S = 1.0  # per command, repetitions included
-TEST_LIMIT_S = 5.0  # of all test packets
+REPLY_LIMIT_S = 1.0  # per command, including retries
+TEST_LIMIT_S = 5.0  # for all test packets
 RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
 
 
@@ -33,36 +33,36 @@ class Response(StrEnum):
 
     ANSWERED = "answered"
     NO_ROUTE = "no way"
-    REFUSED = "refused"  # a computer is there, and nothing on the port of cameras
+    REFUSED = "refused"  # a computer is there, but nothing listens on the cameras' port
     SILENT = "silent"
 
 
 @dataclass(frozen=True)
 class Controller:
-    """Which application is in control: none, or one at an address when the camera names it."""
+    """The application in control: none, or one with an address if the camera reports it."""
 
     taken: bool
     address: str = ""
     port: int = 0
-    process: PortUser | None = None  # when it runs on this computer and may be seen
-    here: bool = False  # that address is this computer's
+    process: PortUser | None = None  # if it runs on this computer and is visible to us
+    here: bool = False  # the address is this computer's
 
 
 @dataclass(frozen=True)
 class CameraState:
-    """What was found; fields stay None where it did not get so far."""
+    """What was found; fields are None for stages not reached."""
 
     endpoint: Endpoint
     response: Response
     interface: Interface | None = None
     identity: CameraIdentity | None = None
     controller: Controller | None = None
-    packet_bytes: int | None = None  # the largest that arrives; 0 when no test packet came at all
-    reason: str = ""  # of the system, where there is no route
+    packet_bytes: int | None = None  # the largest that arrives; 0 if no test packet arrived at all
+    reason: str = ""  # the system's, if there is no route
 
 
 def look_at_camera(endpoint: Endpoint) -> CameraState:
-    """Look at one camera's address: a second or two. Never raises for what is at the other end."""
+    """Check one camera's address, in a second or two. Never raises, whatever is at the other end."""
     try:
         control = ControlChannel(endpoint.host)
     except OSError as error:
@@ -86,14 +86,14 @@ def _controller(control: ControlChannel) -> Controller:
     port = _read(control, Bootstrap.PRIMARY_APPLICATION_PORT) if names_it else None
     address = _read(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if names_it else None
     if not port or not address:
-        return Controller(taken=True)  # under exclusive access not even reading is allowed
+        return Controller(taken=True)  # under exclusive access even reading is refused
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
     own = [each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))]
     return Controller(True, owner, port, user_of_udp_port(owner, port) if own else None, bool(own))
 
 
 def _largest_packet(control: ControlChannel) -> int | None:
-    """The largest test packet that arrives; None when the camera does not give control."""
+    """The largest test packet that arrives; None if the camera does not grant control."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _soon())
     except (CommandRefused, NoReply):
@@ -114,7 +114,7 @@ def _largest_packet(control: ControlChannel) -> int | None:
 
 
 def _read(control: ControlChannel, register: int) -> int | None:
-    """A register, or None when the camera refuses or says nothing."""
+    """A register, or None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _soon())
     except (CommandRefused, NoReply, MalformedReply):

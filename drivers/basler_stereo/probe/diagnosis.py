@@ -1,4 +1,4 @@
-"""What the state of a camera's address means: what was seen, the likely cause, what to do."""
+"""Interprets the state of a camera's address: observation, likely cause, what to do."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.network_interfaces import Interface
 
-JUMBO_BYTES = 8000  # below, both cameras at full rate keep a computer busy
+JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
 LISTED_CAMERAS = 4
 SECTION = "cameras"
 
 
 class Expected(NamedTuple):
-    """A camera's address, and which camera it should be, where that is known."""
+    """A camera's address, and its expected identity, if known."""
 
     endpoint: Endpoint
     serial: str | None = None
@@ -26,7 +26,7 @@ class Expected(NamedTuple):
 
 
 class Diagnosis(NamedTuple):
-    """One line for a person."""
+    """One line for display."""
 
     well: bool
     seen: str
@@ -34,7 +34,7 @@ class Diagnosis(NamedTuple):
 
 
 def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
-    """The camera for the doctor, in numbers as well. `found` replied to broadcast discovery."""
+    """The camera for the doctor, including figures. `found` replied to broadcast discovery."""
     well, seen, advice = diagnose(camera, found, expected)
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
@@ -63,7 +63,7 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
 
 
 def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
-    """Say what was seen, and what that means."""
+    """State the observation, and what it means."""
     identity, controller = camera.identity, camera.controller
     if identity is None or controller is None:
         return _unanswered(camera, found)

@@ -21,12 +21,12 @@ from ronna_hw.devices.readings import AreaOfInterest
 TAKEN = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
 LONGEST_WAIT_S = 60.0
-READY_LIMIT_MS = 1000  # a trigger that comes before the camera is ready is ignored
+READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ignored
 
 
 @dataclass(frozen=True)
 class PylonFrame:
-    """One image from the library; `pixels` is our own copy, None when the image is incomplete."""
+    """One image from the library; `pixels` is our own copy, None if the image is incomplete."""
 
     block_id: int
     ticks: int
@@ -37,7 +37,7 @@ def load_pylon() -> tuple[Any, Any]:
     """The library's modules `pylon` and `genicam`; raises GEV-018."""
     try:
         with warnings.catch_warnings():
-            # the binding warns about its own types; where warnings are errors, that crashes the interpreter
+            # the binding warns about its own types; with warnings as errors that crashes the interpreter
             warnings.simplefilter("ignore", DeprecationWarning)
             from pypylon import genicam, pylon
     except ImportError as error:
@@ -46,7 +46,7 @@ def load_pylon() -> tuple[Any, Any]:
 
 
 class PylonCamera:
-    """Found by its address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
+    """Found by address; an emulated one, which has none, by serial number. Deadlines: host monotonic."""
 
     def __init__(
         self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
@@ -62,7 +62,7 @@ class PylonCamera:
         self.tick_frequency_hz = 0
 
     def connect(self) -> CameraIdentity:
-        """Find the camera; takes no control. Raises GEV-001."""
+        """Find the camera without taking control. Raises GEV-001."""
         wanted = self._pylon.DeviceInfo()
         wanted.SetDeviceClass(self._device_class)
         if self._device_class == EMULATED and self._serial is not None:
@@ -86,7 +86,7 @@ class PylonCamera:
         )
 
     def configure(self) -> None:
-        """Take control and bring everything to a known state; raises GEV-005, GEV-010, GEV-011."""
+        """Take control and bring all settings to a known state; raises GEV-005, GEV-010, GEV-011."""
         try:
             self._camera.Open()
         except self._genicam.GenericException as error:
@@ -134,7 +134,7 @@ class PylonCamera:
             raise self._lost(error) from error
 
     def take(self, deadline_s: float) -> PylonFrame | None:
-        """The next frame, or None when none came by the deadline. Raises GEV-014."""
+        """The next frame, or None if none arrived by the deadline. Raises GEV-014."""
         left_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
         try:
             result = self._camera.RetrieveResult(round(left_s * 1e3), self._pylon.TimeoutHandling_Return)
@@ -157,7 +157,7 @@ class PylonCamera:
             with contextlib.suppress(self._genicam.GenericException):
                 self._camera.Close()
             with contextlib.suppress(self._genicam.GenericException):
-                self._camera.DestroyDevice()  # detached, it would keep its threads and some thirty files
+                self._camera.DestroyDevice()  # a detached camera would keep its threads and some thirty files
         self._camera = None
 
     def _lost(self, error: Exception) -> CameraLost:
@@ -166,7 +166,7 @@ class PylonCamera:
 
 @dataclass(frozen=True)
 class _Released:
-    """Gives a grab result's buffer back to the library."""
+    """Returns a grab result's buffer to the library."""
 
     result: Any
 

@@ -17,7 +17,7 @@ class PylonFeatures:
         self._genicam = genicam
 
     def has(self, name: str) -> bool:
-        """True when the camera has such a feature, and it can be used now."""
+        """Whether the camera has this feature and it is available now."""
         node = self._nodes.GetNode(name)
         return node is not None and bool(self._genicam.IsAvailable(node))
 
@@ -27,15 +27,15 @@ class PylonFeatures:
         return value
 
     def whole(self, name: str) -> int:
-        """Value of a whole-numbered feature."""
+        """Value of an integer feature."""
         return int(self._node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
-        """Names of the entries of an enumeration that can be chosen now."""
+        """Names of an enumeration's currently available entries."""
         return tuple(self._node(name).Symbolics)
 
     def limits(self, name: str) -> Limits:
-        """What values a feature may take now."""
+        """The values that a feature may have now."""
         node = self._node(name)
         step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
         return Limits(node.GetMin(), node.GetMax(), step)
@@ -51,14 +51,14 @@ class PylonFeatures:
             raise MissingFeature(f"{name} cannot be set now", got=str(error).splitlines()[0]) from error
 
     def choose(self, name: str, entry: str) -> None:
-        """Set an enumeration to its entry."""
+        """Set an enumeration to one of its entries."""
         try:
             self._node(name).SetValue(entry)
         except self._genicam.GenericException as error:
             raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
 
     def execute(self, name: str) -> None:
-        """Carry out a command."""
+        """Execute a command."""
         self._node(name).Execute()
 
     def _node(self, name: str) -> Any:

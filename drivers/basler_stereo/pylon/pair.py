@@ -36,7 +36,7 @@ T = TypeVar("T")
 
 
 class PylonOptions(BaslerOptions):
-    """`device_class` chooses the library's transport: real cameras, or those it emulates."""
+    """`device_class` selects the library's transport: real or emulated cameras."""
 
     device_class: Literal["BaslerGigE", "BaslerCamEmu"] = "BaslerGigE"
     trigger: Literal["software"] = "software"
@@ -92,7 +92,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         self._guard.enter(Lifecycle.CONFIGURED)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Choose the part of each sensor to read; raises GEV-011 with both cameras as they were."""
+        """Set the part of each sensor to read; on GEV-011 both cameras are unchanged."""
         self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         before, running = self.areas, self.state is Lifecycle.ACTIVE
         if running:
@@ -115,7 +115,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Expose by that share of the time that was configured or set last; raises GEV-011."""
+        """Multiply the exposure configured or set last by `share`; raises GEV-011."""
         self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
         for camera in self._pair:
@@ -124,8 +124,8 @@ class PylonStereoPair(PairDevice[PylonCamera]):
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return the pair of that trigger.
 
-        A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side
-        sent one, and GEV-014 with FAULT latched. After an incomplete pair the streams restart.
+        A side without a complete image is None and the reading MISSING. Raises GEV-013 when neither side sent
+        one, and, with FAULT latched, GEV-014. After an incomplete pair the streams restart.
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         self._last_pair = self._watched(lambda: self._grab(time.monotonic() + timeout_s))
@@ -163,7 +163,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         try:
             identities = (left.connect(), right.connect())
             check_pair(*identities, options)
-        except BaseException:  # also an interruption: neither camera stays controlled
+        except BaseException:  # including interruptions: neither camera stays controlled
             left.close()
             right.close()
             raise
@@ -212,7 +212,7 @@ class PylonStereoPair(PairDevice[PylonCamera]):
 
     def _match(self, frames: list[Any], triggered_s: float) -> Validity:
         if self._out_of_step:
-            return Validity.OK  # the missing side says enough
+            return Validity.OK  # the missing side is reported anyway
         ticks = (frames[0].ticks, frames[1].ticks)
         now_s = self._clock.now_s()
         match = self._pair_clock.judge(ticks, triggered_s, now_s)

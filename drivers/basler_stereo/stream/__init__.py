@@ -1,1 +1,1 @@
-"""GVSP: from stream packets to frames in shared memory, received by a process of its own."""
+"""GVSP: from stream packets to frames in shared memory, received in a separate process."""

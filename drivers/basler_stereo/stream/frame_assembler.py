@@ -1,7 +1,7 @@
-"""Assembles frames from stream packets that may be lost, repeated or out of order. No I/O, no clock read.
+"""Assembles frames from stream packets that may be lost, repeated or out of order. No I/O, no clock access.
 
 A frame is complete when leader, trailer and every payload packet have arrived. Missing packets are requested
-again at growing intervals; when those are used up, the frame is delivered incomplete.
+again at growing intervals; after the last, the frame is delivered incomplete.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import GevStatus, GvspFormat
 
 RESEND_INTERVALS_S = (0.02, 0.04, 0.08, 0.16, 0.32, 0.64)  # after the last packet; then give up
-AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other a little
+AFTER_TRAILER_S = 0.002  # the first pause once a block has ended: packets may overtake each other
 OPEN_BLOCKS = 15  # at full rate the next images begin before the last packets of this one are resent
 PACKETS_PER_ROUND = 64  # requested at a time: a larger burst could overrun the socket again
 _UNPACK_HEADER = struct.Struct(gev.GVSP_HEADER).unpack_from
@@ -37,15 +37,15 @@ class Frame:
     leader: Leader | None
     data: bytearray | memoryview
     missing_packets: int
-    slot: int = 0  # where `data` is in the memory that the assembler was given
+    slot: int = 0  # position of `data` in the memory given to the assembler
 
 
 @dataclass
 class StreamCounters:
-    """What happened on a stream since it was opened."""
+    """Statistics of a stream since it was opened."""
 
     packets: int = 0
-    ignored: int = 0  # not of the standard form, not of an open block, or of a wrong length
+    ignored: int = 0  # not in standard form, not of an open block, or of the wrong length
     duplicates: int = 0
     resend_requests: int = 0
     frames: int = 0
@@ -58,10 +58,10 @@ class _Block:
     block_id: int
     slot: int
     data: bytearray | memoryview
-    came: bytearray  # one flag per packet id, leader and trailer included
+    came: bytearray  # one flag per packet id, including leader and trailer
     leader: Leader | None = None
     left: int = 0
-    rounds: int = 0  # of resend requests since one was fulfilled completely
+    rounds: int = 0  # of resend requests since one was completely fulfilled
     requested: list[int] = field(default_factory=list)  # packets of the last resend request
     last_packet_s: float = 0.0
     gone: set[int] = field(default_factory=set)
@@ -72,9 +72,9 @@ Claim = Callable[[], tuple[int, bytearray | memoryview]]
 
 
 class FrameAssembler:
-    """Assembles the frames of one stream, whose payload and packet size are known from its set-up.
+    """Assembles the frames of one stream with known payload and packet size.
 
-    Frames are put where `claim` says, by default into memory of their own.
+    Frames are stored in the memory from `claim`, by default newly allocated.
     """
 
     def __init__(self, payload_bytes: int, packet_bytes: int, claim: Claim | None = None) -> None:
@@ -86,23 +86,23 @@ class FrameAssembler:
         self._trailer_id = self._payload_packets + 1
         self._open: OrderedDict[int, _Block] = OrderedDict()
         self._newest = 0  # block id; 0 before the first
-        # the last block ids: repeated packets of them are not a new block
+        # the last block ids: their repeated packets are not a new block
         self._finished: deque[int] = deque(maxlen=2 * OPEN_BLOCKS)
         self.counters = StreamCounters()
 
     @property
     def waiting(self) -> bool:
-        """True while a frame has begun and is not complete."""
+        """Whether a frame has begun and is incomplete."""
         return bool(self._open)
 
     def expect(self, block_id: int, from_s: float) -> None:
-        """A block has been triggered: from then on request it, even if none of its packets came."""
+        """A block was triggered: request it from then on, even if none of its packets has arrived."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
         self._block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
-        """Take one packet; returns the frame that it completes, or one that gives way to a newer block."""
+        """Process one packet; returns the frame that it completes, or one displaced by a newer block."""
         self.counters.packets += 1
         if self._store_usual(packet, now_s):
             return None
@@ -116,11 +116,11 @@ class FrameAssembler:
         block = self._block(header.block_id)
         block.last_packet_s = now_s
         self._take(block, header, packet[gev.GVSP_HEADER_BYTES :])
-        # one packet never completes a block, so no frame is lost here
+        # a single packet never completes a block, so no frame is lost here
         return self._finish(block) if block.left == 0 else pushed_out
 
     def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
-        """What to request again, as (block id, first, last packet id), and a frame that is given up."""
+        """What to request again, as (block id, first, last packet id), and a frame that was given up."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._pause_s(block):
                 continue
@@ -128,7 +128,7 @@ class FrameAssembler:
             if self._fulfilled(block):
                 block.rounds = 0
             used_up = block.rounds >= len(RESEND_INTERVALS_S)
-            # an expected block that has not begun may be late: it is requested until it gives way
+            # an expected block that has not begun may be late: it is requested until displaced
             if not missing or (used_up and block.left <= self._trailer_id):
                 return [], self._finish(block)
             block.rounds += not used_up
@@ -140,7 +140,7 @@ class FrameAssembler:
         return [], None
 
     def _pause_s(self, block: _Block) -> float:
-        """How long after its last packet a block is requested again."""
+        """Pause after a block's last packet before it is requested again."""
         if self._fulfilled(block):
             return AFTER_TRAILER_S
         if block.rounds == 0 and block.left <= self._trailer_id:
@@ -150,11 +150,11 @@ class FrameAssembler:
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
     def _expect_skipped(self, block_id: int, now_s: float) -> None:
-        """Blocks between the newest one and this that have not begun must be requested."""
+        """Blocks between the newest one and this one that have not begun must be requested."""
         newest, self._newest = self._newest, block_id
         skipped = (block_id - newest - 1) % gev.BLOCK_ID_LAST if newest else 0
         if skipped >= OPEN_BLOCKS:
-            self._newest = max(newest, block_id)  # a straggler or a wrap-around: nothing to conclude
+            self._newest = max(newest, block_id)  # a straggler or a wrap-around: no conclusion
             return
         for _ in range(skipped):
             newest = following(newest)
@@ -203,7 +203,7 @@ class FrameAssembler:
         packet_id = header.packet_id
         if header.status in _GONE:
             self.counters.refusals += 1
-            # until the trailer came, "unavailable" may only mean "not yet"
+            # until the trailer arrives, "unavailable" may mean "not yet"
             if block.came[self._trailer_id]:
                 block.gone.add(packet_id)
             return
@@ -217,7 +217,7 @@ class FrameAssembler:
         block.left -= 1
 
     def _store(self, block: _Block, header: PacketHeader, content: memoryview) -> bool:
-        """Store the content in its place; False when kind, place and length do not match."""
+        """Store the content in its place; False if kind, position and length do not match."""
         packet_id = header.packet_id
         if packet_id == gev.LEADER_PACKET_ID:
             block.leader = decode_leader(content) if header.kind == GvspFormat.LEADER else None
@@ -244,7 +244,7 @@ class FrameAssembler:
         return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
 
     def _place(self, packet_id: int) -> tuple[int, int]:
-        """Where a payload packet's bytes belong."""
+        """Range of a payload packet's bytes."""
         begin = (packet_id - 1) * self._data_bytes
         return begin, min(begin + self._data_bytes, self._payload_bytes)
 

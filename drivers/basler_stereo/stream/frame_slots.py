@@ -1,8 +1,8 @@
 """Frames in shared memory: written by the receiver process, copied out by the driver.
 
-The memory is anonymous and passed by its file descriptor, so nothing is left behind whoever dies. Frames take
-turns over a few slots. Each slot carries a use count: a reader compares it before and after its copy, and so
-notices a frame that was overwritten in between. Neither side ever waits for the other.
+The memory is anonymous and passed by file descriptor, so nothing is left behind whichever process dies.
+Frames rotate through a few slots. Each slot has a use count, which a reader compares before and after copying
+to detect a frame overwritten in between. Neither side ever waits for the other.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers.basler_stereo.stream.gvsp import Leader
 from ronna_hw.host.memory_map import MemoryMap
 from ronna_hw.host.shared_layout import FieldCode, RowCodec
 
-SLOTS = 32  # more than may be received at a time; the others are whole and wait a third of a second
+SLOTS = 32  # more than can be in reception at a time; the others stay complete for a third of a second
 _MAP = MemoryMap(b"frames")
 _COUNTERS = _MAP.counters(len(fields(StreamCounters)))
 _USE_COUNTS = _MAP.counters(SLOTS)
@@ -34,7 +34,7 @@ def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
 
 
 class _FrameNote(NamedTuple):
-    """What a reader must know to fetch a finished frame."""
+    """What a reader needs to fetch a finished frame."""
 
     slot: Annotated[int, "I"]
     use_count: Annotated[int, "Q"]
@@ -66,7 +66,7 @@ class FrameSlots:
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
-        """The least recently written slot, to be overwritten: its number and its memory."""
+        """The least recently written slot, to be overwritten: its number and memory."""
         self._claimed += 1
         slot = self._claimed % SLOTS
         self._use_counts[slot] = self._claimed
@@ -86,7 +86,7 @@ class FrameSlots:
         )
 
     def fetch(self, note: bytes) -> Frame | None:
-        """A copy of the frame, or None when newer ones have overwritten it."""
+        """A copy of the frame, or None if newer ones have overwritten it."""
         slot, use_count, block_id, missing, leader = _NOTE.unpack(note)
         if self._use_counts[slot] != use_count:
             return None
@@ -97,12 +97,12 @@ class FrameSlots:
         return Frame(block_id, leader, data, missing)
 
     def write_counters(self, counters: StreamCounters) -> None:
-        """Show the counters to the other side."""
+        """Publish the counters to the other side."""
         for index, count in enumerate(vars(counters).values()):
             self._counters[index] = count
 
     def counters(self) -> StreamCounters:
-        """What the other side has counted."""
+        """The counters published by the other side."""
         return StreamCounters(*self._counters)
 
 

@@ -15,16 +15,16 @@ _LEADER = struct.Struct(gev.GVSP_LEADER)
 
 
 class PacketHeader(NamedTuple):
-    """The eight bytes in front of every packet's content."""
+    """The eight bytes before every packet's content."""
 
     status: int
     block_id: int
-    kind: int  # a GvspFormat; the reply to a rejected resend request may carry any
+    kind: int  # a GvspFormat; arbitrary in the reply to a rejected resend request
     packet_id: int
 
 
 class Leader(NamedTuple):
-    """What a camera announces about an image before it sends it."""
+    """What a camera announces about an image before sending it."""
 
     ticks: int
     pixel_format: int
@@ -36,7 +36,7 @@ class Leader(NamedTuple):
 
     @property
     def area(self) -> AreaOfInterest:
-        """The part of the sensor. Imported here: the receiver process needs no readings, nor numpy."""
+        """The part of the sensor. Imported here: the receiver process needs neither readings nor numpy."""
         from ronna_hw.devices.readings import AreaOfInterest
 
         return AreaOfInterest(self.offset_x, self.offset_y, self.width, self.height)
@@ -64,5 +64,5 @@ def decode_leader(content: memoryview) -> Leader | None:
 
 
 def following(block_id: int) -> int:
-    """The block id after this one; it wraps and is never 0."""
+    """The next block id; it wraps around and is never 0."""
     return block_id % gev.BLOCK_ID_LAST + gev.BLOCK_ID_FIRST

@@ -1,4 +1,4 @@
-"""Finds the largest usable stream packet: the camera sends test packets, and we see which arrive."""
+"""Finds the largest usable stream packet: the camera sends test packets, the driver checks which arrive."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from drivers.basler_stereo.stream.stream_socket import probe_arrives
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
-# largest first: jumbo frames of the camera family, ordinary Ethernet, what every path carries
+# largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
 CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
-DEFAULT_BYTES = 1500  # for a device that sends no test packets: what every Ethernet carries
+DEFAULT_BYTES = 1500  # for a device that sends no test packets: any Ethernet carries it
 PROBE_LIMIT_S = 0.1
 PROBES = 2  # per size: one may be lost by chance
 
@@ -23,8 +23,9 @@ def choose_packet_bytes(
 ) -> tuple[int, bool]:
     """The packet size to use, and whether a test packet proved it; sets it in the camera.
 
-    Takes the largest candidate that arrives, or checks the wanted size. A device that sends no test packets
-    gets the wanted or the default size. Raises GEV-012 when only sizes below the wanted one arrive.
+    Uses the largest candidate that arrives, or checks the wanted size. For a device that sends
+    no test packets, the wanted or the default size is used. Raises GEV-012 when only sizes below
+    the wanted one arrive.
     """
     point_stream_to(control, stream, deadline_s)
     try:
@@ -44,7 +45,7 @@ def choose_packet_bytes(
 
 
 def point_stream_to(control: ControlChannel, stream: socket.socket, deadline_s: float) -> None:
-    """Tell the camera where its stream goes."""
+    """Set the camera's stream destination."""
     host, port = stream.getsockname()
     address = int.from_bytes(socket.inet_aton(host), "big")
     control.write_register(Bootstrap.SCDA, address, deadline_s)

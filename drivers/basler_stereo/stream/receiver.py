@@ -1,4 +1,4 @@
-"""The driver's side of the receiver process: starts it, sends it orders, fetches frames."""
+"""The driver's side of the receiver process: starts it, gives it orders, fetches frames."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from drivers.basler_stereo.stream.receiver_orders import (
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
-LOOK_UP_S = 0.1  # while waiting for a frame: how soon a hopeless wait is noticed
+LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a hopeless wait is noticed
 
 
 class ReceiverProcess:
@@ -57,7 +57,7 @@ class ReceiverProcess:
         packet_bytes: int,
         resend: bool,
     ) -> StreamReceiver:
-        """Have a stream received; resend requests go out on `control`. Raises GEV-017."""
+        """Receive a stream; resend requests are sent on `control`. Raises GEV-017."""
         number = next(self._numbers)
         memory = FrameSlots.allocate(payload_bytes)
         try:
@@ -70,13 +70,13 @@ class ReceiverProcess:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
-        """Send a camera keep-alives; returns the number to end them with. Raises GEV-017."""
+        """Send keep-alives to a camera; returns the number for ending them. Raises GEV-017."""
         number = next(self._numbers)
         self._tell(KeepAlive(number, period_s), control.fileno())
         return number
 
     def end_keep_alive(self, number: int) -> None:
-        """No more keep-alives."""
+        """Stop the keep-alives."""
         with contextlib.suppress(ReceiverEnded):
             self._tell(EndKeepAlive(number))
 
@@ -109,27 +109,27 @@ class StreamReceiver:
 
     @property
     def counters(self) -> StreamCounters:
-        """What happened since the stream was opened."""
+        """Statistics since the stream was opened."""
         return self._slots.counters()
 
     @property
     def begun(self) -> bool:
-        """True when any image packet has come since the stream was opened."""
+        """Whether any image packet has arrived since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
 
     def expect(self, block_id: int, patience_s: float) -> None:
-        """A block was triggered; have it requested when it has not begun after `patience_s`."""
+        """A block was triggered; request it if it has not begun after `patience_s`."""
         self._tell(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, hopeless: Callable[[], bool] = lambda: False) -> Frame | None:
-        """The oldest frame not yet taken, or None when none is there by the deadline (host monotonic).
+        """The oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
 
         Also None as soon as `hopeless()`. Raises GEV-017.
         """
         while True:
             left_s = deadline_s - time.monotonic()
-            # a frame that is there is taken even after the deadline
+            # an available frame is taken even after the deadline
             if select.select([self._notes], [], [], max(0.0, min(left_s, LOOK_UP_S)))[0]:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:

@@ -24,13 +24,13 @@ from drivers.basler_stereo.stream.stream_socket import DATAGRAM_LIMIT_BYTES
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand, GvcpFlag
 
-FRAME_WAIT_S = 0.004  # while a frame has begun: how soon a pause is noticed
+FRAME_WAIT_S = 0.004  # while a frame is incomplete: how quickly a pause is noticed
 IDLE_WAIT_S = 1.0
-PACKETS_AT_ONCE = 64  # of one stream before it is the other's turn
-# Packets gather for a moment: waking for each burst costs as much as reading it, and on a busy computer
-# every wake-up waits for its turn.
+PACKETS_AT_ONCE = 64  # of one stream before the other's turn
+# Packets are collected for a moment: waking up for each burst costs as much as reading it, and on a busy
+# computer every wake-up has to wait.
 GATHER_S = 0.002
-GATHER_BUFFER_BYTES = 2 << 20  # as the kernel counts; a link of 1 Gbit/s fills a quarter of it meanwhile
+GATHER_BUFFER_BYTES = 2 << 20  # in the kernel's units; a 1 Gbit/s link fills a quarter of it in that time
 
 
 class _Stream:
@@ -56,17 +56,17 @@ class _Stream:
 
     @property
     def gathers(self) -> bool:
-        """True while packets may stay in the socket for a moment."""
+        """Whether packets may wait in the socket for a moment."""
         return self._may_gather and self._assembler.waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
         self._assembler.expect(block_id, from_s)
 
     def receive(self, buffer: bytearray, view: memoryview) -> bool:
-        """Read the packets that have come, up to a limit; True when there may be more."""
+        """Read the packets that have arrived, up to a limit; True if there may be more."""
         accept, receive = self._assembler.accept, self.socket.recv_into
         now_s = time.monotonic()
-        with contextlib.suppress(OSError):  # nothing more has come
+        with contextlib.suppress(OSError):  # nothing more has arrived
             for _ in range(PACKETS_AT_ONCE):
                 frame = accept(view[: receive(buffer)], now_s)
                 if frame is not None:
@@ -94,14 +94,14 @@ class _Stream:
 
     def _announce(self, frame: Frame) -> None:
         self._slots.write_counters(self._assembler.counters)
-        with contextlib.suppress(OSError):  # the driver does not fetch: newer frames take the slots
+        with contextlib.suppress(OSError):  # the driver does not fetch: newer frames reuse the slots
             self._notes.send(self._slots.note(frame))
 
 
 class _KeepAlive:
     """Keep-alives for one camera.
 
-    They request no acknowledge: the driver's own heartbeat checks who is in control. These go on while the
+    They request no acknowledge: the driver's own heartbeat checks who is in control. They continue while the
     driver is busy or gets no CPU time.
     """
 
@@ -110,7 +110,7 @@ class _KeepAlive:
         self._control = socket.socket(fileno=control)
         self._command = gvcp.encode(
             GvcpCommand.READREG,
-            gev.REQUEST_ID_LAST,  # reserved for us by the driver
+            gev.REQUEST_ID_LAST,  # reserved by the driver for this process
             gvcp.read_register_command(Bootstrap.CCP),
             GvcpFlag(0),
         )

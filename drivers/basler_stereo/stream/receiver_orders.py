@@ -30,7 +30,7 @@ class CloseStream:
 
 @dataclass(frozen=True)
 class ExpectBlock:
-    """A block was triggered; request it when it has not begun after `patience_s`."""
+    """A block was triggered; request it if it has not begun after `patience_s`."""
 
     stream: int
     block_id: int
@@ -39,7 +39,7 @@ class ExpectBlock:
 
 @dataclass(frozen=True)
 class KeepAlive:
-    """Send a camera keep-alives. Descriptor: the control socket."""
+    """Send keep-alives to a camera. Descriptor: the control socket."""
 
     camera: int
     period_s: float

@@ -1,7 +1,7 @@
 """The receiver process: `python -P -m drivers.basler_stereo.stream.receiver_process FD`.
 
-Started by the driver only. It receives both cameras' streams, so that a stalled driver loses no packet.
-The channel FD carries orders; when it closes, the driver is gone.
+Started only by the driver. It receives both cameras' streams, so that a stalled driver loses no packets. The
+channel FD carries orders; when it closes, the driver is gone.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ import sys
 from drivers.basler_stereo.stream.receiver_loop import ReceiverLoop
 
 EXIT_NOT_STARTED = 2
-NICENESS = -10  # the socket holds less than a tenth of a second of packets
+NICENESS = -10  # the socket buffers less than a tenth of a second of packets
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until the driver is gone; returns 2 when not started by it."""
+    """Serve until the driver is gone; returns 2 if not started by it."""
     try:
         orders = socket.socket(fileno=int(arguments[0]))
     except (IndexError, ValueError, OSError) as error:
         print(f"this process is started by the driver only: {error}", file=sys.stderr)  # noqa: T201
         return EXIT_NOT_STARTED
-    # Ctrl-C reaches the whole process group; the driver decides what it means
+    # Ctrl-C reaches the whole process group; the driver decides what to do
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with contextlib.suppress(OSError):  # superuser only; without it a busy computer loses more packets
+    with contextlib.suppress(OSError):  # superuser only; otherwise a busy computer loses more packets
         os.nice(NICENESS)
     gc.freeze()
     ReceiverLoop(orders).run()

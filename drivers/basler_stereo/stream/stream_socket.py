@@ -1,4 +1,4 @@
-"""The socket that a camera streams to."""
+"""The socket that receives a camera's stream."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
 
 
 def probe_arrives(stream: socket.socket, packet_bytes: int, limit_s: float) -> bool:
-    """True when a datagram of that packet size arrives within the limit; others are discarded."""
+    """Whether a datagram of this packet size arrives within the limit; others are discarded."""
     deadline_s = time.monotonic() + limit_s
-    # a datagram that is already there counts even when the host stalled beyond the limit
+    # a datagram that is already there counts even if the host stalled beyond the limit
     while select.select([stream], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
         if len(stream.recv(DATAGRAM_LIMIT_BYTES)) == packet_bytes - gev.IP_UDP_HEADER_BYTES:
             return True

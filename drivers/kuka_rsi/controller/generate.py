@@ -27,9 +27,9 @@ IPO_MODES = {4: "#IPO_FAST", 12: "#IPO"}
 OBJECT_IDS = {"AXISCORR": 33, "AXISCORRMON": 82, "ETHERNET": 64, "STOP": 18}
 OUTPUTS = {"Stat": 1}  # of a correction object, before its axes; RSI 3 files count from 1
 FIRST_UPPER_LIMIT_ID = 13  # parameter ids of AXISCORR: 1..6 lower A, 7..12 lower E, 13..18 upper A
-CONNECTED_FLAG = 951  # $FLAG numbers of the EKI channel; change both here when the cell uses them
+CONNECTED_FLAG = 951  # $FLAG numbers of the EKI channel; change both here if the cell uses them
 RECEIVED_FLAG = 952
-WHOLE_VALUES = (("Val", "val"), ("No", "no"))  # attributes of commands, and KRL variables that take them
+WHOLE_VALUES = (("Val", "val"), ("No", "no"))  # attributes of commands, and the KRL variables for them
 REAL_VALUES = (
     *((name, f"given.{name}") for name in ("X", "Y", "Z", "A", "B", "C")),
     *(("M", "mass"), ("CX", "mass_x"), ("CY", "mass_y"), ("CZ", "mass_z")),
@@ -39,8 +39,8 @@ REAL_VALUES = (
 def render(context: RsiContext) -> dict[str, str]:
     """Name and content of every file.
 
-    Raises WIR-001 for a context that uses objects these files have not, and jinja2's error when a template
-    asks for what is not there.
+    Raises WIR-001 for a context that uses objects missing from these files, and jinja2's error when a
+    template refers to something undefined.
     """
     used = {wire.object for wire in context.wiring} | {wire.object for wire in context.feedback}
     unknown = sorted(used - set(OBJECT_IDS))

@@ -1,7 +1,7 @@
 """The EKI channel: commands with answers, and the controller's state, which is also sent unsolicited.
 
-A thread takes everything the controller sends, because it sends also when nothing was asked; a controller
-whose telegrams are not taken closes the connection.
+A thread reads everything the controller sends, since it also sends unsolicited telegrams and closes the
+connection if they are not read.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
-ASK_AGAIN_S = 0.2  # two periods of the unasked state
-QUIET_S = 0.2  # the same: without a word for so long somebody should look how long it has been
+ASK_AGAIN_S = 0.2  # two periods of the unsolicited state
+QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
 _TIMEVAL = struct.Struct("ll")
 
 T = TypeVar("T")
@@ -59,7 +59,7 @@ class Listener(Protocol):
         ...
 
     def controller_lost(self, failure: RonnaError) -> None:
-        """The connection broke; not called for one that we closed."""
+        """The connection broke; not called for one closed by us."""
         ...
 
 
@@ -79,7 +79,7 @@ class EkiClient:
         timeout_s: float,
         passed: Callable[[Direction, bytes], None] | None = None,
     ) -> None:
-        """Connect; raises EKI-001 when nothing answers at the address. `passed` is told of all bytes."""
+        """Connect; raises EKI-001 when nothing answers at the address. `passed` is called with all bytes."""
         self._passed = passed
         self.where = f"tcp://{host}:{port}"
         try:
@@ -91,7 +91,7 @@ class EkiClient:
             ) from error
         self._socket.settimeout(None)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        # Of receiving only: whoever sends may wait for longer.
+        # Applies to receiving only: senders may wait longer.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(0, round(QUIET_S * 1e6)))
         self._numbers = itertools.count(1)
         self._arrived = threading.Condition()
@@ -152,9 +152,9 @@ class EkiClient:
     def await_state(
         self, condition: Callable[[ControllerState], bool], timeout_s: float
     ) -> ControllerState | None:
-        """The first state that fulfils the condition, or None after the time limit.
+        """The first state that meets the condition, or None after the time limit.
 
-        States come unasked; now and then one is asked for all the same.
+        States arrive unsolicited; one is nevertheless requested now and then.
         """
 
         def fulfilled() -> ControllerState | None:
@@ -224,7 +224,7 @@ class EkiClient:
             self._listener.controller_lost(failure)
 
     def _lost(self, how: str) -> ControllerLost:
-        """The broken connection; one on which no word came was not taken up at all."""
+        """The error for a broken connection; one that never delivered a state was never really open."""
         if self._latest is None:
             return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_TAKEN_UP)
         return ControllerLost(f"{self.where}{how}")
@@ -254,7 +254,7 @@ class EkiClient:
                 self._latest = state
                 _keep(self._states, number, state)
             elif root.tag == ACK:
-                # A motion is answered twice; the first answer is what the caller waits for.
+                # A motion is answered twice; the caller waits for the first answer.
                 _keep(self._acks, number, Ack(code, root.get("Text") or ""))
             self._arrived.notify_all()
         if state is not None and self._listener is not None:

@@ -8,7 +8,7 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.wire.kuka_eki import CommandName
 
-AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could change
+AT_REST = (Lifecycle.CONNECTED, Lifecycle.CONFIGURED)  # no active corrections that a new frame could alter
 DEFAULT_TIMEOUT_S = 5.0
 
 
@@ -44,7 +44,7 @@ class ControllerCommands:
         self._give(CommandName.SET_BASE, timeout_s, No=number, **_frame(base_in_world))
 
     def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
-        """Program override, 1..100; corrections by RSI are not scaled by it."""
+        """Program override, 1..100; does not scale RSI corrections."""
         self._give(CommandName.SET_OV, timeout_s, Val=percent)
 
     def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:

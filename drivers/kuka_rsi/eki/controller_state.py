@@ -25,7 +25,7 @@ IN_A_CONTEXT = "a context of the same telegrams, Type, wiring, limits, HOLDON, T
 
 @dataclass(frozen=True)
 class ControllerState:
-    """One `State`. The last five are None when the controller does not report them."""
+    """One `State`. The last five are None if the controller does not report them."""
 
     received_s: float  # host monotonic
     mode: OperationMode
@@ -45,7 +45,7 @@ class ControllerState:
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:
-    """Read a `State` element; raises EKI-004 when something that must be there is missing or not a number."""
+    """Read a `State` element; raises EKI-004 if a required value is missing or not a number."""
     get = element.get
     axis = element.find(AXIS)
     if element.tag != STATE or axis is None:
@@ -77,7 +77,7 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
 
 
 def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
-    """Facts that the controller does not report; raises EKI-005 listing every reported one that differs."""
+    """What the controller does not report; raises EKI-005 listing every reported value that differs."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
         ("cycle in ms", context.program.cycle_ms, state.cycle_ms),
@@ -102,7 +102,7 @@ def require_ours(state: ControllerState, context: RsiContext, variant: ArmVarian
 def require_ready(
     state: ControllerState, *, drives: bool, modes: tuple[OperationMode, ...] = (OperationMode.EXT,)
 ) -> None:
-    """Raise EKI-007 listing everything that forbids motion; `drives`: they must be on already."""
+    """Raise EKI-007 listing everything that forbids motion; `drives`: they must already be on."""
     unmet = what_forbids_motion(state, drives=drives, modes=modes)
     if unmet:
         raise ControllerNotReady("the controller is not ready: " + "; ".join(unmet))
@@ -127,7 +127,7 @@ def what_forbids_motion(
 
 
 def _number(text: str) -> float:
-    """A comparison with what is not a number is never true: it must not get as far as one."""
+    """Rejects NaN, for which every comparison would be false."""
     value = float(text)
     if not isfinite(value):
         raise ValueError(f"{text!r} is not a number")

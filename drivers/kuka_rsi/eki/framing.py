@@ -1,6 +1,6 @@
 """Splits a byte stream into telegrams: EKI has no framing, a telegram ends with its root element.
 
-What breaks off is told with the first bytes of the next telegram. Else the next one would count as a part of
+A truncated telegram is detected by the first bytes of the next one. Otherwise the next would count as part of
 it, and the controller would go unheard until the longest telegram is full.
 """
 
@@ -16,26 +16,26 @@ from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.wire.kuka_eki import ACK, STATE
 
 LONGEST_TELEGRAM = 16384  # the default BUFFSIZE of an EKI channel
-ROOTS = (STATE.encode(), ACK.encode())  # what a controller begins a telegram with, and nothing else
+ROOTS = (STATE.encode(), ACK.encode())  # root tags with which a controller begins a telegram
 
 _MARK = re.compile(rb"[<>\"']")
 _NAME = re.compile(rb"[^\s/>]*")
 
 
 class TelegramScanner:
-    """Feed it received bytes; it returns the complete root elements.
+    """Feed it received bytes; it yields the complete root elements.
 
-    Padding and anything else before a root is skipped. A declaration of a document type is refused.
+    Padding and anything else before a root is skipped. A document type declaration is refused.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._begin = -1  # of the root, -1 while between telegrams
+        self._begin = -1  # of the root, -1 between telegrams
         self._place = 0  # scanned so far
         self._depth = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
-        """Whole telegrams, in order. Raises EKI-004 when one breaks off, grows too long or is not XML."""
+        """Complete telegrams, in order. Raises EKI-004 if one is truncated, grows too long or is not XML."""
         self._buffer += data
         while (tag := self._next_tag()) is not None:
             start, end = tag
@@ -64,7 +64,7 @@ class TelegramScanner:
             )
 
     def _next_tag(self) -> tuple[int, int] | None:
-        """Positions of the next "<" and its ">", quotes respected; None until both are there."""
+        """Positions of the next "<" and its ">", respecting quotes; None until both have arrived."""
         buffer = self._buffer
         start = buffer.find(b"<", self._place)
         if start < 0:
@@ -79,7 +79,7 @@ class TelegramScanner:
         for mark in _MARK.finditer(buffer, start + 1):
             found = mark[0]
             if found == b"<":
-                self._break_off()  # no tag holds one, not even in quotes
+                self._break_off()  # no tag contains one, not even in quotes
             if quote:
                 quote = b"" if found == quote else quote
             elif found != b">":
@@ -95,13 +95,13 @@ class TelegramScanner:
 
 
 def _name(tag: bytes) -> bytes:
-    """Of an opening tag; empty for a closing one."""
+    """Name of an opening tag; empty for a closing one."""
     found = _NAME.match(tag)
     return found[0] if found else b""
 
 
 def parse_telegram(telegram: bytes) -> ElementTree.Element:
-    """The root element; raises EKI-004 when the bytes are not well formed."""
+    """The root element; raises EKI-004 when the bytes are not well-formed."""
     try:
         return parse_xml(telegram, LONGEST_TELEGRAM)
     except InputRefused as error:

@@ -1,6 +1,7 @@
 """Bins of the link's histograms, in microseconds of host time: turnaround and jitter.
 
-Turnaround is telegram received to reply sent; jitter is how far a telegram came from its place in the pace.
+Turnaround is from telegram received to reply sent; jitter is a telegram's deviation from
+its expected arrival.
 """
 
 from __future__ import annotations
@@ -13,21 +14,21 @@ from drivers.kuka_rsi.realtime.mailbox import HISTOGRAM_BINS
 from ronna_hw.devices.readings import LinkStatistics
 
 FIRST_EDGE_US = 2.0
-RATIO = 1.25  # a bin is a quarter wider than the one before: the last of 64 ends above 3 s
+RATIO = 1.25  # a bin is a quarter wider than the previous one: the last of 64 ends above 3 s
 _SCALE = 1.0 / log(RATIO)
 
 EDGES_US = (0.0, *(FIRST_EDGE_US * RATIO**k for k in range(HISTOGRAM_BINS)))
 
 
 def bin_of(turnaround_us: float) -> int:
-    """Number of the bin that holds a turnaround; the last one takes everything longer."""
+    """Number of the bin for a turnaround; the last one includes everything longer."""
     if turnaround_us < FIRST_EDGE_US:
         return 0
     return min(1 + int(log(turnaround_us / FIRST_EDGE_US) * _SCALE), HISTOGRAM_BINS - 1)
 
 
 def percentile_us(counts: Sequence[int], share: float) -> float:
-    """Turnaround below which `share` (0..1) of the cycles lie, interpolated in its bin; 0 without cycles."""
+    """Turnaround that `share` (0..1) of the cycles stay below, interpolated in its bin; 0 without cycles."""
     total = sum(counts)
     if not total:
         return 0.0

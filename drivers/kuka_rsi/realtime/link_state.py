@@ -13,12 +13,12 @@ from ronna_hw.host.shared_layout import IPV4_HOST, one_of
 
 
 class CommandKind(IntEnum):
-    """What the command block holds."""
+    """Kind of a command in the command block."""
 
     MOVE = 1
     OPEN = 2  # answer the next telegrams; the first correction is zero
     END = 3  # at rest, send Stop until the telegrams cease
-    CLOSE = 4  # answer no more; clears a fault
+    CLOSE = 4  # stop answering; clears a fault
 
 
 class StopOrder(IntEnum):
@@ -35,12 +35,12 @@ class Phase(IntEnum):
 
     STARTING = 0
     IDLE = 1  # no session: telegrams are not answered
-    ARMED = 2  # a session is open, the first telegram has not come
+    ARMED = 2  # a session is open, the first telegram has not arrived
     RUNNING = 3
     FAULT = 4  # latched: stopping or at rest, telegrams are answered with the last point
     ENDING = 5  # Stop is being sent
-    SILENT = 6  # replies have ceased on request
-    FAILED = 7  # could not start; `errno` says why
+    SILENT = 6  # replies have been stopped on request
+    FAILED = 7  # could not start; `errno` is the reason
 
 
 class Fault(IntEnum):
@@ -56,7 +56,7 @@ class Fault(IntEnum):
     PATH = 7
     RESTARTED = 8
     BASE = 9  # the first telegram's axes are outside the joint ranges
-    LOSSES = 10  # too many cycles without a reply that acted
+    LOSSES = 10  # too many cycles without an effective reply
 
 
 class Result(IntEnum):
@@ -67,7 +67,7 @@ class Result(IntEnum):
     DONE = 2  # the path ended and the arm settled
     STOPPED = 3  # stopped on the way, and settled
     REFUSED_BUSY = 4
-    REFUSED_START = 5  # planned from somewhere else
+    REFUSED_START = 5  # planned from a different position
     REFUSED_PHASE = 6
     REFUSED_NUMBERS = 7
     REFUSED_STOP = 8  # a stop was ordered after the motion was planned
@@ -81,12 +81,12 @@ NOTHING_AROUND = Surroundings()
 CHOICES = ("go", "stop", "repeat", "hold")
 
 
-STOP_KIND_BITS = 3  # of the word of a stop: its kind; above them its number
+STOP_KIND_BITS = 3  # lowest bits of the stop word: its kind; above them its number
 STOP_KIND = (1 << STOP_KIND_BITS) - 1
 
 
 class Orders(NamedTuple):
-    """The three words the real-time process reads in every cycle."""
+    """The three words that the real-time process reads in every cycle."""
 
     heartbeat: int
     stop_word: int
@@ -99,9 +99,9 @@ class Command(NamedTuple):
     number: int
     kind: CommandKind
     plan: MotionPlan | None = None
-    stop_number: int = 0  # the last stop known when it was written: a later stop overtakes the motion
-    surroundings: Surroundings = NOTHING_AROUND  # by which a MOVE is watched
-    axes_rad: JointVector | None = None  # by which OPEN knows the controller's first telegram; None: any is
+    stop_number: int = 0  # the last stop known when it was written: a later stop overrides the motion
+    surroundings: Surroundings = NOTHING_AROUND  # used to monitor a MOVE
+    axes_rad: JointVector | None = None  # how OPEN recognises the controller's first telegram; None: any
 
 
 class LinkState(NamedTuple):
@@ -121,12 +121,12 @@ class LinkState(NamedTuple):
     command_number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]  # the last stop order seen
     late: Annotated[int, "Q"]  # the controller's count
-    lost: Annotated[int, "Q"]  # telegrams that never came, by the gap in IPOC
+    lost: Annotated[int, "Q"]  # telegrams that never arrived, from the gap in IPOC
     rejected: Annotated[int, "Q"]
-    dropped: Annotated[int, "Q"]  # older ones that were queued behind a stall
-    foreign: Annotated[int, "Q"]  # from any other sender than the controller
-    foreign_host: Annotated[str, IPV4_HOST]  # the last of those, or of the next; "" for none
-    disagreeing: Annotated[int, "Q"]  # told other axes than expected before the session began
+    dropped: Annotated[int, "Q"]  # older ones queued up behind a stall
+    foreign: Annotated[int, "Q"]  # from senders other than the controller
+    foreign_host: Annotated[str, IPV4_HOST]  # of the last such sender, or the next one; "" for none
+    disagreeing: Annotated[int, "Q"]  # reported other axes than expected before the session began
     measured_rad: Annotated[JointVector, "6d"]
     commanded_rad: Annotated[JointVector, "6d"]
     base_rad: Annotated[JointVector, "6d"]

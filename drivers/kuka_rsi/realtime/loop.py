@@ -1,13 +1,13 @@
 """The loop of the real-time process: receive, answer, then prepare the next answer.
 
-The controller sends first and clocks everything. Between receiving and sending nothing is computed that could
+The controller sends first and clocks everything. Nothing is computed between receiving and sending that could
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
-anybody but the session's controller are counted and otherwise ignored.
+anyone but the session's controller are counted and otherwise ignored.
 
-This process runs before all others, so whatever carries the reply away on this processor (the network's
-soft interrupt, or a controller's stand-in) would wait until the next set-point is prepared. So the processor
-is given away for a moment once the reply is out. Without it a peer on this machine sees the preparation,
-60 us and more, as turnaround.
+This process has priority over all others, so whatever transmits the reply on this processor (the network's
+soft interrupt, or a controller's stand-in) would have to wait until the next set-point is prepared. The
+processor is therefore yielded for a moment once the reply is out. Otherwise a peer on this machine would see
+the preparation, 60 us and more, as turnaround.
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ from drivers.kuka_rsi.realtime.telegram import (
 from drivers.kuka_rsi.realtime.telegram_receiver import TelegramReceiver
 from ronna_hw.host.processor_affinity import ProcessorAffinity
 
-# Without the parent, no telegram for so long: nobody is left to answer.
-QUIET_AFTER_STOP_NS = 100_000_000  # the program has been asked to end
-QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a computer under load stalls for less
-LONGEST_ENDING_CYCLES = 250  # of Stop being sent after the parent is gone
-BUNCH_S = 200e-6  # in which telegrams that were held up together come
+# Without the parent and without a telegram for this long, there is no one left to answer.
+QUIET_AFTER_STOP_NS = 100_000_000  # the program was asked to end
+QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a loaded computer stalls for less
+LONGEST_ENDING_CYCLES = 250  # of sending Stop after the parent is gone
+BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
 GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
-STRANGERS_AT_ONCE = 8  # looked at per cycle: whoever floods the port must not hold up the reply
-LATE_CYCLES = 1.5  # waited so many for a telegram: the host, or the network, was held up
+STRANGERS_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
+LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
 
@@ -72,19 +72,19 @@ class LinkLoop:
         self._granted = (real_time, locked)
         self._controller_host = settings.controller_host
         self._keeps_bytes = settings.keeps_bytes
-        self._received_ns = 0  # when the last telegram was there
-        self._last_data = b""  # of the last telegram that was answered
+        self._received_ns = 0  # arrival of the last telegram
+        self._last_data = b""  # the last telegram answered
         self._last_reply = b""
         self._sent_ns = 0
         self._late_ns = round(LATE_CYCLES * settings.cycle_ms * 1e6)
-        self._answered_ns = 0  # when the last telegram that was answered was there
+        self._answered_ns = 0  # arrival of the last telegram answered
         self._paced_ns = round(PACED_SHARE * settings.cycle_ms * 1e6)
-        self._turnaround_us = 0.0  # until its reply was out
+        self._turnaround_us = 0.0  # until its reply was sent
         self._peer: Address | None = None
         self._command_number = 0
         self._published: tuple[object, ...] = ()
         self._ending_cycles = 0
-        self._stop_sent = False  # by the last reply
+        self._stop_sent = False  # in the last reply
         self._cycles_since_fault = 0
 
     def run(self) -> None:
@@ -103,20 +103,20 @@ class LinkLoop:
         self._rehearsal.close()
 
     def _receive(self) -> Received | None:
-        """The controller's newest telegram, or None when none arrived for a while."""
+        """The controller's newest telegram, or None if none arrived for a while."""
         if self._peer is not None and self.responder.phase not in STREAMING_PHASES:
             self._part()
         received = self._receiver.next()
         if received is None:
             return None
         self._received_ns = self._receiver.received_ns
-        # The usual sender first: a call costs as much as the reading of a telegram.
+        # The usual sender first: a call costs as much as reading a telegram.
         newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
-        # What was held up comes in a bunch, one behind the other: only its end is worth an answer.
+        # Delayed telegrams arrive in a burst: only the last one is worth an answer.
         late = self._received_ns - self._answered_ns >= self._late_ns
         if late:
             time.sleep(BUNCH_S)
-        # Before a session anybody's may be the newest: each is looked at.
+        # Before a session, anyone's may be the newest: each is checked.
         if (late or self._receiver.queued) and self.responder.phase is not Phase.ARMED:
             newest = self._drain(newest)
         return newest
@@ -149,7 +149,7 @@ class LinkLoop:
             address = self._sockets.stranger()
             if address is None:
                 return
-            if address != self._peer:  # its own may still lie there from before the session
+            if address != self._peer:  # the controller's own may still be queued from before the session
                 self.responder.strangers.met(address[0])
 
     def _is_foreign(self, address: Address) -> bool:
@@ -195,7 +195,7 @@ class LinkLoop:
         self._after_reply(data, telegram.ipoc, orders)
 
     def _foreseen(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
-        """The match of a regular telegram, and the prepared reply when that is the one to send."""
+        """The match of a regular telegram, and the prepared reply if that is the one to send."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
             ready is None
@@ -268,7 +268,7 @@ class LinkLoop:
         self._publish()
 
     def _new_command(self, number: int) -> Command | None:
-        """The command block when it holds a command not seen yet and is whole."""
+        """The command block, if it contains a complete command not seen yet."""
         if number == self._command_number:
             return None
         command = self._mailbox.read_command()

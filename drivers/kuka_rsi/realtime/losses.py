@@ -1,21 +1,21 @@
-"""Counts what goes missing on the real-time link: which replies acted, and when the arm should go slower.
+"""Counts losses on the real-time link: which replies took effect, and when the arm should slow down.
 
-A telegram that never came shows as a gap in the time stamps. A reply that was lost, or was late, shows in the
-controller's own count in the next telegram. The controller counts the cycles of a gap as well, for nobody
-answered them: only what it counts beyond the gap says that our last reply was not taken.
+A telegram that never arrived shows as a gap in the time stamps. A reply that was lost or late shows in the
+controller's own count in the next telegram. The controller also counts the cycles of a gap, since they were
+not answered: only a count beyond the gap means that our last reply was not accepted.
 """
 
 from __future__ import annotations
 
 DEGRADED_ABOVE = 3  # lost cycles in one stretch
-STRETCH_CYCLES = 250  # without a loss for so long, the count of the stretch begins anew (1 s at 4 ms)
+STRETCH_CYCLES = 250  # loss-free cycles after which the count of the stretch restarts (1 s at 4 ms)
 WINDOW_CYCLES = 250  # over which the share of lost cycles is judged
-UNUSABLE_SHARE = 0.35  # of two windows in a row: far above 20 %, which is worked through
-UNUSABLE_WINDOWS = 2  # one stall of the host, or one burst, fills no two
-RECOVERED_CYCLES = 1000  # without a loss for so long, full working speed is allowed again
+UNUSABLE_SHARE = 0.35  # in two consecutive windows: far above 20 %, which is tolerated
+UNUSABLE_WINDOWS = 2  # one stall of the host, or one burst, does not fill two
+RECOVERED_CYCLES = 1000  # loss-free cycles after which full working speed is allowed again
 IPOC_WRAP = 2**32
-STALE_CYCLES = 25  # a telegram so far back was overtaken on the way; further back it is another run's
-STALE_IN_A_ROW = 3  # more are no accident of the network
+STALE_CYCLES = 25  # a telegram this far back was overtaken on the way; farther back it belongs to another run
+STALE_IN_A_ROW = 3  # more are no coincidence
 RESTART_MS = 10_000  # a jump of the time stamp beyond this is another run, not a gap
 
 
@@ -28,15 +28,15 @@ class Losses:
         self._last_delay = 0
         self._stretch = 0
         self._clean = 0
-        self._stale = 0  # in a row
+        self._stale = 0  # consecutive
         self._window = (0, 0)  # cycles and losses of the present one
-        self._bad_windows = 0  # in a row
-        self.reported_late = -1  # the controller's own count in the last telegram, -1 when it sends none
+        self._bad_windows = 0  # consecutive
+        self.reported_late = -1  # the controller's own count in the last telegram, -1 if it sends none
         self.lost = 0
         self.late = 0
         self.degraded = False
-        self.untaken = False  # the last reply did not act
-        self.standing = 0  # cycles in a row up to now in which no reply acted
+        self.untaken = False  # the last reply had no effect
+        self.standing = 0  # consecutive cycles, up to now, without an effective reply
 
     def count(self, ipoc: int, delay: int) -> int | None:
         """Cycles missing before this telegram; -1 for a repeated or overtaken one, None for another run's."""
@@ -67,7 +67,7 @@ class Losses:
 
     @property
     def unusable(self) -> bool:
-        """True when losses have been too high for too long for any motion to make progress."""
+        """Whether losses have been too high for too long for any motion to progress."""
         return self._bad_windows >= UNUSABLE_WINDOWS
 
     def _judge_window(self, cycles: int, losses: int) -> None:

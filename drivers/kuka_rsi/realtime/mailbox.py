@@ -1,7 +1,7 @@
 """Shared memory between the driver and its real-time process: orders in, state out, last cycles kept.
 
 The memory is anonymous and passed by an inherited file descriptor, so nothing is left behind whichever side
-dies. Every place in it has one writer; half-written rows are noticed by their checksum.
+dies. Every location in it has one writer; half-written rows are detected by their checksum.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256
 LONGEST_SURROUNDINGS_BYTES = 24_000
 KEPT_BYTES = 1 << 20  # of telegrams and replies: a third of a second at the pace of lock-step
-LONGEST_KEPT_BYTES = 1 << 15  # a datagram of the longest kind and its reply
+LONGEST_KEPT_BYTES = 1 << 15  # a datagram of maximum length and its reply
 READ_TRIES = 100  # a writer is in the block for about 2 us
-NO_JOINTS: JointVector = (0.0,) * 6  # of a command that moves nothing
+NO_JOINTS: JointVector = (0.0,) * 6  # for a command without motion
 NO_STEP = SpeedStep(0.0, 0.0)
 
 
 class CommandRow(NamedTuple):
-    """A `Command` in plain numbers; a change of `surroundings_number` means that they must be read again."""
+    """A `Command` in plain numbers; a changed `surroundings_number` means that they must be read again."""
 
     number: Annotated[int, "Q"]
     stop_number: Annotated[int, "Q"]
@@ -64,7 +64,7 @@ _MAP = MemoryMap(b"RONNARSI")
 _HEARTBEAT = _MAP.word()
 _STOP = _MAP.word()  # stop number and StopOrder
 _COMMAND_NUMBER = _MAP.word()  # of the command in the row
-_ALIVE_NS = _MAP.word()  # host monotonic time at which the real-time process last looked round
+_ALIVE_NS = _MAP.word()  # host monotonic time of the real-time process' last heartbeat
 _COMMAND = _MAP.checked(CommandRow)
 _STATE = _MAP.checked(LinkState)
 _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
@@ -76,7 +76,7 @@ _KEPT_HEAD = struct.Struct("<qqII")  # received and sent, host monotonic ns; len
 
 
 class KeptCycle(NamedTuple):
-    """A telegram and its reply; the reply is empty when there was none. Host monotonic time."""
+    """A telegram and its reply, which is empty if there was none. Host monotonic time."""
 
     received_ns: int
     sent_ns: int
@@ -85,7 +85,7 @@ class KeptCycle(NamedTuple):
 
 
 class MailboxTorn(RuntimeError):
-    """A row was never whole: the other side writes all the time, or the memory is not one of ours."""
+    """No row was ever complete: the other side writes constantly, or the memory is not ours."""
 
 
 class Mailbox:
@@ -95,7 +95,7 @@ class Mailbox:
         self._memory = mmap.mmap(fd, _MAP.size_bytes)
         self._histogram = _TURNAROUNDS.view(self._memory)
         self._jitter = _JITTER.view(self._memory)
-        self._surroundings = Surroundings()  # the last written or read
+        self._surroundings = Surroundings()  # last written or read
         self._surroundings_number = 0
         self._fetched = 0  # bytes of kept cycles
 
@@ -109,12 +109,12 @@ class Mailbox:
         mailbox.close()
 
     def close(self) -> None:
-        """Let go of the memory."""
+        """Release the memory."""
         self._histogram.release()
         self._jitter.release()
         self._memory.close()
 
-    # The driver's side writes ...
+    # Written by the driver ...
 
     def beat(self, count: int) -> None:
         _HEARTBEAT.write(self._memory, count)
@@ -140,14 +140,14 @@ class Mailbox:
         self._surroundings_number += 1
         _SURROUNDINGS.write(self._memory, line)
 
-    # ... and the real-time process reads.
+    # ... and read by the real-time process.
 
     def orders(self) -> Orders:
         memory = self._memory
         return Orders(_HEARTBEAT.read(memory), _STOP.read(memory), _COMMAND_NUMBER.read(memory))
 
     def stop_word(self) -> int:
-        """The one order that changes the very next reply."""
+        """The one order that affects the very next reply."""
         return _STOP.read(self._memory)
 
     def read_command(self) -> Command | None:
@@ -159,7 +159,7 @@ class Mailbox:
         return Command(row.number, row.kind, _plan_of(row), row.stop_number, self._surroundings, axes_rad)
 
     def _read_surroundings(self, number: int) -> bool:
-        """Take over new surroundings; False while they are being written."""
+        """Adopt new surroundings; False while they are being written."""
         if number == self._surroundings_number:
             return True
         line = _SURROUNDINGS.read(self._memory)
@@ -169,7 +169,7 @@ class Mailbox:
         self._surroundings_number = number
         return True
 
-    # The real-time process writes ...
+    # Written by the real-time process ...
 
     def write_state(self, state: LinkState) -> None:
         _STATE.write(self._memory, state)
@@ -191,19 +191,19 @@ class Mailbox:
         _RECORDER.write(self._memory, record, record.cycle % RECORDER_CYCLES)
 
     def keep(self, received_ns: int, sent_ns: int, telegram: bytes, reply: bytes) -> None:
-        """Keep what passed, until the driver fetches it or it is overwritten."""
+        """Keep a cycle's traffic until the driver fetches it or it is overwritten."""
         head = _KEPT_HEAD.pack(received_ns, sent_ns, len(telegram), len(reply))
         _KEPT.write(self._memory, head + telegram + reply)
 
-    # ... and the driver reads.
+    # ... and read by the driver.
 
     def fetch_kept(self) -> tuple[list[KeptCycle], int]:
-        """What was kept since the last call, and how many bytes were overwritten before they were fetched."""
+        """What was kept since the last call, and the number of bytes overwritten before they were fetched."""
         content, self._fetched, lost = _KEPT.read(self._memory, self._fetched)
         return list(_kept_cycles(content)), lost
 
     def read_state(self) -> LinkState:
-        """The state of the last cycle; raises MailboxTorn when no whole one can be had."""
+        """The state of the last cycle; raises MailboxTorn if no complete one can be read."""
         for _ in range(READ_TRIES):
             state = _STATE.read(self._memory)
             if state is not None:
@@ -211,7 +211,7 @@ class Mailbox:
         raise MailboxTorn("the state row is never consistent")
 
     def said_alive_ns(self) -> int:
-        """When the real-time process last looked round, host monotonic; 0 before the first time."""
+        """Host monotonic time of the real-time process' last heartbeat; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
     def histogram(self) -> tuple[int, ...]:

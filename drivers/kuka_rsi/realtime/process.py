@@ -1,6 +1,6 @@
 """The real-time process: `python -P -m drivers.kuka_rsi.realtime.process`, started by the driver only.
 
-Standard input carries one line of settings and then nothing: when it closes, the parent is gone. Orders and
+Standard input carries one line of settings and nothing else: when it closes, the parent is gone. Orders and
 state go through the mailbox, whose descriptor is inherited. Nothing is written to standard output.
 """
 
@@ -30,7 +30,7 @@ EXIT_NOT_STARTED = 2
 
 
 def main() -> int:
-    """Serve until the parent is gone; 2 when the settings or the port are no good."""
+    """Serve until the parent is gone; 2 if the settings or the port are invalid."""
     try:
         settings = LinkSettings.from_json(sys.stdin.readline())
         mailbox = Mailbox(settings.mailbox_fd)
@@ -67,7 +67,7 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
         loop.responder.parent_gone = True
 
     def parent_died(_signal: int, _frame: FrameType | None) -> None:
-        # The system says so also when only the thread that started us has ended.
+        # The signal also arrives when only the thread that started this process has ended.
         if os.getppid() != parent_pid:
             loop.responder.parent_gone = True
 
@@ -76,7 +76,7 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
 
     signal.signal(PARENT_DEATH_SIGNAL, parent_died)
     signal.signal(signal.SIGTERM, terminated)
-    # An interrupt on the terminal goes to the whole group; the parent decides what it means.
+    # An interrupt on the terminal goes to the whole group; the parent decides what to do.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal_on_parent_death()
     if os.getppid() != parent_pid:
@@ -87,4 +87,4 @@ def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
 if __name__ == "__main__":
     code = main()
     sys.stderr.flush()
-    os._exit(code)  # nothing is left to be cleaned up, and the parent waits for the end
+    os._exit(code)  # nothing is left to clean up, and the parent waits for the end

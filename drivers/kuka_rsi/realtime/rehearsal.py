@@ -23,5 +23,5 @@ class Rehearsal:
             self._own.recv(LONGEST_TELEGRAM, socket.MSG_DONTWAIT)
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._own.close()

@@ -14,7 +14,7 @@ NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 class PreparedReply(NamedTuple):
-    """The complete reply to the next expected telegram, valid if that telegram brings nothing new."""
+    """The complete reply to the next expected telegram, valid if that telegram contains nothing new."""
 
     delay_and_ipoc: tuple[bytes, bytes]  # the controller's count unchanged, the next cycle
     stop_word: int  # no new stop
@@ -23,7 +23,7 @@ class PreparedReply(NamedTuple):
 
 
 class Replies:
-    """Corrections count from `begin`'s axes; a head is everything before the IPOC."""
+    """Corrections are relative to `begin`'s axes; a head is everything before the IPOC."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._writer = ReplyWriter(
@@ -31,14 +31,14 @@ class Replies:
         )
         self._cycle_ms = settings.cycle_ms
         self._base_deg = NO_AXES
-        self.heads = (b"", b"")  # to go on and to stop
+        self.heads = (b"", b"")  # to continue and to stop
 
     def begin(self, base_deg: JointVector) -> None:
         """Start a run: the controller adds corrections to these axes."""
         self._base_deg = base_deg
 
     def prepare(self, points: SetPoints, *, ending: bool) -> None:
-        """Write the heads of what was prepared; `ending`: Stop is sent at rest."""
+        """Write the heads for the prepared points; `ending`: Stop is sent at rest."""
         if points.moving:
             self.heads = (self.head(points.go_rad, False), self.head(points.stop_rad, False))
         else:

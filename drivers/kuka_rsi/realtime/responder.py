@@ -1,13 +1,13 @@
-"""What the real-time process does with each telegram, without any input or output of its own.
+"""What the real-time process does with each telegram, without any I/O of its own.
 
-Reply k carries a point prepared after reply k-1. When a telegram comes, only orders, losses and what is known
-to be wrong are looked at, and that decides between the point to go on and the first point of a stop. The
-measured axes are judged when the reply is out.
+Reply k carries a point prepared after reply k-1. When a telegram arrives, only orders, losses and known
+faults are checked, to decide between the point that continues and the first point of a stop. The measured
+axes are judged once the reply is out.
 
-When the controller tells that it did not take the last reply, the path waits: the same point is sent again,
-and what was prepared keeps. So each step that acts is one that was prepared, whatever is lost. If the
-controller tells one telegram late, two prepared steps may act at once, which it accepts below an eighth of
-full speed; one that never tells gets the path as it was planned.
+If the controller reports that it did not accept the last reply, the path waits: the same point is sent again,
+and the prepared ones are kept. So each effective step is one that was prepared, whatever is lost. If the
+controller reports it one telegram late, two prepared steps may take effect at once, which it accepts below an
+eighth of full speed; one that never reports it gets the path as planned.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 
-SETTLE_CYCLES = 10  # in a row within the tolerance
-DEGRADED_SPEED = 0.5  # part of the planned speed after losses
-HELD_AFTER_CYCLES = 3  # without a reply that acts; after more the arm stands still at the held point
-START_TOLERANCE_RAD = 1e-9  # between where a motion was planned from and the last point sent
-RANGE_TOLERANCE_DEG = 0.01  # of the first telegram's axes: an arm may stand at its end switch
+SETTLE_CYCLES = 10  # consecutive, within the tolerance
+DEGRADED_SPEED = 0.5  # share of the planned speed after losses
+HELD_AFTER_CYCLES = 3  # without an effective reply; after more the arm is at rest at the held point
+START_TOLERANCE_RAD = 1e-9  # between a motion's planned start and the last point sent
+RANGE_TOLERANCE_DEG = 0.01  # for the first telegram's axes: an arm may be at its end switch
 
 _STOP_FAULTS = {
     StopOrder.PROTECTIVE: Fault.PROTECTIVE,
@@ -55,7 +55,7 @@ STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Responder:
-    """State of the link across cycles. `answer`, send, `after_reply`; `idle` when nothing comes."""
+    """State of the link across cycles. `answer`, send, `after_reply`; `idle` if nothing arrives."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
@@ -74,16 +74,16 @@ class Responder:
         self.dropped = 0
         self.strangers = Strangers()
         self.cycles = 0
-        self.jitter_us = 0.0  # how far the last telegram was from its place in the pace
+        self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
         self.parent_gone = False
         self.choice = Choice.GO
         self.ready: PreparedReply | None = None
         self._heartbeat = (0, 0)  # value, and when it was first seen
-        self._stop_word = 0  # the last order seen
+        self._stop_word = 0  # last order seen
         self._command_number = 0
         self._ipoc = 0
         self._received_ns = self._before_ns = 0
-        self._missing = 0  # telegrams that never came before the last one
+        self._missing = 0  # telegrams lost before the last one
         self._axes_deg: JointVector = NO_STATE.measured_rad
         self._measured: JointVector = NO_STATE.measured_rad
         self._losses = Losses(settings.cycle_ms)
@@ -94,7 +94,7 @@ class Responder:
 
     @property
     def moving(self) -> bool:
-        """Whether set-points change."""
+        """Whether set-points are changing."""
         return self._points is not None and self._points.moving
 
     @property
@@ -108,7 +108,7 @@ class Responder:
         return self._measured
 
     def answer(self, telegram: Telegram, orders: Orders, now_ns: int) -> bytes | None:
-        """The reply up to its IPOC, or None when this telegram is not to be answered."""
+        """The reply up to its IPOC, or None if this telegram is not to be answered."""
         self.ready = None
         self._axes_deg = telegram.axes_deg
         self._before_ns, self._received_ns = self._received_ns, now_ns
@@ -128,7 +128,7 @@ class Responder:
         self._ipoc = ipoc
         self._missing = missing or 0
         if missing is None:
-            # Corrections of ours mean nothing to a run that we did not start: it gets no reply at all.
+            # Our corrections are meaningless for a run that we did not start: it gets no reply at all.
             self._latch(Fault.RESTARTED)
             self._cease(self._points)
             return None
@@ -159,7 +159,7 @@ class Responder:
         self._watch_heartbeat(orders.heartbeat, now_ns)
 
     def after_reply(self, command: Command | None) -> None:
-        """The reply was sent: judge the measured axes, take a new command, prepare the next reply."""
+        """The reply was sent: judge the measured axes, accept a new command, prepare the next reply."""
         points = self._points
         if points is None:
             return
@@ -184,13 +184,13 @@ class Responder:
         self._make_ready(points)
 
     def expects(self, telegram: Telegram) -> bool:
-        """Whether this telegram may open the session; one that may not gets no reply."""
+        """Whether this telegram may open the session; otherwise it gets no reply."""
         self._axes_deg = telegram.axes_deg
         self._measure()
         return self.strangers.agrees(telegram.axes_deg)
 
     def take(self, command: Command) -> None:
-        """Act on a command that has not been seen before."""
+        """Act on a new command."""
         self.ready = None
         if command.number == self._command_number:
             return
@@ -211,7 +211,7 @@ class Responder:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
     def idle(self, orders: Orders, now_ns: int) -> None:
-        """Nothing arrived for a while: watch silence and heartbeat, and act on stops."""
+        """Nothing arrived for a while: monitor silence and heartbeat, and act on stops."""
         self.ready = None
         self._watch_heartbeat(orders.heartbeat, now_ns)
         if self.phase not in STREAMING_PHASES or self._points is None:
@@ -219,13 +219,13 @@ class Responder:
             return
         self._look_at_stop(orders.stop_word)
         if now_ns - self._received_ns > self._silence_ns:
-            # The controller has long held the last point: the arm stands there.
+            # The controller has held the last point for long: the arm is at rest there.
             self._points.abandon()
             self._follow_motion(self._points)
             self._points.prepare()
             self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
             if self.phase is Phase.RUNNING:
-                # A controller that starts its program again sends from another port.
+                # A controller that restarts its program sends from another port.
                 self._latch(Fault.RESTARTED if self.strangers.sent_last else Fault.SILENCE)
         self._make_ready(self._points)
 
@@ -268,7 +268,7 @@ class Responder:
         )
 
     def _answer_loss(self, points: SetPoints) -> bytes:
-        """The reply while the arm waits at a point, because replies or telegrams were lost."""
+        """The reply while the arm waits at a point because replies or telegrams were lost."""
         violation = points.monitor.not_taken() if self._losses.untaken else None
         if violation is not None:
             self._trip(violation)
@@ -283,7 +283,7 @@ class Responder:
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
     def _begin(self, axes_deg: JointVector) -> bytes:
-        """First reply of a run: corrections count from here, and the first one is zero."""
+        """First reply of a run: corrections are relative to these axes, and the first one is zero."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
             if not degrees(low) - RANGE_TOLERANCE_DEG <= angle <= degrees(high) + RANGE_TOLERANCE_DEG:
@@ -373,7 +373,7 @@ class Responder:
         self._stopping = self.moving
 
     def _make_ready(self, points: SetPoints) -> None:
-        """Prepare the complete next reply, when only new information could change it."""
+        """Prepare the complete next reply if only new information could change it."""
         self.ready = None
         unsettled = (
             points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable

@@ -1,7 +1,7 @@
 """The set-points of one session: prepared between telegrams, judged, and one of them sent.
 
-Generator and monitor meet here and nowhere else. If the path's own stop does not please the monitor, a stop
-made from nothing but what was really sent takes its place: on along the way the arm goes.
+Generator and monitor meet only here. If the monitor rejects the path's own stop, a stop computed only from
+what was actually sent replaces it: onwards along the arm's present motion.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ class Choice(IntEnum):
 
     GO = 0
     STOP = 1
-    REPEAT = 2  # the last point again: it was not taken, and the path waits for it
-    HOLD = 3  # the point the controller holds: right only when it has held it for some cycles already
+    REPEAT = 2  # the last point again: it was not accepted, and the path waits for it
+    HOLD = 3  # the point that the controller holds: only correct after it has held it for some cycles
 
 
 class SetPoints:
-    """Use in turn: `prepare`, then one `commit` with what was sent."""
+    """Call in turn: `prepare`, then one `commit` with what was sent."""
 
     def __init__(
         self, kinematics: Kinematics, limits: MotionLimits, cycle_s: float, start_rad: JointVector
@@ -44,7 +44,7 @@ class SetPoints:
         self._joint_stop: StopMotion | None = None
         self.go_rad = start_rad
         self.stop_rad = start_rad
-        self.violation: Violation | None = None  # why go is not allowed
+        self.violation: Violation | None = None  # why continuing is not allowed
         self.path_failed = False
         self.stopped_early = False  # of the last motion
 
@@ -64,9 +64,9 @@ class SetPoints:
         return self._motion is not None
 
     def start(self, plan: MotionPlan, speed: float, surroundings: Surroundings | None = None) -> None:
-        """Begin a motion from rest; `speed` scales the planned one. Raises as the path and ruckig do.
+        """Begin a motion from rest; `speed` scales the planned one. Raises errors of the path and of ruckig.
 
-        From here on the monitor also watches what the bodies of these surroundings come near to.
+        From here on the monitor also checks the clearance of these surroundings' bodies.
         """
         self.stopped_early = False
         if plan.is_standstill:
@@ -83,7 +83,7 @@ class SetPoints:
         self._motion = motion
 
     def limit_speed(self, speed: float) -> None:
-        """Go on at a part of the planned speed."""
+        """Continue at a fraction of the planned speed."""
         if isinstance(self._motion, PathMotion):
             self._motion.limit_speed(speed)
 
@@ -112,7 +112,7 @@ class SetPoints:
             self._use_joint_stop()
 
     def commit(self, choice: Choice) -> None:
-        """This one was sent."""
+        """Record which one was sent."""
         if choice is Choice.GO:
             if self._motion is not None:
                 self._motion.take_go()
@@ -132,7 +132,7 @@ class SetPoints:
             self._motion = None
 
     def abandon(self) -> None:
-        """The arm has been at rest at the last point for long: forget the motion."""
+        """The arm has been at rest at the last point for long: drop the motion."""
         if self._motion is not None:
             self.stopped_early = True
         self._motion = None

@@ -29,8 +29,8 @@ class LinkSettings:
     settle_tolerance_deg: float
     speed_fraction: float
     real_time_priority: int
-    rehearsal_lead_us: int = 0  # the reply is rehearsed so long before its telegram is due; 0 is never
-    controller_host: str = ""  # only telegrams from there open a session; "" for any
+    rehearsal_lead_us: int = 0  # how long before its telegram is due the reply is rehearsed; 0 is never
+    controller_host: str = ""  # only telegrams from this host open a session; "" for any
     keeps_bytes: bool = False  # telegrams and replies are kept for the driver to fetch
 
     def to_json(self) -> str:
@@ -39,7 +39,7 @@ class LinkSettings:
 
     @classmethod
     def from_json(cls, line: str) -> LinkSettings:
-        """The inverse; raises TypeError or ValueError when the line is not from `to_json`."""
+        """The inverse; raises TypeError or ValueError if the line is not from `to_json`."""
         values = json.loads(line)
         for name in ("send_tags", "receive_tags", "axis_tags"):
             values[name] = tuple(values[name])

@@ -1,7 +1,7 @@
-"""The sockets of one link: an open one, and during a session one connected to its controller.
+"""The sockets of one link: an unconnected one, and during a session one connected to its controller.
 
-The kernel gives a connected socket what its peer sends and nothing else: no stranger's datagram stands
-between a telegram and its reply. It also remembers which processor took the last of them in.
+A connected socket receives only what its peer sends: no foreign datagram gets between a telegram and its
+reply. The kernel also records which processor received the last one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from fcntl import ioctl
 
 from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
 
-IDLE_LOOK_S = 0.01  # how long to wait for a telegram before looking at orders, silence and parent
+IDLE_LOOK_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
 ANY_HOST = "0.0.0.0"
 _NO_BYTES = struct.pack("i", 0)
 _TIMEVAL = struct.Struct("ll")
@@ -40,8 +40,8 @@ class LinkSockets:
 
     def __init__(self, listening: socket.socket) -> None:
         self._listening = listening
-        self._line = listening  # by which telegrams come now
-        self._peer: Address | None = None  # only while the line is the session's own
+        self._line = listening  # the socket that telegrams arrive on now
+        self._peer: Address | None = None  # only while the session has its own socket
 
     def meet(self, peer: Address) -> None:
         """A session with this controller begins."""
@@ -50,7 +50,7 @@ class LinkSockets:
         if own[0] == ANY_HOST:
             return  # the controller may send to another of our addresses than the kernel would choose
         line = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        # Both must permit it at this moment, and neither afterwards: nobody else is let in.
+        # Both must permit it now, and neither afterwards: no one else can bind.
         try:
             for each in (self._listening, line):
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -72,7 +72,7 @@ class LinkSockets:
             self._line, self._peer = self._listening, None
 
     def receive(self, flags: int = 0) -> Received:
-        """The next datagram; raises OSError when none came for a while, or the network refused a reply."""
+        """The next datagram; raises OSError if none arrived for a while, or the network refused a reply."""
         if self._peer is not None:  # cheaper than receiving the address each time
             return self._line.recv(LONGEST_TELEGRAM, flags), self._peer
         received: Received = self._line.recvfrom(LONGEST_TELEGRAM, flags)
@@ -94,7 +94,7 @@ class LinkSockets:
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
     def stranger(self) -> Address | None:
-        """Sender of the next datagram that is not the session's; None when there is none."""
+        """Sender of the next datagram that is not the session's; None if there is none."""
         if self._peer is None or ioctl(self._listening, termios.FIONREAD, _NO_BYTES) == _NO_BYTES:
             return None
         try:

@@ -1,4 +1,4 @@
-"""Who else sends telegrams: counted, never answered, and named when the controller's own do not come."""
+"""Foreign senders of telegrams: counted, never answered, and named if the controller's own do not arrive."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ AXES_AGREE_DEG = 0.1  # between RSI and EKI at the start: they are read at diffe
 
 
 class Strangers:
-    """Since a session was opened."""
+    """Counts since a session was opened."""
 
     def __init__(self, expected_rad: JointVector | None = None) -> None:
-        """`expected_rad` is where the controller says its axes are; None where it was not asked."""
+        """`expected_rad` are the axes as reported by the controller; None if it was not asked."""
         self._expected_rad = expected_rad
         self.count = 0
         self.host = ""  # of the last one
         self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
-        self.sent_last = False  # somebody else has, since the controller's last telegram
+        self.sent_last = False  # someone else has, since the controller's last telegram
 
     def met(self, host: str) -> None:
-        """A telegram from another sender than the controller."""
+        """A telegram from a sender other than the controller."""
         self.count += 1
         self.host = host
         self.sent_last = True
 
     def agrees(self, axes_deg: JointVector) -> bool:
-        """Whether what may be the controller's first telegram tells the axes that are expected of it."""
+        """Whether a possible first telegram of the controller reports the expected axes."""
         expected = self._expected_rad
         if expected is None or all(
             abs(axis - degrees(angle)) <= AXES_AGREE_DEG

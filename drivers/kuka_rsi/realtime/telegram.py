@@ -1,8 +1,8 @@
 """Telegrams of the real-time link: read what the controller sends, write the reply.
 
-The reader is a regular expression made from the agreed elements; what does not match goes through a strict
-XML parser, and what that refuses is rejected. The reply is written in two parts: everything up to the IPOC
-can be made ready before the telegram arrives.
+The reader is a regular expression compiled from the agreed elements; anything that does not match goes
+through a strict XML parser, and is rejected if that fails. The reply is written in two parts: everything up
+to the IPOC can be prepared before the telegram arrives.
 """
 
 from __future__ import annotations
@@ -34,35 +34,35 @@ KEYWORD_ATTRIBUTES: dict[str, tuple[str, ...]] = {
 }
 GENERATOR_PARAMETERS = 10  # C1 of a Tech element is C11 .. C110
 REPLY_TAIL = b"</IPOC></Sen>"
-ZERO, NEGATIVE_ZERO = b"0.000000", b"-0.000000"  # what a rounded correction must not be written as
+ZERO, NEGATIVE_ZERO = b"0.000000", b"-0.000000"  # forms that a rounded correction must not have
 ROOT, ROOT_TYPE = "Rob", "KUKA"
-LONGEST_TELEGRAM = 8192  # one datagram; the common ones are below 1000 bytes
-MOST_DIGITS = 19  # of an IPOC: it is published as an unsigned number of 64 bits
-MOST_LATE = 10**15  # of the controller's count; what counts beyond has gone mad
+LONGEST_TELEGRAM = 8192  # one datagram; typical ones are below 1000 bytes
+MOST_DIGITS = 19  # of an IPOC: it is published as a 64-bit unsigned number
+MOST_LATE = 10**15  # of the controller's count; anything beyond is corrupt
 
-_DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() reads for certain
+_DECIMAL = rb"[-+]?\d{1,15}(?:\.\d{0,15})?"  # what float() is certain to parse
 _INTEGER = rb"\d{1,15}"
 
 Found = re.Match[bytes]
 
 
 class Telegram(NamedTuple):
-    """What one telegram says. `ipoc` is kept as text: it is echoed unchanged."""
+    """The content of one telegram. `ipoc` is kept as text: it is echoed unchanged."""
 
     axes_deg: JointVector
-    delay: int  # the controller's own count of late packets, -1 when it does not send it
+    delay: int  # the controller's own count of late packets, -1 if it does not send it
     ipoc: bytes
 
 
 class Element(NamedTuple):
-    """An element on the wire: attributes, or text when there are none."""
+    """An element on the wire: attributes, or text if there are none."""
 
     name: str
     attributes: tuple[str, ...]
 
 
 def elements_of(tags: tuple[str, ...]) -> tuple[Element, ...]:
-    """Elements that the declared tags make, in order; consecutive tags of one group share an element."""
+    """Elements for the declared tags, in order; consecutive tags of one group share an element."""
     result: list[Element] = []
     for tag in tags:
         if tag == FREE_TAG:
@@ -94,7 +94,7 @@ class TelegramReader:
                 continue
             captured = {"AIPos": _DECIMAL, "Delay": _INTEGER}.get(name)
             if captured is None:
-                pattern.append(rb" [^<>]*/>")  # not looked at any further
+                pattern.append(rb" [^<>]*/>")  # not examined further
                 continue
             for attribute in attributes:
                 tag = attribute.encode()
@@ -107,17 +107,17 @@ class TelegramReader:
         self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
 
     def match(self, data: bytes) -> Found | None:
-        """A telegram of the usual form, for `telegram_of`; None for one to be read strictly."""
+        """A telegram in the usual form, for `telegram_of`; None for one that must be read strictly."""
         return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
-        """One telegram; raises RSI-014 when neither the expression nor the strict parser accepts it."""
+        """One telegram; raises RSI-014 if neither the expression nor the strict parser accepts it."""
         found = self._match(data)
         return read_strictly(data) if found is None else telegram_of(found)
 
 
 def telegram_of(found: Found) -> Telegram:
-    """The numbers of a telegram of the usual form."""
+    """The numbers of a telegram in the usual form."""
     a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
     return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
@@ -128,7 +128,7 @@ def _never(_data: bytes) -> None:
 
 
 def read_strictly(data: bytes) -> Telegram:
-    """The same through an XML parser, in any order and spacing. Raises RSI-014; a DTD is refused."""
+    """The same with an XML parser, in any order and spacing. Raises RSI-014; a DTD is refused."""
     values: dict[tuple[str, str], str] = {}
     path: list[str] = []
     text: list[str] = []

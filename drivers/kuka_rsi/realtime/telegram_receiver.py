@@ -1,8 +1,8 @@
 """Receives telegrams from the socket, with warm caches when one is due.
 
-A process that has slept for a cycle finds cold caches, and that would be seen as turnaround. So while the
-controller keeps a pace, it wakes up once a while before the next telegram is due, runs through the reply
-without any effect, and goes to sleep again. Not right before: whoever sends may need this very processor.
+A process that has slept for a cycle finds cold caches, which would show as turnaround. So while the
+controller keeps a pace, it wakes up once some time before the next telegram is due, runs through the reply
+without any effect, and goes back to sleep. Not immediately before: the sender may need this very processor.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _NS = 1e9
 
 
 class TelegramReceiver:
-    """Waits for one telegram after the other."""
+    """Waits for one telegram after another."""
 
     def __init__(
         self,
@@ -34,32 +34,32 @@ class TelegramReceiver:
         self._now_ns = now_ns
         self._pace = Pace()
         self._keeps_pace = False
-        self.received_ns = 0  # when the last telegram was there
-        self.queued = False  # whether it was there before anybody waited: others may be behind it
+        self.received_ns = 0  # arrival of the last telegram
+        self.queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
-        """The next datagram, from any sender, or None when none arrived for a while."""
+        """The next datagram, from any sender, or None if none arrived for a while."""
         try:
             self.queued = self._sockets.something_there()
             if self._lead_ns and not self.queued:
                 self._await_the_moment()
             received = self._sockets.receive()
-        except OSError:  # the time ran out, or the network said something about an earlier reply
+        except OSError:  # timed out, or the network reported something about an earlier reply
             return None
         self.received_ns = self._now_ns()
         return received
 
     def paced(self) -> bool:
-        """The last datagram was a telegram of the session, a whole cycle after the one before.
+        """The last datagram was a telegram of the session, a whole cycle after the previous one.
 
-        True once the controller's schedule was known, also when it paused since, until it hurries.
+        Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
         self._pace.arrived(self.received_ns)
         self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
         return self._keeps_pace
 
     def hurried(self) -> None:
-        """It followed as soon as the reply was out: lock-step, there is no schedule."""
+        """It followed as soon as the reply was out: lock-step, so there is no schedule."""
         self._pace.forget()
         self._keeps_pace = False
 

@@ -20,8 +20,8 @@ def raise_baud(
 ) -> int | None:
     """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
 
-    A unit lost at a rate that the cable does not carry is searched for again, if need be with a break, and a
-    slower rate is tried. Raises NDI-002 or NDI-003 when it cannot be found again.
+    A unit lost at a rate that the cable does not carry is searched for again, if necessary with a break, and
+    a slower rate is tried. Raises NDI-002 or NDI-003 when it cannot be found again.
     """
     if link.transport.baud is None:
         return None
@@ -42,7 +42,7 @@ def raise_baud(
 def _switch(
     link: CommandLink, code: str, baud: int, present: int, deadline_s: float, pause: Callable[[float], None]
 ) -> bool:
-    try:  # our own end first: a unit at a rate we cannot do would be lost
+    try:  # our own end first: a unit at a rate we do not support would be lost
         link.transport.set_baud(baud)
         link.transport.set_baud(present)
     except PortUnavailable:

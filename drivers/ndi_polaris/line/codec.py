@@ -50,10 +50,10 @@ def open_ascii(line: bytes) -> str:
 
 
 def trailing_text(heard: bytes) -> str | None:
-    """The text of the last reply (without its CR) in bytes that may begin with the remains of others."""
+    """The text of the last reply (without its CR) in bytes that may begin with remnants of others."""
     line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
-    # A binary reply before it does not end in CR; the CRC over a whole one comes out as 0, so that
-    # the text would be right together with it.
+    # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
+    # valid together with it.
     for start in range(len(line)):
         if line[start:].isascii() and _crc_is_right(line[start:]):
             return line[start:-ASCII_CRC_DIGITS].decode("ascii")
@@ -73,7 +73,7 @@ def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
 
 
 def binary_reply_bytes(header: bytes) -> int:
-    """Length of a whole binary reply from its first six bytes; raises NDI-005 or NDI-006."""
+    """Length of a complete binary reply from its first six bytes; raises NDI-005 or NDI-006."""
     start, length, crc = _HEADER.unpack_from(header)
     if start != BX_START:
         raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
@@ -102,13 +102,13 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
 
 
 def unit_error(text: str, command: str = "") -> UnitError | None:
-    """The typed error when the reply is ERRORhh, else None."""
+    """The typed error if the reply is ERRORhh, else None."""
     match = _ERROR.fullmatch(text)
     return error_for(int(match[1], 16), command) if match else None
 
 
 def warning_meaning(text: str) -> str | None:
-    """The meaning of a WARNING reply, else None. The command was carried out all the same."""
+    """The meaning of a WARNING reply, else None. The command was executed nevertheless."""
     match = _WARNING.fullmatch(text)
     if not match:
         return None

@@ -38,7 +38,7 @@ from ronna_hw.wire.polaris import (
     crc16,
 )
 
-ORDINARY_REPLY_BYTES = 128  # assumed length of a reply when its transfer time is computed
+ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
 LONGEST_REPLY_BYTES = 16384  # longer than any reply of these units: beyond this it is noise
 LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
 QUIET_S = 0.02  # silence after which a line counts as drained
@@ -46,11 +46,11 @@ STALL_S = 0.5  # a reply that pauses this long is truncated
 BABBLE_BYTES = 1_000_000  # no unit sends this much unasked
 ECHO_ATTEMPTS = 3
 REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
-NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: without its colon a command has no CRC
+NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: a command that lost its colon has no CRC
 RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
 
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
-_FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: what may come instead of a binary reply
+_FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a binary reply
 
 
 class _Echo(Enum):
@@ -107,8 +107,8 @@ class CommandLink:
         """Send a command and return the text of its reply, OKAY and WARNINGhh included.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
-        `deadline_s` (see `now_s`). With `retry` a disturbed exchange is repeated once, so only for commands
-        that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        `deadline_s` (see `now_s`). With `retry` a disturbed exchange is repeated once, so use it only for
+        commands that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
         """
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
         assert isinstance(reply, str)
@@ -117,7 +117,7 @@ class CommandLink:
     def ask_binary(
         self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
     ) -> bytes:
-        """As `ask`, for a command with a binary reply; returns the body, its CRCs checked."""
+        """Like `ask`, for a command with a binary reply; returns the body, its CRCs checked."""
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
@@ -153,8 +153,8 @@ class CommandLink:
     def settle(self, deadline_s: float | None = None) -> None:
         """Resynchronise: send ECHO with a unique text and discard everything up to its echo.
 
-        A unit without ECHO refuses it twice, which serves as well. Raises NDI-007 while the unit may only
-        be slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it has restarted.
+        A unit without ECHO refuses it twice, which serves equally. Raises NDI-007 while the unit may only be
+        slow, NDI-008 when it has been silent beyond its own limits, NDI-009 when it has restarted.
         """
         refusals = 0
         for _ in range(ECHO_ATTEMPTS):
@@ -219,7 +219,7 @@ class CommandLink:
                 expected="a reply with CRC",
             )
         self._silent_since_s = None
-        if rest:  # one reply per command: more is a doubled or a late one
+        if rest:  # one reply per command: anything more is a duplicate or a late one
             self.statistics.discarded_bytes += len(rest)
             self._settled = False
         if isinstance(reply, str):

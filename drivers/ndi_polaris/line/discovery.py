@@ -1,4 +1,4 @@
-"""Find a unit on a line, at its power-up rate or another, if need be with a break; then INIT."""
+"""Finds a unit on a line, at its power-up rate or another, if necessary with a break; then INIT."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.ndi_polaris.line.inquiry import INQUIRY_COMMAND, inquire
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
-RESET_LIMIT_S = 7.0  # from a break to RESET: the longest that any client waits
+RESET_LIMIT_S = 7.0  # from a break to RESET: the longest wait of any client
 # Rates at which a unit may have been left, likeliest first.
 LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
 
@@ -28,7 +28,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
             break
         try:
             transport.set_baud(baud)
-        except PortUnavailable:  # this adapter cannot do that rate
+        except PortUnavailable:  # this adapter does not support that rate
             continue
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
         inquiry = inquire(link, deadline_s)
@@ -52,7 +52,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
 
 
 def await_reset(link: CommandLink, deadline_s: float) -> bool:
-    """True when the unit sends RESET in time after a break or the RESET command."""
+    """Whether the unit sends RESET in time after a break or the RESET command."""
     until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
     heard = b""
     while (left_s := until_s - link.now_s()) > 0:

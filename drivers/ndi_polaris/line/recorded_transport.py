@@ -7,7 +7,7 @@ from ronna_hw.devices.byte_sink import ByteSink, Direction
 
 
 class RecordedTransport:
-    """Does what the transport in it does, and says what passed."""
+    """Wraps a transport and reports its traffic."""
 
     def __init__(self, transport: Transport, link: str, sink: ByteSink) -> None:
         self._transport = transport

@@ -19,7 +19,7 @@ from ronna_hw.host.port_users import users_of_serial_port
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 WRITE_LIMIT_S = 1.0  # a line that does not accept data for this long is dead
-BREAK_MS = 500  # as long as other clients hold it
+BREAK_MS = 500  # as long as other clients use
 READ_BYTES = 65536
 CLOSED = -1  # no file has this descriptor
 
@@ -41,7 +41,7 @@ _REASONS = {errno.EAGAIN: "held by another program", errno.ENOTTY: "not a serial
 
 
 class Transport(Protocol):
-    """A byte stream in both directions. `baud` is None where a rate has no meaning."""
+    """A byte stream in both directions. `baud` is None if a rate has no meaning."""
 
     @property
     def baud(self) -> int | None: ...
@@ -51,7 +51,7 @@ class Transport(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Bytes received, waiting at most `timeout_s` for the first; empty when none came.
+        """Bytes received, waiting at most `timeout_s` for the first; empty if none arrived.
 
         Raises NDI-008 when the peer is gone.
         """
@@ -85,7 +85,7 @@ class _Descriptor:
         self._endpoint = endpoint
         self._descriptor = descriptor
         self._readable = select.poll()
-        self._readable.register(descriptor, select.POLLIN)  # poll reports hang-up and error unasked
+        self._readable.register(descriptor, select.POLLIN)  # poll reports hang-up and error by default
 
     def write(self, data: bytes) -> None:
         try:
@@ -111,7 +111,7 @@ class _Descriptor:
         return data
 
     def _write_slowly(self, data: bytes) -> None:
-        """Send what did not fit into the buffers; raises NDI-008 when the peer does not read."""
+        """Send what did not fit into the buffers; raises NDI-008 if the peer does not read."""
         writable = select.poll()
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
@@ -171,7 +171,7 @@ class SerialTransport(_Descriptor):
         if self._descriptor == CLOSED:
             return
         with contextlib.suppress(OSError, termios.error):
-            # Closing waits for unsent bytes, which a dead peer never takes.
+            # Closing waits for unsent bytes, which a dead peer never accepts.
             termios.tcflush(self._descriptor, termios.TCOFLUSH)
         with contextlib.suppress(OSError, termios.error):
             self._port.close()
@@ -217,7 +217,7 @@ def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
 
 
 def _number(error: Exception) -> int | None:
-    """The errno of an error; for a file that is no port pyserial keeps it in the cause."""
+    """The errno of an error; for a file that is not a port, pyserial keeps it in the cause."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
     for candidate in (getattr(error, "errno", None), *getattr(error.__context__, "args", ())[:1]):

@@ -20,7 +20,7 @@ from ronna_hw.devices.probing import (
 )
 from ronna_hw.endpoints import Endpoint
 
-LINE_SHARE = 0.5  # of the whole probe; the rest is connecting
+LINE_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class PolarisProbe:

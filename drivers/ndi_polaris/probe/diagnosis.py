@@ -1,4 +1,4 @@
-"""What the state of a tracker's line means: what was seen, the likely cause, what to do."""
+"""Interprets the state of a tracker's line: observation, likely cause, what to do."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 PRINTABLE_SHARE = 0.9
 EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
-LEAST_TEXT = 6  # characters before bytes are called text
+LEAST_TEXT = 6  # characters for bytes to count as text
 SECTION = "lines"
 
 
 class Diagnosis(NamedTuple):
-    """One line for a person."""
+    """One line for display."""
 
     well: bool
     seen: str
@@ -47,7 +47,7 @@ def line_diagnostic(line: LineState) -> Diagnostic:
 
 
 def diagnose(line: LineState) -> Diagnosis:
-    """Say what was seen, and what that means."""
+    """State the observation, and what it means."""
     if line.opening is not Opening.OPENED:
         return _not_opened(line)
     if (answered := line.answered) is not None:
@@ -148,7 +148,7 @@ def _where(attempt: Attempt) -> str:
 
 
 def _as_text(heard: bytes) -> str | None:
-    """The bytes as text when they look like it."""
+    """The bytes as text if they look like it."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
     if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):
         return None

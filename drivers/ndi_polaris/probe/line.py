@@ -1,7 +1,7 @@
-"""What is on a tracker's line, below the driver: which rate is answered, in bytes, and who else has the port.
+"""State of a tracker's line, below the driver: which rate gets a reply, in bytes, and who else has the port.
 
 The inquiry is the driver's own: every unit of the protocol answers it, and it changes nothing. A unit is
-never reset for this, not even by a break; a line that another program has open is left alone.
+never reset for this, not even with a break; a line that another program has open is left alone.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from ronna_hw.endpoints import Endpoint
 from ronna_hw.host.port_users import PortUser, users_of_serial_port
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR
 
-# The driver reaches the rates that are not in its list by a break, which a probe must not send.
+# The driver reaches rates outside its list with a break, which a probe must not send.
 BAUDS = (*LIKELY_BAUDS, *sorted(set(COMM_BAUD_CODES.values()) - set(LIKELY_BAUDS)))
 OPEN_LIMIT_S = 2.0
-INQUIRY_LIMIT_S = 1.0  # of one rate, or of the connection
+INQUIRY_LIMIT_S = 1.0  # for one rate, or for the connection
 KEPT_BYTES = 32
 
 
@@ -41,7 +41,7 @@ class Opening(StrEnum):
 
 
 class Outcome(StrEnum):
-    """What came of an inquiry at one rate."""
+    """Outcome of an inquiry at one rate."""
 
     ANSWERED = "answered"
     GARBAGE = "garbage"
@@ -53,7 +53,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class Attempt:
-    """One rate: `heard` is the end of what came; `reply` the text of a reply with a right CRC."""
+    """One rate: `heard` is the end of what was received; `reply` the text of a reply with a valid CRC."""
 
     baud: int | None  # None over TCP
     outcome: Outcome
@@ -63,13 +63,13 @@ class Attempt:
 
 @dataclass(frozen=True)
 class LineState:
-    """Everything that was seen of one line."""
+    """Everything observed on one line."""
 
     endpoint: Endpoint
     opening: Opening
     attempts: tuple[Attempt, ...] = ()
     users: tuple[PortUser, ...] = ()
-    refusal: PortUnavailable | None = None  # where the line could not be opened
+    refusal: PortUnavailable | None = None  # if the line could not be opened
 
     @property
     def answered(self) -> Attempt | None:
@@ -78,7 +78,7 @@ class LineState:
 
     @property
     def last_bytes(self) -> bytes:
-        """The end of what was heard last."""
+        """The end of what was received last."""
         return next((attempt.heard for attempt in reversed(self.attempts) if attempt.heard), b"")
 
 
@@ -91,7 +91,7 @@ _OPENING_BY_ERROR = {
 
 
 def look_at_line(endpoint: Endpoint) -> LineState:
-    """Look at a serial or TCP line; never raises for what a line may do. Raises CFG-002 for others."""
+    """Check a serial or TCP line; never raises, whatever the line does. Raises CFG-002 for others."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)

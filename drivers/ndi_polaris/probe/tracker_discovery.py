@@ -1,4 +1,4 @@
-"""Trackers on the lines of a search, each in the form of a theatre file entry."""
+"""Trackers on the searched lines, each as a theatre file entry."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.errors import RonnaError
 
 DRIVER = "ndi_polaris"
 EXAMPLE_LINE = "serial:///dev/ttyUSB0"
-# Drawn for the published kind of frame; a lab's own definition has its own distances.
+# Drawn for the published type of frame; a lab's own definition has its own distances.
 FRAME = {"name": "robot_frame", "rom": "robot_frame.rom"}
 TOOLS = (
     "tools: give the definition of the frame on your mount; the one entered here is shipped with the driver. "
@@ -26,7 +26,7 @@ TOOLS = (
 
 
 def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Every line where a unit answers. It is identified as a procedure would identify it."""
+    """Every line with a unit that answers. It is identified as a procedure would identify it."""
     found = []
     for number, line in enumerate(search.lines, start=1):
         if look_at_line(line).answered is not None:
@@ -36,7 +36,7 @@ def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
 
 
 def example_tracker() -> Proposal:
-    """The table of a tracker that was not found."""
+    """The table for a tracker that was not found."""
     return Proposal(DRIVER, "", {ONLY: EXAMPLE_LINE}, _options({}), TOOLS)
 
 

@@ -28,9 +28,9 @@ class Difference:
 def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[Difference, ...]:
     """Every difference, in the order of the fields, then the bytes that no published field explains.
 
-    The checksum is left out: it follows from the rest. Empty if and only if all other bytes agree.
+    The checksum is ignored, since it follows from the rest. Empty if and only if all other bytes agree.
     """
-    # in single precision, as in files: a tool does not differ from its own file
+    # in single precision, as in files: a tool must not differ from its own file
     first, second = (decode_definition(encode_definition(tool)) for tool in (first, second))
     found: list[Difference] = []
     for property_ in FIELDS:

@@ -16,7 +16,7 @@ from ronna_hw.devices.readings import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 LARGEST_ANGLE_DEG = 180
-LARGEST_FILE_BYTES = 65_536  # far more than a definition; a file of another length is told by it
+LARGEST_FILE_BYTES = 65_536  # far more than a definition; a file of another length is rejected by it
 
 
 @dataclass(frozen=True)
@@ -65,14 +65,14 @@ def planar_tool(
 
 
 def face_normal_of(normal: Vector3) -> Vector3:
-    """Normal of a face whose markers face along `normal`: real files give the opposite direction."""
+    """Normal of a face whose markers face along `normal`: real files use the opposite direction."""
     return -normal[0] or 0.0, -normal[1] or 0.0, -normal[2] or 0.0
 
 
 def encode_definition(tool: ToolDefinition) -> bytes:
     """The 752 bytes of a .rom; raises NDI-011 for an impossible definition.
 
-    An unchanged definition gives exactly the bytes that were read.
+    An unchanged definition yields exactly the bytes that were read.
     """
     _check(tool)
     block = bytearray(tool.origin)
@@ -106,7 +106,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
 
 
 def read_definition(path: Path) -> ToolDefinition:
-    """Read a .rom file; raises NDI-011 when it is missing or wrong."""
+    """Read a .rom file; raises NDI-011 if it is missing or invalid."""
     try:
         block = read_bounded(path, LARGEST_FILE_BYTES)
     except InputRefused as error:

@@ -54,19 +54,19 @@ Byte = Annotated[int, Field(ge=0, le=LARGEST_BYTE)]
 
 
 class ToolDescription(Strict):
-    """A tool as its maker describes it; lengths in mm, in the tool's own frame."""
+    """A tool as described by its maker; lengths in mm, in the tool's own frame."""
 
     part_number: Annotated[str, Field(min_length=1, max_length=layout.PART_NUMBER_BYTES)]
     markers_mm: Annotated[tuple[Numbers3, ...], Field(min_length=3, max_length=layout.ROM_MARKERS)]
     manufacturer: Annotated[str, Field(min_length=1, max_length=layout.MANUFACTURER_BYTES)] = "RONNA"
     main_type: str = "reference"
-    subtype: Byte | None = None  # none: main type - 1, as in all real files
+    subtype: Byte | None = None  # none: main type minus 1, as in all real files
     revision: Annotated[int, Field(ge=0, le=999)] = 0  # PHINF has three digits for it
     made_on: date = date(2025, 1, 1)
     sequence: Annotated[int, Field(ge=1, le=LARGEST_SEQUENCE)] = 1
     normals: tuple[Numbers3, ...] = ((0.0, 0.0, 1.0),)  # one for all markers, or one per marker
     faces: tuple[Annotated[int, Field(ge=1, le=layout.ROM_FACES)], ...] = (1,)  # one for all, or one each
-    face_normals: tuple[Numbers3, ...] = ()  # none: against the mean of the normals of each face's markers
+    face_normals: tuple[Numbers3, ...] = ()  # none: opposite to the mean normal of each face's markers
     maximum_angle_deg: Annotated[int, Field(ge=1, le=180)] = 90
     minimum_markers: Annotated[int, Field(ge=3, le=layout.ROM_MARKERS)] = 3
     maximum_error_mm: Annotated[float, Field(gt=0)] = 1.0
@@ -95,7 +95,7 @@ class ToolDescription(Strict):
         return self
 
     def definition(self) -> ToolDefinition:
-        """The definition described; raises NDI-011 for what no definition can express."""
+        """The described definition; raises NDI-011 for what a definition cannot express."""
         count = len(self.markers_mm)
         normals = tuple(_unit(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals

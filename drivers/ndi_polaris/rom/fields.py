@@ -92,7 +92,7 @@ def _count(block: bytes | bytearray) -> int:
 
 def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
     count = len(markers_mm)
-    if count != _count(block):  # slots come into use or fall free: clear what a former marker left
+    if count != _count(block):  # slots come into use or become free: clear the remains of a previous marker
         block[layout.MARKER_COUNT_OFFSET] = count
         for offset in (layout.MARKER_POSITIONS_OFFSET, layout.MARKER_NORMALS_OFFSET):
             block[offset : offset + _MARKER_VECTORS_BYTES] = bytes(_MARKER_VECTORS_BYTES)
@@ -148,7 +148,7 @@ def _write_flag(block: bytearray, unique: bool) -> None:
 
 
 _SERIAL = ((layout.SERIAL_OFFSET, 4),)
-# Markers first: their number gives the number of normals and faces.
+# Markers first: their number determines the number of normals and faces.
 FIELDS: tuple[Field, ...] = (
     Field(
         "markers_mm",

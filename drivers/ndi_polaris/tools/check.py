@@ -1,4 +1,4 @@
-"""Verify by PHINF that a handle holds the tool whose definition was sent to it."""
+"""Verifies by PHINF that a handle has the tool whose definition was sent to it."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ PART_NUMBER = slice(33, 53)
 def check_handle(
     link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
 ) -> str | None:
-    """A notice when serial or part number differs; raises NDI-013 when both do.
+    """A notice if serial or part number differs; raises NDI-013 if both do.
 
-    Either byte order of the serial number is accepted: firmware differs. A unit without PHINF is trusted.
+    Either byte order of the serial number is accepted, since firmware differs. A unit
+    without PHINF is trusted.
     """
     try:
         text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)

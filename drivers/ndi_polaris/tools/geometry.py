@@ -1,4 +1,4 @@
-"""Unique geometry: tools are told apart only by the distances between their markers."""
+"""Unique geometry: tools are identified only by the distances between their markers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TRIANGLE_CORNERS = 3
 
 @dataclass(frozen=True)
 class AlikeSegments:
-    """Two marker distances that are too similar; `second_tool` is `first_tool` within one tool."""
+    """Two marker distances that are too similar; `second_tool` equals `first_tool` within one tool."""
 
     first_tool: str
     second_tool: str
@@ -76,7 +76,7 @@ def find_alike(
 def shared_triangle(
     first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
 ) -> bool:
-    """True when three markers of one tool are congruent with three of the other."""
+    """Whether three markers of one tool are congruent with three of the other."""
     triangles = [
         segment_lengths_mm(corners) for corners in itertools.combinations(second.markers_mm, TRIANGLE_CORNERS)
     ]

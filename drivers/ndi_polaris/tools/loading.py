@@ -1,4 +1,4 @@
-"""Load the tools of the theatre file into the unit: handle, definition and verification of each."""
+"""Loads the tools of the theatre file into the unit: handle, definition and verification of each."""
 
 from __future__ import annotations
 
@@ -47,9 +47,9 @@ def load_tools(
 ) -> tuple[LoadedTool, ...]:
     """Free all handles, then load, initialise and enable each tool; `note` receives warnings.
 
-    Without tools the dummy passive tool is loaded, because a unit sees strays only while a passive handle is
-    enabled. If the reply to PHRQ is lost, loading starts over once: repeating PHRQ would leak a handle.
-    Raises NDI-03x for a tool that the unit refuses, NDI-013 when it holds another one.
+    Without tools the dummy passive tool is loaded, because a unit detects strays only while a passive handle
+    is enabled. If the reply to PHRQ is lost, loading starts over once: repeating PHRQ would leak a handle.
+    Raises NDI-03x for a tool that the unit refuses, NDI-013 when it has another one.
     """
     wanted = tuple(tools)
     try:

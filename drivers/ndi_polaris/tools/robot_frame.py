@@ -9,7 +9,7 @@ from drivers.ndi_polaris.rom.definition import ToolDefinition, planar_tool
 NAME = "robot_frame"
 PART_NUMBER = "RONNA-M"
 MANUFACTURER = "RONNA"
-# Six distances at least 4 mm apart, so that the frame fits in one pose only.
+# Six distances at least 4 mm apart, so that the pose is unique.
 MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 DEFINED_ON = date(2025, 1, 6)
 

@@ -1,6 +1,6 @@
 """The tool definitions shipped with the driver.
 
-`python -P -m drivers.ndi_polaris.tools.shipped` writes them again; a test compares the committed files.
+`python -P -m drivers.ndi_polaris.tools.shipped` regenerates them; a test compares the committed files.
 """
 
 from __future__ import annotations

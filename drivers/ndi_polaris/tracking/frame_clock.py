@@ -1,6 +1,6 @@
 """The unit's clock: frame numbers at 60 per second, fitted to theatre time by a line.
 
-The delay of a reply is never negative, so the replies with the least delay lie on the lower edge of time over
+The delay of a reply is never negative, so the replies with the least delay are on the lower edge of time over
 frame number. The least delayed reply of each second is kept; the slope is the median over all pairs of these
 (Theil-Sen), the intercept that of the lowest line with no reply below it. The delay common to all replies,
 the unit's processing and the transfer, cannot be separated from it.
@@ -28,7 +28,7 @@ class FrameClock:
     """Frame numbers of one run of tracking, unwrapped and fitted to theatre time."""
 
     def __init__(self) -> None:
-        self.jumps = 0  # resets of the counter that were noticed
+        self.jumps = 0  # detected resets of the counter
         self._begin()
 
     def _begin(self) -> None:
@@ -71,7 +71,7 @@ class FrameClock:
 
 
 def counted_on(number: int, last: int | None) -> int:
-    """The unwrapped frame number: the count nearest to `last` that is `number` modulo its range.
+    """The unwrapped frame number: the count nearest to `last` that is congruent to `number`.
 
     A result below `last` is an older frame.
     """

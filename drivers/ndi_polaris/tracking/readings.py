@@ -97,7 +97,7 @@ def _strays(
     strays = []
     for index, position in enumerate(reply.strays_mm):
         if not _sane(position):
-            continue  # a stray is nothing but its position
+            continue  # a stray is only a position
         if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in seen):
             continue
         inside = volume.contains(position) if volume is not None else None
@@ -108,7 +108,7 @@ def _strays(
 
 
 def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nearest_mm: float) -> bool:
-    """True when the stray is one of the tool's own markers."""
+    """Whether the stray is one of the tool's own markers."""
     assert tool.definition is not None
     assert reading.rotation is not None
     assert reading.position_mm is not None
@@ -119,10 +119,10 @@ def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nea
 
 
 def _unit(rotation: Quaternion) -> Quaternion | None:
-    """The quaternion normalised, scalar part >= 0; None when it is not a rotation."""
+    """The quaternion normalised, scalar part >= 0; None if it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
-    if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also true for NaN
+    if not abs(norm - 1.0) <= NORM_TOLERANCE:  # also rejects NaN
         return None
     scale = -1.0 / norm if q0 < 0 else 1.0 / norm
     return q0 * scale, qx * scale, qy * scale, qz * scale

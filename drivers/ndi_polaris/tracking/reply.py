@@ -30,7 +30,7 @@ class HandleReport(NamedTuple):
 
 
 class TrackingReply(NamedTuple):
-    """A whole reply to TX or BX with the options 0001, 0800 and 1000."""
+    """A complete reply to TX or BX with the options 0001, 0800 and 1000."""
 
     handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]

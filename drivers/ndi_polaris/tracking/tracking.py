@@ -86,7 +86,7 @@ class Tracking:
         stop_tracking(self._link, deadline_s)
 
     def read(self, deadline_s: float) -> TrackerFrame:
-        """The next frame; raises as `PolarisTracker.read_frame`."""
+        """The next frame; raises like `PolarisTracker.read_frame`."""
         reply, count = self._newest(deadline_s)
         arrived_s = self._clock.now_s()
         if reply.system_status & ALARMING_STATUS:
@@ -148,5 +148,5 @@ def stop_tracking(link: CommandLink, deadline_s: float) -> None:
     """TSTOP; a unit that is not tracking is not an error."""
     try:
         link.ask("TSTOP", deadline_s=deadline_s)
-    except WrongMode:  # it had stopped by itself, or the reply to the first try was lost
+    except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
         return

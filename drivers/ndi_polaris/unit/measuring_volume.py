@@ -49,7 +49,7 @@ class MeasuringVolume:
 
     @property
     def sections_mm(self) -> tuple[Section, ...]:
-        """Where its faces bend, from near to far: z, half x, half y. None of a shape that is not known."""
+        """Sections where its faces bend, from near to far: z, half x, half y. None for unknown shapes."""
         if self.shape != PYRAMID_SHAPE:
             return ()
         places = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]

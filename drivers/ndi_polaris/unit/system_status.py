@@ -1,4 +1,4 @@
-"""System status of a reply: fault, hold, or good to use."""
+"""System status of a reply: fault, hold, or usable."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ ALARMING_STATUS = int(
 
 
 def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None:
-    """The fault or hold that the system status means, or None.
+    """The fault or hold indicated by the system status, or None.
 
     While diagnostics are pending the alerts are read, which also makes the unit send poses again.
     """
@@ -83,7 +83,7 @@ def refuse_standing_trouble(link: CommandLink, deadline_s: float) -> None:
 
 
 def clear_bump(link: CommandLink, deadline_s: float) -> None:
-    """Acknowledge a bump; raises NDI-021 when the unit still reports one afterwards."""
+    """Acknowledge a bump; raises NDI-021 if the unit still reports one afterwards."""
     link.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
     read_new_alerts(link, deadline_s)
     if read_parameter(link, PARAMETER_BUMPED, deadline_s) == "1":

@@ -9,7 +9,7 @@ PARAMETER_REPLY_BYTES = 256
 
 
 def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
-    """Value of one parameter; raises NDI-036 when the unit does not have it, NDI-006 for another one."""
+    """Value of one parameter; raises NDI-036 if the unit does not have it, NDI-006 for another one."""
     for _ in range(2):
         text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
         answered, _, value = text.partition("=")
