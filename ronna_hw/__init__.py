@@ -1,6 +1,6 @@
-"""Contracts and foundations: what drivers, simulators and procedures agree on. Imports none of them.
+"""Contracts and foundations that drivers, simulators and procedures share. Imports none of them.
 
-The front door is exported from here, and imported on first use: device processes need none of it.
+The front door is exported here and imported on first use: device processes do not need it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Calibration records of the theatre file: values, stated error, date and expiry.
 
-Plain numbers. Poses are given as translation (mm) and scalar-first quaternion.
+Plain numbers. Poses are a translation (mm) and a scalar-first quaternion.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
 
-CLOCKS_AGREE = timedelta(days=1)  # of two computers, whatever their time zones are set to
-SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm in metres are shorter
-SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera of some hundred pixels; 50 mm are not that many
-AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: of a guide that points as its drawing says, never measured
-SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, but 150 mm in metres are
+CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
+SHORTEST_TRANSLATION_MM = 1.0  # of a tool, of its weight, of a camera; 300 mm in metres would be shorter
+SHORTEST_FOCAL_PX = 200.0  # of a lens on a camera with some hundred pixels; 50 mm would be less
+AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: for a guide assumed to point as drawn, never measured
+SHORTEST_MM = 0.2  # nothing described in a theatre file is shorter, unlike 150 mm given in metres
 
 
 def _millimetres(length_mm: float) -> float:
@@ -43,11 +43,11 @@ def _millimetres(length_mm: float) -> float:
     return length_mm
 
 
-Length = AfterValidator(_millimetres)  # of something large enough that metres can be told from millimetres
+Length = AfterValidator(_millimetres)  # of something large enough to tell metres from millimetres
 
 
 def farther_than(shortest_mm: float) -> AfterValidator:
-    """Of a place that is not so close to its origin, unless it is there: in metres it would be."""
+    """For a position that is this far from its origin, unless at it: in metres it would be closer."""
 
     def in_millimetres(place_mm: Numbers3) -> Numbers3:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
@@ -60,7 +60,7 @@ def farther_than(shortest_mm: float) -> AfterValidator:
 def _whole_moment(value: object, info: ValidationInfo) -> object:
     if isinstance(value, date) and getattr(value, "tzinfo", None) is None:
         raise ValueError("expected day, time and time zone, as 2026-12-21T12:00:00Z")
-    if info.mode == "json" and isinstance(value, str):  # what comes out of here is no JSON any more
+    if info.mode == "json" and isinstance(value, str):  # the result is no longer JSON
         return datetime.fromisoformat(value)
     return value
 
@@ -96,7 +96,7 @@ class Strict(BaseModel):
 
 
 class PoseRecord(Strict):
-    """A rigid pose `target <- source`; the field that holds it names the frames."""
+    """A rigid pose `target <- source`; the containing field names the frames."""
 
     translation_mm: Annotated[Numbers3, farther_than(SHORTEST_TRANSLATION_MM)] = Field(
         description="Origin of the source frame in the target frame."
@@ -141,7 +141,7 @@ class CameraCalibration(Strict):
 class Dated(Strict):
     """Fields that all dated records have in common."""
 
-    what: ClassVar[str] = "calibration"  # what it is, in messages
+    what: ClassVar[str] = "calibration"  # its kind, in messages
 
     identifier: str = Field(description="Name of the record.")
     created: Moment = Field(description="Time of measurement, with time zone.")
@@ -149,9 +149,9 @@ class Dated(Strict):
     made_by: str = Field(description="Person or program that measured it.")
 
     def check_valid_at(self, moment: datetime) -> None:
-        """Raise CAL-001 when the record has expired at `moment`, or is dated after it.
+        """Raise CAL-001 if the record has expired at `moment`, or is dated after it.
 
-        By a clock that was set back, a record that has expired would not have.
+        With a clock that was set back, an expired record would appear valid.
         """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
@@ -184,7 +184,7 @@ class StereoHeadCalibration(DatedRecord):
 
 
 class ToolTipCalibration(DatedRecord):
-    """A surgical guide: the nominal pose of its tip on the flange, z along the axis of the guide."""
+    """A surgical guide: nominal pose of its tip on the flange, z along the guide's axis."""
 
     tool_number: Annotated[int, Field(ge=1, le=16)] = Field(
         description="Tool number reported by the controller's inputs."
@@ -197,14 +197,14 @@ class ToolTipCalibration(DatedRecord):
 
 
 class TrackerFrameCalibration(DatedRecord):
-    """The reference frame M on the tool mount: its definition file's tool name and its pose."""
+    """The reference frame M on the tool mount: the tool name of its definition file, and its pose."""
 
     tool: str = Field(description="Name of the tool definition in the tracker's options.")
     tool_from_marker: PoseRecord = Field(description="Pose tool centre <- reference frame.")
 
 
 class ArmCalibration(DatedRecord):
-    """How one arm differs from its nominal kinematics; joints are listed from the base outwards."""
+    """How one arm deviates from its nominal kinematics; joints are listed from the base outwards."""
 
     arm: str = Field(description="Name of the kinematic model to correct.")
     scatter_mm: Annotated[float, Field(gt=0)] = Field(

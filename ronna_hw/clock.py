@@ -1,8 +1,8 @@
-"""Theatre time, from the clock that an endpoint names.
+"""Theatre time, from the clock named by an endpoint.
 
-Dwell, age, averaging and guards use this clock. Time limits of I/O use the host's monotonic clock. With
-`host:` both are the same. With `shm://` the time is that of the simulated theatre: it stands still unless
-a device advances it, so a case takes as long as its work takes.
+Dwell, age, averaging and guards use this clock. I/O time limits use the host's monotonic clock. With `host:`
+both are the same. With `shm://` the time is that of the simulated theatre: it stands still unless a device
+advances it, so a case takes as long as its work takes.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Clock(Protocol):
 
     @property
     def paced(self) -> bool:
-        """True when theatre time follows the host's clock, so that durations on the host mean something."""
+        """Whether theatre time follows the host's clock, so that durations on the host are meaningful."""
         ...
 
     def now_s(self) -> float:
@@ -66,7 +66,7 @@ class HostClock:
 
 
 class SharedClock:
-    """One clock for several processes. Whoever needs time to pass asks for it under the lock.
+    """One clock for several processes. A process that needs time to pass requests it under the lock.
 
     While a cyclic device streams (the robot's correction stream), only its cycles advance the time and
     everything else waits; otherwise a wait advances the time itself.
@@ -117,7 +117,7 @@ class SharedClock:
         self.wait_until_ns(self.now_ns() + round(max(0.0, duration_s) * 1e9))
 
     def wait_until_ns(self, moment_ns: int) -> None:
-        """Return when theatre time has reached `moment_ns`; advance it unless a device streams."""
+        """Return once theatre time has reached `moment_ns`; advance it unless a device streams."""
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
@@ -133,16 +133,16 @@ class SharedClock:
             time.sleep(WAIT_STEP_S)
 
     def has_waiters(self) -> bool:
-        """True while any process waits for a theatre time that has not come."""
+        """Whether any process waits for a future theatre time."""
         return layout.WANTED_NS.read(self._memory) > layout.TIME_NS.read(self._memory)
 
     def streaming(self) -> bool:
-        """True while a cyclic device owns the pace of time."""
+        """Whether a cyclic device controls the pace of time."""
         last = layout.STREAM_HOST_NS.read(self._memory)
         return last != 0 and time.monotonic_ns() - last < layout.STREAM_SILENCE_NS
 
     def advance_cycle(self, duration_ns: int) -> int:
-        """For the cyclic device: add one cycle and return the new time. Does nothing when paced."""
+        """For the cyclic device: add one cycle and return the new time. No effect when paced."""
         if self._paced:
             return self.now_ns()
         with self.locked():
@@ -152,18 +152,18 @@ class SharedClock:
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """For a device that is read measurement by measurement: the next is due then; 0 ends it."""
+        """For a device that is read measurement by measurement: when the next is due; 0 ends it."""
         layout.UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:
-        """For the cyclic device: whether its next cycle would pass a measurement that nobody awaits yet."""
+        """For the cyclic device: whether its next cycle would pass a measurement no reader awaits yet."""
         due_ns = layout.UNREAD_NS.read(self._memory)
         if due_ns == 0 or self._paced or self.has_waiters():
             return False
         return layout.TIME_NS.read(self._memory) + duration_ns >= due_ns
 
     def end_stream(self) -> None:
-        """For the cyclic device: give the pace of time back."""
+        """For the cyclic device: release the pace of time."""
         with self.locked():
             layout.STREAM_HOST_NS.write(self._memory, 0)
 
@@ -178,7 +178,7 @@ class SharedClock:
                 fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Let go of the shared memory; may be called twice."""
+        """Release the shared memory; may be called twice."""
         self._memory.close()
         self._close_file()
 

@@ -1,11 +1,11 @@
 """Table `[cell]` of the theatre file: collision bodies on the arm, around the patient and in the room.
 
-Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin in the tool
-centre point, z along the tool), the patient's surroundings in the head frame (origin in the middle of the
-head as the CT shows it, axes of the CT: x left, y posterior, z superior), the room in the robot's.
+Every body is a capsule: two ends and a radius. Tools are described in the tool frame (origin at the tool
+centre point, z along the tool), the patient's surroundings in the head frame (origin at the centre of the
+head in the CT, axes of the CT: x left, y posterior, z superior), the room in the robot's.
 
 The defaults fit a patient in a three-pin clamp, lying straight on a table, and the tools of the simulated
-theatre. They are estimates: before the arm moves near anything real, measure and write your own.
+theatre. They are estimates: before the arm moves near anything real, measure and enter your own.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Millimetres = Annotated[float, Field(gt=0, le=5000), Length]
 NotNegative = Annotated[float, Field(ge=0, le=5000), Length]
 Speed = Annotated[float, Field(gt=0, le=2000)]
 
-SPHERE_POST_RADIUS_MM = 7.0  # a marker of 11.5 mm on its post, with what the coarse localization leaves open
+SPHERE_POST_RADIUS_MM = 7.0  # an 11.5 mm marker on its post, plus the error of the coarse localization
 POST_MM = 14.0  # from the sphere's centre towards the head
 HEAD, FIDUCIAL = "head", "fiducial"
 
@@ -37,7 +37,7 @@ class BodyFrame(StrEnum):
 
 
 class BodyConfig(Strict):
-    """A capsule: its axis from one point to another, and its radius."""
+    """A capsule: the two ends of its axis, and its radius."""
 
     name: Annotated[str, Field(min_length=1)] = Field(description="Name used in messages.")
     start_mm: Numbers3 = Field(description="Start of the axis.")
@@ -51,7 +51,7 @@ class BodyConfig(Strict):
 
 
 class ToolBody(BodyConfig):
-    """A body of a tool, in the tool frame. Only what is meant to go into the head may say `enters_head`."""
+    """A body of a tool, in the tool frame. Only parts meant to enter the head may set `enters_head`."""
 
     enters_head: bool = Field(default=False, description="True if the body is meant to enter the head.")
 
@@ -65,7 +65,7 @@ class RoomBody(BodyConfig):
 
 
 class ArmThickness(Strict):
-    """Radii of the arm's bodies about their axes: estimates on the safe side."""
+    """Radii of the arm's bodies about their axes: conservative estimates."""
 
     column_mm: Millimetres = Field(default=150.0, description="Radius from the base to A2.")
     upper_arm_mm: Millimetres = Field(default=85.0, description="Radius from A2 to A3.")
@@ -129,7 +129,7 @@ AROUND_THE_PATIENT = (
 
 
 class CollisionConfig(Strict):
-    """Bodies and clearances by which every path is checked before the arm moves."""
+    """Bodies and clearances with which every path is checked before the arm moves."""
 
     margin_mm: Millimetres = Field(default=10.0, description="Smallest clearance along a planned path.")
     live_margin_mm: NotNegative = Field(
@@ -183,7 +183,7 @@ class CollisionConfig(Strict):
 
 
 def _post(centre: Numbers3, middle: Numbers3) -> Capsule:
-    """A sphere and its post, which leads towards the middle of the head."""
+    """A sphere and its post, which points to the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5
     foot = [c + POST_MM * value / length for c, value in zip(centre, away, strict=True)]

@@ -1,6 +1,6 @@
 """The theatre file: devices, their endpoints and their calibrations.
 
-TOML, strict: unknown keys are errors, and all mistakes are reported at once.
+Strict TOML: unknown keys are errors, and all mistakes are reported at once.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ from ronna_hw.text.counting import counted
 from ronna_hw.tool_record import ToolRecord
 
 MASTER = "master"  # name of the arm that carries stereo head and guide
-NEAREST_PLACE_MM = 10.0  # to the origin of an arm: in its base nothing stands, and it reaches no 10 m
-MISTAKES_SHOWN = 20  # of one file: more help nobody, and a hostile file has thousands
+NEAREST_PLACE_MM = 10.0  # from an arm's origin: nothing stands inside its base, and its reach is below 10 m
+MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
 
 
 class BadTheatreFile(ConfigurationError):
@@ -77,11 +77,11 @@ class DeviceConfig(Strict):
 
     @property
     def folder(self) -> Path | None:
-        """Folder of the theatre file, where relative paths in `options` begin; None without a file."""
+        """Folder of the theatre file, to which paths in `options` are relative; None without a file."""
         return self._folder
 
     def read_from(self, folder: Path) -> Self:
-        """The same device, with relative paths in its options starting at `folder`."""
+        """The same device, with paths in its options relative to `folder`."""
         here = self.model_copy()
         here._folder = folder
         return here
@@ -102,7 +102,7 @@ class DeviceConfig(Strict):
         return self
 
     def address(self, role: str | None = None) -> Endpoint:
-        """The parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 when absent."""
+        """The parsed endpoint of a role such as `rsi`, or the only one; raises CFG-001 if absent."""
         text = self.endpoint if role is None else self.endpoints.get(role)
         if text is None:
             raise BadTheatreFile(f"driver {self.driver} needs an endpoint {role or ''}".rstrip())
@@ -123,16 +123,16 @@ class Calibrations(Strict):
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """The records that are there, by name."""
+        """The existing records, by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 
 
 class WatchPatient(StrEnum):
-    """Which motions the tracker watches the patient's spheres in."""
+    """During which motions the tracker monitors the patient's spheres."""
 
-    INSTRUMENT = "instrument"  # those with the guide mounted, and the hold at the target
-    ALWAYS = "always"  # also those of the stereo head
+    INSTRUMENT = "instrument"  # with the guide mounted, including the hold at the target
+    ALWAYS = "always"  # also with the stereo head
     NEVER = "never"  # only at rest, before and after motions
 
 
@@ -173,7 +173,7 @@ class ProcedureSettings(Strict):
 
 
 class TheatreFile(Strict):
-    """A whole theatre. Any number of robots, each with a name."""
+    """A complete theatre. Any number of robots, each with a name."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
         default=1, description="Version of the file format."
@@ -218,7 +218,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """The bodies around the arm, with those of the tools whose records have some."""
+        """The bodies around the arm, including those in the tools' records."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()
@@ -262,7 +262,7 @@ def read_theatre_file(path: Path) -> TheatreFile:
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
     """Check the content of a theatre file; raises CFG-001 with every mistake in it."""
     try:
-        # Strict models refuse TOML's lists where tuples are declared; pydantic's JSON-like mode takes them.
+        # Strict models refuse TOML's lists where tuples are declared, so lists are converted to tuples first.
         return TheatreFile.model_validate(_tuples(content))
     except ValidationError as error:
         mistakes = describe_mistakes(error, TheatreFile)
@@ -272,9 +272,9 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
 
 
 def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> list[str]:
-    """A line per mistake: its place, what was expected, what was found; then how many more there are.
+    """One line per mistake: its place, what was expected, what was found; then how many more there are.
 
-    With the model that was validated, an unknown key is told with those that are known at its place.
+    With the validated model, an unknown key is reported with the known ones at its place.
     """
     lines = []
     found = error.errors(include_url=False)
@@ -298,14 +298,14 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
 
 
 def _count_wrong(limits: Mapping[str, Any]) -> str:
-    """How many values there are, and how many there should be."""
+    """The number of values, and the expected number."""
     if "max_length" in limits:
         return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
     return f"{limits['actual_length']} values, expected {limits['min_length']} or more"
 
 
 def _place(parts: tuple[int | str, ...]) -> str:
-    """`trajectories 1.entry_mm`: what stands in a list is counted from 1, as in every message."""
+    """`trajectories 1.entry_mm`: list items are counted from 1, as in every message."""
     text = ""
     for part in parts:
         text += f" {part + 1}" if isinstance(part, int) else f".{part}"
@@ -313,7 +313,7 @@ def _place(parts: tuple[int | str, ...]) -> str:
 
 
 def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """The keys of a model, or of the one within it at that place; none where it is no model."""
+    """The keys of a model, or of the one nested at that place; none if it is not a model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
@@ -327,14 +327,14 @@ def _fields(model: Any) -> dict[str, FieldInfo]:
 
 
 def _model_in(annotation: Any) -> Any:
-    """The model that a field holds: itself, optional, or as the values of a table or a list."""
+    """The model in a field: itself, optional, or as the values of a table or a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
 
 
 def _meant(key: str, known: Sequence[str]) -> str:
-    """The known key that looks like it, as a question, or all of them."""
+    """The most similar known key, as a question, or all of them."""
     if alike := get_close_matches(key, known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""

@@ -1,4 +1,4 @@
-"""Device addresses. A simulated device differs from a real one by its endpoint only.
+"""Device addresses. A simulated device differs from a real one only in its endpoint.
 
 udp://127.0.0.1:59152      where the robot's telegrams arrive
 tcp://192.168.1.10:54602   a TCP peer
@@ -44,14 +44,14 @@ class Endpoint:
         return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
 
     def require(self, *schemes: str) -> Endpoint:
-        """Return itself, or raise CFG-002 when its scheme is none of `schemes`."""
+        """Return itself, or raise CFG-002 if its scheme is not one of `schemes`."""
         if self.scheme not in schemes:
             raise BadEndpoint(f"{self} cannot be used here", expected=" or ".join(f"{s}:" for s in schemes))
         return self
 
 
 def _check_host(text: str, host: str) -> None:
-    """Refuse what can only be meant as an IPv4 address and is none: no name ends in a number."""
+    """Refuse text that can only be meant as an IPv4 address but is not one: no name ends in a number."""
     if not host.rpartition(".")[2].isdigit():
         return
     try:
@@ -65,7 +65,7 @@ def _check_host(text: str, host: str) -> None:
 def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     """Parse an endpoint; raises CFG-002 with the reason.
 
-    An address to listen on may have port 0, which asks for any free one.
+    An address to listen on may have port 0, which requests any free one.
     """
     if text == "host:":
         return Endpoint("host")

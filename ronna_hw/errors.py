@@ -40,7 +40,7 @@ class RonnaError(Exception):
     """Base class of all our errors: what happened, what was expected, the limit, and what to do.
 
     `code`, `action` and `exit_code` are class attributes of the concrete error; the raiser supplies `what`
-    and, where they help, `expected`, `limit` and `got`. `wire` keeps the last bytes of a protocol error.
+    and, if helpful, `expected`, `limit` and `got`. `wire` keeps the last bytes of a protocol error.
     """
 
     code: ClassVar[str] = ""
@@ -63,7 +63,7 @@ class RonnaError(Exception):
         self.got = got and printable(got)
         self.advice = printable(action or self.action)
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
-        self.attachments: dict[str, str] = {}  # file name -> text: evidence for the folder of a run
+        self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder
         super().__init__(self._one_line())
 
     @property
@@ -74,12 +74,12 @@ class RonnaError(Exception):
             for label, value in (("expected", self.expected), ("limit", self.limit), ("got", self.got))
             if value
         ]
-        if values == [f"got {self.got}"]:  # nothing to compare it with: it explains what happened
+        if values == [f"got {self.got}"]:  # nothing to compare with: it explains what happened
             return f"{self.what}: {self.got}"
         return "; ".join(part for part in (self.what, ", ".join(values)) if part)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """To another process as it is: made anew from its one line it would say everything twice."""
+        """Pickle the error as it is: recreated from its one-line form it would say everything twice."""
         return _restored, (type(self), self.args, vars(self))
 
     def _one_line(self) -> str:
@@ -107,7 +107,7 @@ class DataError(RonnaError, ValueError):
 
 
 class ConnectError(RonnaError):
-    """The device is not there, or it is not the one that was asked for."""
+    """The device is not there, or it is not the requested one."""
 
     exit_code = EXIT_NOT_FOUND
 
@@ -145,7 +145,7 @@ class RefusedError(RonnaError):
 
 
 def concrete_errors(root: type[RonnaError] = RonnaError) -> Iterator[type[RonnaError]]:
-    """Every error class with a code that has been imported so far, in order of definition."""
+    """Every error class with a code imported so far, in order of definition."""
     for child in root.__subclasses__():
         if child.code and "code" in vars(child):
             yield child

@@ -1,4 +1,4 @@
-"""Named frames and transforms that refuse to be composed across the wrong one.
+"""Named frames, and transforms that cannot be composed across the wrong one.
 
 Lengths are millimetres, angles radians. `CT` is the patient frame of the series, DICOM LPS.
 A `Transform(target, source, ...)` maps coordinates in `source` to coordinates in `target`.
@@ -19,7 +19,7 @@ from ronna_hw.errors import DataError
 Array = NDArray[np.float64]
 
 
-ROUNDING = 1e-6  # of what is a rotation but for the last digits
+ROUNDING = 1e-6  # tolerance for being a rotation up to rounding
 
 
 class Frame(StrEnum):
@@ -32,18 +32,18 @@ class Frame(StrEnum):
     CAMERA_LEFT = "camera_left"  # z along the optical axis, x along image columns, y down
     CAMERA_RIGHT = "camera_right"
     TRACKER = "tracker"  # origin at the sensor, everything tracked has negative z
-    MARKER = "marker"  # reference frame M that the tracker sees on the tool
+    MARKER = "marker"  # reference frame M on the tool, seen by the tracker
 
 
 class FrameMismatch(DataError):
-    """Two transforms were composed, or points mapped, across frames that do not meet."""
+    """Two transforms were composed, or points mapped, across frames that do not match."""
 
     code = "FRM-001"
     action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
 
 
 def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
-    """One translation (3,) mm after one rotation; other shapes raise ValueError, what is not finite FRM-001.
+    """One translation (3,) mm after one rotation; other shapes raise ValueError, non-finite numbers FRM-001.
 
     `RigidTransform.from_components` multiplies two transforms for that and checks the product, in several
     times the time; planning builds tens of thousands.
@@ -51,7 +51,7 @@ def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     matrix = np.eye(4)
     matrix[:3, :3] = turned = rotation.as_matrix()
     matrix[:3, 3] = np.reshape(translation_mm, 3)
-    # A quaternion too long for its square to be a number leaves a matrix of zeros.
+    # A quaternion whose square overflows leaves a matrix of zeros.
     if not abs(float(np.vdot(turned, turned)) - 3.0) < ROUNDING or not np.isfinite(matrix).all():
         raise FrameMismatch(f"expected a finite translation and a rotation, got\n{matrix}")
     return RigidTransform(matrix, normalize=False, copy=False)
@@ -122,6 +122,6 @@ class Transform:
             raise FrameMismatch(
                 f"cannot compose {self.target} <- {self.source} with {other.target} <- {other.source}"
             )
-        # A product of two proper rotations is one: SciPy's product would check that, in twice the time.
+        # A product of two proper rotations is one: SciPy would check that, in twice the time.
         product = self.rigid.as_matrix() @ other.rigid.as_matrix()
         return Transform(self.target, other.source, RigidTransform(product, normalize=False, copy=False))

@@ -1,6 +1,6 @@
-"""Where the log goes: lines on a stream, or `log.jsonl` in the folder of a run, rotated and bounded.
+"""Log output: lines on a stream, or `log.jsonl` in a run folder, rotated and limited in size.
 
-What comes in through the loggers of libraries leaves by the same way, without their values.
+Messages from library loggers take the same path, without their values.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def show_log(stream: TextIO) -> None:
 
 @contextlib.contextmanager
 def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
-    """Keep the log in `folder/log.jsonl` inside the block: rotated, bounded, closed at the end.
+    """Keep the log in `folder/log.jsonl` during the block: rotated, limited, closed at the end.
 
-    It begins with versions and platform; `facts` are added to that line. A full disk loses lines of the log
-    and stops nothing.
+    It begins with versions and platform; `facts` are added to that line. A full disk loses log
+    lines and stops nothing.
     """
     import structlog
 
@@ -67,7 +67,7 @@ def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
 
 
 def about_this_computer() -> dict[str, Any]:
-    """Versions, platform and the command as it was called, redacted: how a question to the authors begins."""
+    """Versions, platform and the command line, redacted: what a support request needs first."""
     from importlib import metadata
 
     versions = {}
@@ -84,7 +84,7 @@ def about_this_computer() -> dict[str, Any]:
 
 
 class _NeverStops(logging.Handler):
-    """What a full disk or a closed pipe refuses is lost: a run depends on its journal, not on its log."""
+    """Loses whatever a full disk or a closed pipe refuses: a run depends on its journal, not on its log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Lose the line."""
@@ -103,7 +103,7 @@ class _BoundedFile(_NeverStops, logging.handlers.RotatingFileHandler):
 
 
 def _attach(handler: logging.Handler, renderer: Any) -> logging.Handler:
-    """Put a handler at the root, where the lines of libraries arrive as well as ours."""
+    """Attach a handler to the root logger, which receives the lines of libraries as well as ours."""
     import structlog
 
     handler.setFormatter(
@@ -128,7 +128,7 @@ def _event_first(_log: object, _method: str, event: MutableMapping[str, Any]) ->
 
 
 def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any]) -> dict[str, Any]:
-    """A library's own line. Of a warning the place is kept; of what reads the patient's files, no text."""
+    """A library's own line. Warnings keep their location; libraries that read patient files keep no text."""
     record: logging.LogRecord = event["_record"]
     text = str(event["event"])
     if record.name == "py.warnings":
@@ -138,5 +138,5 @@ def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any])
         text = REDACTED
     else:
         text = scrubbed(text)
-    event.pop("exc_info", None)  # a trace shows local values
+    event.pop("exc_info", None)  # a traceback shows local values
     return {**event, "library": record.name, "event": text}

@@ -1,9 +1,9 @@
-"""Logs: one JSON line per event, with the name of the device, engine or command that says it.
+"""Logs: one JSON line per event, with the name of the device, engine or command that logs it.
 
-A part asks for its logger once and logs what a lab would ask about: state changes, identities, retries,
+A part gets its logger once and logs what a lab would want to know: state changes, identities, retries,
 faults. Nothing appears anywhere until a command shows the log (`--verbose`) or a run keeps it
-(`ronna_hw.log_output`).
-Never log in a real-time process: the robot link's loop and the camera reception have no logger.
+(`ronna_hw.log_output`). Never log in a real-time process: the robot link's loop and the camera
+reception have no logger.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ from typing import Any
 
 LEVELS = {"debug": logging.DEBUG, "info": logging.INFO, "warning": logging.WARNING, "error": logging.ERROR}
 ALL = "ronna"  # the logger above all of ours
-PARTS = ("engine", "events", "flight recorder", "log", "reading tape")  # that are neither device nor process
+PARTS = ("engine", "events", "flight recorder", "log", "reading tape")  # neither devices nor processes
 TABLES = ("device", "robot", "stereo", "tracker")  # of the theatre file, which names devices
-PROGRAMS = "ronna-"  # as every command begins, and every process
+PROGRAMS = "ronna-"  # prefix of every command and process
 
-logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets up no log sees none
+logging.getLogger(ALL).addHandler(logging.NullHandler())  # a script that sets up no logging sees nothing
 
 
 class Logger:
-    """A structlog logger with names bound. structlog is imported with the first event that is wanted."""
+    """A structlog logger with names bound. structlog is imported with the first event that is logged."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
         self._channel = logging.getLogger(_channel(".".join((ALL, *names.values()))))
 
     def debug(self, event: str, **facts: Any) -> None:
-        """Detail for the one who looks for a fault."""
+        """Details for debugging."""
         self._log(logging.DEBUG, event, facts)
 
     def info(self, event: str, **facts: Any) -> None:
@@ -38,7 +38,7 @@ class Logger:
         self._log(logging.INFO, event, facts)
 
     def warning(self, event: str, **facts: Any) -> None:
-        """Something was lost, retried or recovered, and work goes on."""
+        """Something was lost, retried or recovered, and work continues."""
         self._log(logging.WARNING, event, facts)
 
     def error(self, event: str, **facts: Any) -> None:
@@ -70,19 +70,19 @@ class Logger:
 def logger(**names: str) -> Logger:
     """The logger of one part: `logger(device="tracker")`, `logger(part="engine", step="registration")`.
 
-    The names are in each of its lines; their values, joined by dots, are what a level is set for: `engine`
-    covers `engine.registration`, and `ronna-sim` the process `ronna-sim polaris`.
+    The names are in each of its lines; levels are set for their values, joined by dots: `engine` covers
+    `engine.registration`, and `ronna-sim` the process `ronna-sim polaris`.
     """
     return Logger(names)
 
 
 def known_loggers() -> tuple[str, ...]:
-    """What the name of a logger can begin with."""
+    """Possible beginnings of a logger's name."""
     return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
 
 
 def is_known(name: str) -> bool:
-    """Whether there can be loggers of that name, or below it."""
+    """Whether there can be loggers with that name, or below it."""
     first = name.split(".")[0]
     parts = (part for known in PARTS for part in (known, _channel(known).split(".")[0]))
     return first in (*parts, *TABLES) or first.startswith(PROGRAMS)
@@ -95,7 +95,7 @@ def _channel(name: str) -> str:
 def set_level(level: str, name: str = "") -> None:
     """Log only this level (`debug`, `info`, `warning`, `error`) and above, for one logger or for all.
 
-    Raises ValueError for another word.
+    Raises ValueError for any other word.
     """
     if level not in LEVELS:
         raise ValueError(f"expected a level ({', '.join(LEVELS)}), got {level!r}")

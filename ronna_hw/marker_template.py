@@ -1,6 +1,6 @@
-"""A template for three or four markers: where they go on a head, so that their distances tell them apart.
+"""A template for three or four markers: their positions on a head, with distances that identify them.
 
-The surgeon's jig is made from it; plan and simulated scene take the same file.
+The surgeon's jig is made from it; plan and simulated scene use the same file.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.text.counting import counted
 
-FEWEST, MOST = 3, 4  # with more, their number tells them apart
-LEAST_DISTANCE_MM = 15.0  # two spheres of 11.5 mm, and a gap that a CT shows
+FEWEST, MOST = 3, 4  # with more, their number identifies them
+LEAST_DISTANCE_MM = 15.0  # two 11.5 mm spheres, and a gap that a CT shows
 UNIT_TOLERANCE = 1e-3
 IMPLANTED_SIGMA_MM = 0.3  # per axis: a screw follows its jig to half a millimetre
 
@@ -72,7 +72,7 @@ class MarkerTemplate(Strict):
 
     @property
     def least_difference_mm(self) -> float:
-        """By which the two most alike distances differ."""
+        """Difference between the two most similar distances."""
         return min(longer - shorter for shorter, longer in pairwise(self.distances_mm))
 
     @model_validator(mode="after")

@@ -1,8 +1,8 @@
 """Results with ancestors: every result is an immutable record with an identifier and its parents.
 
-Change one and everything after it is invalid. A record's hash covers all of it: what it says, what it was
-made from, which run, series and trajectory it belongs to, its own identifier and its date. So no record can
-stand in for another, not even for one that says the same.
+If one changes, everything after it is invalid. A record's hash covers all of it: its content and parents, the
+run, series and trajectory it belongs to, its own identifier and its date. So no record can stand in for
+another, not even for one with the same content.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, read_json_bytes
 from ronna_hw.errors import DataError
 
-PARTIAL = ".partial"  # how the name of a file ends while it is written
+PARTIAL = ".partial"  # suffix of a file's name while it is written
 
 
 class BadRecord(DataError):
@@ -37,7 +37,7 @@ class RecordExists(DataError):
 
 
 class OtherVersion(DataError):
-    """A record was written by a version of the program whose fields mean something else."""
+    """A record was written by a program version whose fields have a different meaning."""
 
     code = "REC-003"
     action = "Read it with the version that wrote it, or repeat the step."
@@ -45,9 +45,9 @@ class OtherVersion(DataError):
 
 @dataclass(frozen=True)
 class Record:
-    """One result: `kind` says what it is, `parents` maps the identifiers of its parents to their hashes.
+    """One result: `kind` is its type, `parents` maps the identifiers of its parents to their hashes.
 
-    `series` is the DICOM UID of the CT that the case works on.
+    `series` is the DICOM UID of the CT that the case is based on.
     """
 
     identifier: str
@@ -72,7 +72,7 @@ def canonical_json(content: Any) -> bytes:
 
 
 def write_record(record: Record, folder: Path) -> Path:
-    """Write `<identifier>.json` whole or not at all; raises REC-002 rather than write a record twice."""
+    """Write `<identifier>.json` atomically; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
     try:
         write_whole(path, _as_written(record), exclusive=True)
@@ -94,8 +94,8 @@ def _as_written(record: Record) -> bytes:
 def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed: bool = True) -> None:
     """Write a file so that it is never seen half written, not even after a crash.
 
-    With `exclusive` an existing file is never replaced: raises FileExistsError. One of many that are worth
-    nothing alone need not be `flushed` to the disk. An error of the system names the file.
+    With `exclusive` an existing file is never replaced: raises FileExistsError. A file that is worthless
+    without others need not be `flushed` to the disk. A system error names the file.
     """
     temporary = path.with_name(f".{path.name}{PARTIAL}")
     try:
@@ -109,7 +109,7 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
             temporary.unlink()
         else:
             temporary.replace(path)
-    except BaseException as problem:  # an interruption of the flush too leaves nothing half written
+    except BaseException as problem:  # even an interrupted flush leaves nothing half written
         temporary.unlink(missing_ok=True)
         if isinstance(problem, OSError) and problem.filename is None:
             problem.filename = str(path)

@@ -1,7 +1,7 @@
-"""Permitted content of a log line: no patient data, no secrets, no path that could identify a person.
+"""What a log line may contain: no patient data, no secrets, no path that could identify a person.
 
-Redaction errs on the side of too much. Text is kept only where it cannot come out of a patient's files: an
-error about a CT, a plan or a file is logged by its code alone, and so is every exception of a library.
+Redaction prefers removing too much. Text is kept only if it cannot come from a patient's files: an error
+about a CT, a plan or a file is logged by its code alone, and so is every library exception.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ _FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b"
 
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
-    """Processor of structlog: the same event with everything personal or secret taken out."""
+    """structlog processor: the same event with everything personal or secret removed."""
     return {key: redacted(key, value) for key, value in event.items()}
 
 
 def redacted(key: str, value: Any) -> Any:
-    """One value of an event, fit for the log: numbers as they are, text scrubbed, errors by `error_text`."""
+    """One value of an event, fit for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
     if _PATIENT_KEY.search(key):
         return REDACTED
     if isinstance(value, float):
@@ -85,7 +85,7 @@ def redacted(key: str, value: Any) -> Any:
 
 
 def scrubbed(text: str) -> str:
-    """Text without tokens, DICOM UIDs, paths and file names; endpoints and device nodes stay."""
+    """Text without tokens, DICOM UIDs, paths and file names; endpoints and device nodes are kept."""
     text = _TOKEN.sub(rf"\1{REDACTED}", text)
     text = _WORD_WITH_SLASH.sub(_path_out, text)
     text = _FILE_NAME.sub(REDACTED, text)
@@ -93,7 +93,7 @@ def scrubbed(text: str) -> str:
 
 
 def error_text(error: BaseException) -> str:
-    """The line of an error about a device, a limit or the configuration; of any other, its code or type."""
+    """The text of an error about a device, a limit or the configuration; of any other, its code or type."""
     if isinstance(error, _SAID_IN_FULL):
         return scrubbed(str(error))
     code = error.code if isinstance(error, RonnaError) else ""
@@ -101,7 +101,7 @@ def error_text(error: BaseException) -> str:
 
 
 def redacted_arguments(arguments: Sequence[str]) -> list[str]:
-    """Command-line arguments: subcommand, options, numbers and endpoints are kept, all else is taken out."""
+    """Command-line arguments: subcommand, options, numbers and endpoints are kept, all else is removed."""
     if arguments and re.fullmatch(r"[a-z-]+", arguments[0]):
         return [arguments[0], *map(_argument, arguments[1:])]
     return [_argument(one) for one in arguments]

@@ -1,4 +1,4 @@
-"""Drivers and probes by name, found by entry point: installing a package is all it takes to add one.
+"""Drivers and probes by name, found by entry point: installing a package is enough to add one.
 
 A driver's package declares, for example::
 
@@ -45,7 +45,7 @@ def driver_names() -> tuple[str, ...]:
 
 
 def load_driver(name: str) -> Any:
-    """The driver class of that name; raises DEV-002 with the names that exist."""
+    """The driver class with that name; raises DEV-002 with the existing names."""
     for point in entry_points(group=GROUP):
         if point.name == name:
             return point.load()
@@ -53,7 +53,7 @@ def load_driver(name: str) -> Any:
 
 
 def make_device(name: str, config: DeviceConfig, clock: Clock) -> Device:
-    """Make the driver object of one device of the theatre file; opens nothing."""
+    """Create the driver object of one device of the theatre file; opens nothing."""
     factory: DriverFactory = load_driver(config.driver)
     return factory(name, config, clock)
 
@@ -68,7 +68,7 @@ def load_probe(driver: str) -> Probe:
 
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
-    """The probes that can look at bare endpoints, by driver."""
+    """The probes that can check bare endpoints, by driver."""
     return {driver: probe for driver, probe in _probes() if isinstance(probe, EndpointProbe)}
 
 

@@ -3,7 +3,7 @@
     with simulated_theatre("mini", seed=7) as theatre:
         ...
 
-Nothing is imported from the simulators: the theatre is opened through the file that the command writes.
+Nothing is imported from the simulators: the theatre is opened with the file that the command writes.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from ronna_hw.host.interruption import interruption_deferred
 from ronna_hw.theatre import Theatre
 
 NAME = "ronna-sim theatre"
-PENDANT = "pendant at "  # how a message of the simulated controller's pendant begins
+PENDANT = "pendant at "  # prefix of a message on the simulated controller's pendant
 
 
 class TheatreProcess:
     """`ronna-sim theatre`, starting up; call `await_ready`, and `end` when done."""
 
     def __init__(self, *arguments: str, pendant: Callable[[str], None] = lambda _line: None) -> None:
-        """`pendant` hears each message of the simulated controller's pendant."""
+        """`pendant` is called with each message on the simulated controller's pendant."""
 
         def told(line: str) -> None:
             if line.startswith(PENDANT):
@@ -35,7 +35,7 @@ class TheatreProcess:
         self.child = ChildProcess(NAME, command("sim.cli", "theatre", *arguments), timeout_s=None, told=told)
 
     def await_ready(self) -> None:
-        """Return when every device is ready; raises PRC-001 with the command's own words."""
+        """Return once every device is ready; raises PRC-001 with the command's own message."""
         self.child.await_ready()
 
     @property
@@ -49,7 +49,7 @@ class TheatreProcess:
         return str(self.child.ready["endpoints"]["control"])
 
     def end(self) -> None:
-        """Bounded in time, never raises; an interruption meanwhile takes effect afterwards."""
+        """Bounded in time, never raises; an interruption in the meantime takes effect afterwards."""
         with interruption_deferred():
             self.child.stop()
 
@@ -61,7 +61,7 @@ class SimulatedTheatre(Theatre):
 
     @classmethod
     def of(cls, process: TheatreProcess) -> Self:
-        """The theatre of a process that is ready."""
+        """The theatre of a ready process."""
         theatre = cls.from_file(process.file)
         theatre.control = process.control
         return theatre
@@ -74,7 +74,7 @@ def simulated_theatre(
     """Start a simulated theatre, connect and configure its devices, and end all of it with the block.
 
     `scene` is `default`, `mini`, `bench` or the path of a scene file. Raises PRC-001 with the command's own
-    words when there is no such scene, and whatever `open_theatre` raises.
+    message when there is no such scene, and the errors of `open_theatre`.
     """
     with tempfile.TemporaryDirectory(prefix="ronna-theatre-") as folder:
         process = TheatreProcess("--scene", scene, "--seed", str(seed), "--out", folder)

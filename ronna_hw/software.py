@@ -1,7 +1,7 @@
 """Identity of this software: version, commit of a checkout, and the lock of its packages.
 
-A result can be computed again only with the packages that computed it, so each run keeps them by the hash of
-the lock file and the names of what is installed otherwise.
+A result can only be recomputed with the packages that computed it, so each run records the hash of the lock
+file and the names of packages installed in other versions.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from pathlib import Path
 PACKAGE = "ronna-hw"
 CHECKOUT = Path(__file__).resolve().parents[1]
 LOCK = Path("requirements") / "locked.txt"
-GIT_LIMIT_S = 2.0  # host time; a folder on a network may be slow, and a run does not wait for it
-SHORT_HASH = 12  # characters: enough to tell locks apart by eye
+GIT_LIMIT_S = 2.0  # host time; a network folder may be slow, and a run does not wait for it
+SHORT_HASH = 12  # characters: enough to tell locks apart at a glance
 _PINNED = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
 class Software:
-    """What computed a result. `commit` and `lock_sha256` are None where it does not run from a checkout."""
+    """What computed a result. `commit` and `lock_sha256` are None if it does not run from a checkout."""
 
     version: str
-    commit: str | None  # with "-dirty" where files differ from it
+    commit: str | None  # with "-dirty" if files differ from it
     lock_sha256: str | None
     otherwise: tuple[str, ...] = ()  # installed in another version than locked: "numpy 2.1, locked 2.0"
 
@@ -48,7 +48,7 @@ class Software:
 
 
 def this_software(checkout: Path = CHECKOUT) -> Software:
-    """The software that runs, as installed and as checked out in a folder."""
+    """The running software, as installed and as checked out in a folder."""
     try:
         version = metadata.version(PACKAGE)
     except metadata.PackageNotFoundError:  # on the path without being installed
@@ -63,7 +63,7 @@ def this_software(checkout: Path = CHECKOUT) -> Software:
 
 
 def _commit(checkout: Path) -> str | None:
-    """As git describes it; None without git or where the folder is none of its own."""
+    """According to git; None without git or if the folder is not its own checkout."""
     if not (checkout / ".git").exists():
         return None
     try:
@@ -80,8 +80,8 @@ def _commit(checkout: Path) -> str | None:
 
 
 def _otherwise(lock: str) -> list[str]:
-    """Packages of the lock that are installed in another version. What is not installed, no system needs."""
-    locked: dict[str, set[str]] = {}  # several versions of one package: for other versions of Python
+    """Packages of the lock installed in another version. Those not installed are not needed here."""
+    locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):
         locked.setdefault(match["name"], set()).add(match["version"])
     found = []

@@ -32,19 +32,19 @@ STOP_LIMIT_S = 5.0  # host time, for all arms together
 
 
 class Theatre:
-    """The devices of one theatre file. Each is made when it is first asked for; `connect` makes all.
+    """The devices of one theatre file. Each is created on first access; `connect` creates all.
 
     As a context manager it closes everything on leaving.
     """
 
     def __init__(self, file: TheatreFile, clock: Clock, make: DriverOfTable = make_device) -> None:
-        """Opens nothing. `make` makes the driver objects, for those who want others in their place."""
+        """Opens nothing. `make` creates the driver objects, for callers who want to substitute others."""
         self.file = file
         self._clock = clock
         self._make = make
         self.arms: Mapping[str, RobotArm] = _Arms(self)
         self._devices: dict[str, Device] = {}
-        self._found_fit: dict[tuple[str, object], Device] = {}  # by interface; a driver is asked once
+        self._found_fit: dict[tuple[str, object], Device] = {}  # by interface; a driver is checked once
         self._byte_sink: ByteSink | None = None
         self._closed = False
 
@@ -56,23 +56,23 @@ class Theatre:
 
     @property
     def clock(self) -> Clock:
-        """The theatre's time; raises DEV-010 once the theatre is closed."""
+        """The theatre clock; raises DEV-010 once the theatre is closed."""
         self._require_open()
         return self._clock
 
     @property
     def tracker(self) -> OpticalTracker:
-        """The optical tracker; raises DEV-007 when the file has none."""
+        """The optical tracker; raises DEV-007 if the file has none."""
         return self._device("tracker", OpticalTracker)
 
     @property
     def stereo(self) -> StereoPair:
-        """The stereo head; raises DEV-007 when the file has none."""
+        """The stereo head; raises DEV-007 if the file has none."""
         return self._device("stereo", StereoPair)
 
     @property
     def calibrations(self) -> Calibrations:
-        """The calibration records; raises DEV-007 when the file has none."""
+        """The calibration records; raises DEV-007 if the file has none."""
         if self.file.calibration is None:
             raise NotInTheatre(
                 f"theatre {self.file.theatre} has no calibration records",
@@ -88,12 +88,12 @@ class Theatre:
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """The device of table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
 
-        Raises DEV-007 when the file has no such table, DEV-008 when the device is of another kind.
+        Raises DEV-007 if the file has no such table, DEV-008 if the device is of another kind.
         """
         return self._device(f"device.{name}", interface)
 
     def require(self, *names: str) -> None:
-        """Raise DEV-007 that names every one of these tables that the file lacks, such as `robot.master`."""
+        """Raise DEV-007 naming every one of these tables missing from the file, such as `robot.master`."""
         known = self.file.devices
         if missing := [name for name in names if name not in known]:
             raise NotInTheatre(
@@ -102,7 +102,7 @@ class Theatre:
             )
 
     def record_bytes(self, sink: ByteSink) -> None:
-        """Hand over what passes on all links whose drivers can do so; before anything is connected."""
+        """Record the traffic on all links whose drivers support it; call before anything is connected."""
         self._byte_sink = sink
         for device in self._devices.values():
             _record_bytes(device, sink)
@@ -110,7 +110,7 @@ class Theatre:
     def connect(self, timeout_s: float = 10.0) -> None:
         """Connect and configure every device that is not yet, with `timeout_s` for each call.
 
-        Raises the driver's error of the first that fails; those before it stay connected.
+        Raises the driver's error of the first that fails; earlier ones stay connected.
         """
         for name in self.file.devices:
             device = self._made(name)
@@ -120,7 +120,7 @@ class Theatre:
                 device.configure(timeout_s)
 
     def stop(self) -> None:
-        """Bring all arms to rest at once, as well as their links still allow; never raises."""
+        """Bring all arms to rest at once, as far as their links still permit; never raises."""
         moving = [
             threading.Thread(target=_stop, args=(device,))
             for device in self._devices.values()
@@ -134,14 +134,14 @@ class Theatre:
     def close(self) -> None:
         """Stop the arms, then end all sessions, the arms' first. Bounded in time; never raises.
 
-        An interruption meanwhile takes effect afterwards.
+        An interruption in the meantime takes effect afterwards.
         """
         with interruption_deferred():
             self.stop()
             for device in sorted(self._devices.values(), key=lambda one: not isinstance(one, RobotArm)):
                 try:
                     device.close()
-                except Exception as error:  # the others must be closed all the same
+                except Exception as error:  # the others must be closed nevertheless
                     logger(device=device.name).error("cannot be closed", cause=error)
             if isinstance(self._clock, SharedClock):
                 self._clock.close()
@@ -186,7 +186,7 @@ class Theatre:
 
 
 class _Arms(Mapping[str, RobotArm]):
-    """The arms by name; a name that the file lacks raises DEV-007."""
+    """The arms by name; a missing name raises DEV-007."""
 
     def __init__(self, theatre: Theatre) -> None:
         self._theatre = theatre
@@ -205,8 +205,8 @@ class _Arms(Mapping[str, RobotArm]):
 def open_theatre(path: str | os.PathLike[str], timeout_s: float = 10.0) -> Iterator[Theatre]:
     """Connect and configure all devices of a theatre file for the length of a block.
 
-    On leaving, also by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded time.
-    Raises CFG-001 for a missing or wrong file, and the driver's error when a device is not there.
+    On leaving, including by an exception or Ctrl-C, the arms are stopped and everything is closed in bounded
+    time. Raises CFG-001 for a missing or invalid file, and the driver's error if a device is not there.
     """
     with Theatre.from_file(path) as theatre:
         theatre.connect(timeout_s)
@@ -219,5 +219,5 @@ def _record_bytes(device: Device, sink: ByteSink | None) -> None:
 
 
 def _stop(arm: RobotArm) -> None:
-    with contextlib.suppress(Exception):  # `close` goes on, and the link stops the arm when it ends
+    with contextlib.suppress(Exception):  # `close` continues, and the link stops the arm when it ends
         arm.stop(StopKind.HOLD, STOP_LIMIT_S)

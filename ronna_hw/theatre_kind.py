@@ -1,8 +1,8 @@
-"""Simulated or real: a theatre is one or the other, and a simulated one says so.
+"""Simulated or real: a theatre is one or the other, and a simulated one declares it.
 
 The address decides. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
-in shared memory; a real one is at a line or an address of a network. The clock of a simulated theatre is in
-shared memory.
+in shared memory; a real one is at a serial port or a network address. The clock of a simulated theatre
+is in shared memory.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ LOCAL_NAME = "localhost"
 
 
 class MixedTheatre(RefusedError):
-    """The theatre file mixes simulated and real devices, or does not say that it is a simulated one."""
+    """The theatre file mixes simulated and real devices, or does not declare itself simulated."""
 
     code = "CFG-004"
     action = "Use one theatre per file: ronna-sim theatre writes the simulated one, you write the real one."
 
 
 def on_this_computer(endpoint: Endpoint) -> bool | None:
-    """Whether only a program of this computer can be at an address; None where the address does not tell."""
+    """Whether only a program on this computer can be at an address; None if the address does not tell."""
     if endpoint.scheme == "shm":
         return True
     if endpoint.scheme == "serial":
@@ -46,7 +46,7 @@ def is_simulated(theatre: TheatreFile) -> bool:
 
 
 def require_one_kind(theatre: TheatreFile) -> None:
-    """Raise CFG-004 for a theatre of simulated and real devices, and for a simulated one without a banner."""
+    """Raise CFG-004 for mixed simulated and real devices, and for a simulated theatre without a banner."""
     simulated, real = _kinds(theatre)
     if simulated and real:
         raise MixedTheatre(
@@ -62,7 +62,7 @@ def require_one_kind(theatre: TheatreFile) -> None:
 
 
 def _kinds(theatre: TheatreFile) -> tuple[list[str], list[str]]:
-    """What is simulated and what is real, each with its address."""
+    """The simulated and the real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
     for name, device in theatre.devices.items():

@@ -1,7 +1,7 @@
 """Records of the tools that can be mounted on the arm: table `[tools.NAME]` of the theatre file.
 
 A record states identity, purpose and clearance bodies of a tool. Its tip position is in a separate
-calibration record, to which it refers.
+calibration record that it refers to.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Angles6 = tuple[float, float, float, float, float, float]
 
 
 class ToolPurpose(StrEnum):
-    """What a tool is there for."""
+    """Purpose of a tool."""
 
     STEREO_HEAD = "stereo_head"
     NEEDLE_GUIDE = "needle_guide"
@@ -77,7 +77,7 @@ class Gauge(Strict):
 
     @property
     def plausible_mm(self) -> tuple[float, float]:
-        """Between what a dial can show at all."""
+        """The range that a dial can show at all."""
         recorded_mm = (*self.reading_mm, *self.upper_reading_mm)
         return min(recorded_mm) - self.travel_mm, max(recorded_mm) + self.travel_mm
 

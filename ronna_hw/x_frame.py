@@ -1,11 +1,11 @@
 """The x-shaped frames: four spheres at the ends of two crossed bars, screwed to the skull as one piece.
 
-Ours is the template that gives four fiducials distances of their own: each of the six differs by more than
-8 mm from every other, and by more than 5 mm from every distance of the robot's reference frame M, so that
-neither can be taken for the other. The CT, the tracker and the phantom all mean this one frame. The close one
-is for studies beside the thesis only: the six distances of its frame differed by little more than 4.5 mm.
+Ours is a template that gives four fiducials unique distances: each of the six differs by more than 8 mm from
+every other, and by more than 5 mm from every distance of the robot's reference frame M, so that neither can
+be mistaken for the other. The CT, the tracker and the phantom all use this one frame. The close one is only
+for studies next to the thesis: the six distances of its frame differed by little more than 4.5 mm.
 
-Frame x: the origin is where the bars cross, the first bar lies along x, z points away from the skull.
+Frame x: the origin is where the bars cross, the first bar is along x, z points away from the skull.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ CLOSE_SPHERE_CENTRES_MM: Final[tuple[Point, Point, Point, Point]] = (
     (-30.0, 0.0, 0.0),
     (-14.0, -56.5, 0.0),
 )
-# The spheres stand on short posts on the bars; a foot under the crossing is screwed to the skull.
+# The spheres are on short posts on the bars; a foot under the crossing is screwed to the skull.
 BAR_BELOW_MM: Final = 11.0  # axis of the bars under the spheres' centres
 BAR_RADIUS_MM: Final = 3.5
 FOOT_RADIUS_MM: Final = 3.0
@@ -34,7 +34,7 @@ STANDOFF_MM: Final = 26.0  # from the skin to the plane of the spheres, at the f
 BARS: Final = ((0, 2), (1, 3))  # the spheres at their ends
 NAME: Final = "x_frame"  # as a tool of the tracker
 PART_NUMBER: Final = "RONNA-X"  # of its definition
-OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are seen from this side
+OUTWARD: Final[Point] = (0.0, 0.0, 1.0)  # all spheres are visible from this side
 
 
 class Body(NamedTuple):

@@ -1,4 +1,4 @@
-"""Joint vectors in degrees: for people and for wires."""
+"""Joint vectors in degrees, for display and for the wire."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The true flange pose of a calibrated arm, and the command that reaches a wanted pose.
 
-A controller knows the nominal chain only. It is told a pose beside the wanted one, such that the deviations
-lead to the wanted one. Deviations are small and smooth, so each round leaves a thousandth of the error.
+A controller knows only the nominal chain. It is given a pose off the wanted one such that the deviations lead
+to the wanted one. Deviations are small and smooth, so each iteration leaves a thousandth of the error.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
-CLOSE_MM = 1e-5  # the numbers of a record end there
+CLOSE_MM = 1e-5  # resolution of a record's numbers
 CLOSE_RAD = 1e-8
-MOST_ROUNDS = 8  # four are enough for an uncalibrated arm away from singularities
+MOST_ROUNDS = 8  # four suffice for an uncalibrated arm away from singularities
 
 
 class Compensated(NamedTuple):
-    """`joints_rad` bring the flange to the wanted pose; the controller takes them for `told`."""
+    """`joints_rad` bring the flange to the wanted pose, which the controller believes to be `told`."""
 
     joints_rad: JointVector
     told: Pose
 
 
 class CalibratedArm:
-    """An arm by its deviations; without any, the nominal arm to the last digit."""
+    """An arm with its deviations; without any, exactly the nominal arm."""
 
     def __init__(self, nominal: Kinematics, deviations: ArmDeviations | None = None) -> None:
         self.nominal = nominal
@@ -41,14 +41,14 @@ class CalibratedArm:
 
     @property
     def is_nominal(self) -> bool:
-        """Whether nothing is known of this arm's deviations."""
+        """Whether no deviations of this arm are known."""
         return self._deviations is None
 
     def forward(self, joints_rad: JointVector, flanks: Sequence[float] | None = None) -> Pose:
         """Pose of the flange in the robot base.
 
-        `flanks`, +1 or -1, say on which side of its backlash each joint rests: the direction in which it
-        arrived. Without, each is taken to be in the middle.
+        `flanks`, +1 or -1, give the side of its backlash on which each joint rests: the direction in which it
+        arrived. Without them, each joint is assumed to be in the middle.
         """
         if self._deviations is None:
             return self.nominal.forward(joints_rad)
@@ -59,8 +59,8 @@ class CalibratedArm:
     def as_controller_sees(self, surroundings: Surroundings, at_rad: JointVector) -> Surroundings:
         """The room in the controller's own coordinates, exact at these joints.
 
-        Its driver checks clearances by the nominal chain. Within reach of one head the deviations differ by
-        some tenths of a millimetre, which margins and corridors allow for.
+        The controller's driver checks clearances with the nominal chain. Within reach of one head the
+        deviations vary by some tenths of a millimetre, which margins and corridors allow for.
         """
         if self._deviations is None:
             return surroundings
@@ -75,9 +75,8 @@ class CalibratedArm:
     ) -> Compensated:
         """Joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
 
-        `flanks` as of `forward`, when the joints have arrived. Raises ARM-001 to ARM-003 as
-        `Kinematics.solve_branch`; ARM-001 also next to a singularity, where no pose of the controller's leads
-        to the wanted one.
+        `flanks` as in `forward`, after arrival. Raises ARM-001 to ARM-003 like `Kinematics.solve_branch`;
+        ARM-001 also near a singularity, where no commanded pose leads to the wanted one.
         """
         branch = self.nominal.branch_of(near)
         wanted = Pose.from_transform(flange)

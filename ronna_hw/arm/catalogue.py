@@ -1,4 +1,4 @@
-"""The arms whose kinematics come with this package, by the name that calibration records give them."""
+"""The arms whose kinematics are part of this package, by their names in calibration records."""
 
 from __future__ import annotations
 

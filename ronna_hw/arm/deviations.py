@@ -1,12 +1,12 @@
 """How one arm differs from its nominal chain: links, joints, gravity and backlash.
 
-The angle that acts in a joint is
+The effective angle of a joint is
 
     q + offset + sum over k = 1, 2 of (s_k sin kq + c_k cos kq) + sag g(q) + backlash / 2 * flank
 
-where `flank`, -1 to 1, is the side from which the joint arrived, and g(q) the horizontal lever of the wrist
-about the joint as a share of the stretched arm. At its far end every link is displaced by a small translation
-and a small rotation.
+where `flank`, -1 to 1, is the side from which the joint arrived, and g(q) the horizontal lever arm of the
+wrist about the joint, relative to that of the stretched arm. At its far end every link is displaced by a
+small translation and a small rotation.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from ronna_hw.calibration import ArmCalibration
 Array = NDArray[np.float64]
 
 HARMONICS = (1, 2)  # per turn of a joint
-FLANK_SHARE = 0.5  # of the dead way, to either side
+FLANK_SHARE = 0.5  # of the backlash, to either side
 
 
 @dataclass(frozen=True)
 class ArmDeviations:
     """Deviations of an arm of n joints, from the base outwards. Millimetres and radians."""
 
-    link_translation_mm: Array  # (n, 3) at the far end of the link behind each joint, in its frame
+    link_translation_mm: Array  # (n, 3) at the far end of the link after each joint, in its frame
     link_rotation_rad: Array  # (n, 3) there
     joint_offset_rad: Array  # (n,)
     sine_rad: Array  # (n, 2) once and twice per turn
     cosine_rad: Array  # (n, 2)
     sag_rad: Array  # (n,) of the stretched arm
-    backlash_rad: Array  # (n,) the whole dead way
+    backlash_rad: Array  # (n,) the full backlash
 
     @classmethod
     def none(cls, joints: int) -> Self:
@@ -51,7 +51,7 @@ class ArmDeviations:
         return cls(*(np.array(getattr(record, field.name)) for field in fields(cls)))
 
     def as_plain(self) -> dict[str, Any]:
-        """By the names that a calibration record has for them."""
+        """Named as in a calibration record."""
         plain: dict[str, Any] = {}
         for field in fields(self):
             values = getattr(self, field.name)
@@ -59,12 +59,12 @@ class ArmDeviations:
         return plain
 
     def flat(self) -> Array:
-        """All values in a row, field by field."""
+        """All values in one vector, field by field."""
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
     @classmethod
     def of_flat(cls, row: Array, joints: int) -> Self:
-        """From such a row."""
+        """From such a vector."""
         parts, begin = [], 0
         for field in fields(cls):
             shape = getattr(cls.none(joints), field.name).shape
@@ -77,7 +77,7 @@ class ArmDeviations:
 def flange_poses(
     chain: Chain, deviations: ArmDeviations, joints_rad: ArrayLike, flanks: ArrayLike = 0.0
 ) -> Array:
-    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) whose joints rest on `flanks` (m, n)."""
+    """Poses (m, 4, 4) ROBOT <- FLANGE at encoder angles (m, n) for joints resting on `flanks` (m, n)."""
     encoders = np.atleast_2d(np.asarray(joints_rad, dtype=float))
     acting = encoders + joint_errors(chain, deviations, encoders, flanks)
     place = np.tile(chain.base_mm, (len(encoders), 1))
@@ -94,7 +94,7 @@ def flange_poses(
 
 
 def joint_errors(chain: Chain, deviations: ArmDeviations, encoders_rad: Array, flanks: ArrayLike) -> Array:
-    """By how much the angles that act differ from the encoders', (m, n) rad."""
+    """Difference between the effective angles and the encoders', (m, n) rad."""
     errors = deviations.joint_offset_rad + FLANK_SHARE * deviations.backlash_rad * np.asarray(flanks)
     errors = errors + deviations.sag_rad * gravity_levers(chain, encoders_rad)
     for column, order in enumerate(HARMONICS):
@@ -104,9 +104,9 @@ def joint_errors(chain: Chain, deviations: ArmDeviations, encoders_rad: Array, f
 
 
 def gravity_levers(chain: Chain, joints_rad: Array) -> Array:
-    """Horizontal lever (m, n) of the wrist about each joint, as a share of the stretched arm.
+    """Horizontal lever arm (m, n) of the wrist about each joint, relative to that of the stretched arm.
 
-    Positive where weight turns the joint in its positive direction; 0 for the joints at the wrist.
+    Positive where weight turns the joint in its positive direction; 0 for the wrist joints.
     """
     places, axes = [], []
     place = np.tile(chain.base_mm, (len(joints_rad), 1))

@@ -22,7 +22,7 @@ class Unreachable(LimitError):
 
 
 class Singular(LimitError):
-    """A joint angle is undefined at this pose, and near it joint speeds grow without bound."""
+    """A joint angle is undefined at this pose, and joint speeds grow without bound near it."""
 
     code = "ARM-002"
     action = "Choose another angle about the tool axis, or another branch."

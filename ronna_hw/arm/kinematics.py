@@ -1,4 +1,4 @@
-"""The neutral interface to an arm's kinematics: nothing here assumes an axis order or a spherical wrist."""
+"""The neutral interface to an arm's kinematics, which assumes neither an axis order nor a spherical wrist."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from ronna_hw.frames import Transform
 
 Branch = NewType("Branch", int)
-"""Which inverse configuration. Opaque outside the arm it belongs to; records store the number."""
+"""An inverse configuration. Opaque outside the arm it belongs to; records store the number."""
 
-RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is not an excess
+RANGE_SLACK_RAD = 1e-9  # rounding at the end of a range is no violation
 
 
 class Solution(NamedTuple):
@@ -28,10 +28,10 @@ class Solution(NamedTuple):
 
 
 class SingularMeasure(NamedTuple):
-    """Distance from the three kinds of singularity, each at most 1 and 0 in the singular posture.
+    """Distance from the three kinds of singularity, each at most 1, and 0 at the singularity.
 
-    `wrist`: two wrist axes in line; `elbow`: upper arm and forearm in line; `shoulder`: the wrist over the
-    first axis.
+    `wrist`: two wrist axes aligned; `elbow`: upper arm and forearm aligned; `shoulder`: the
+    wrist on the first axis.
     """
 
     wrist: float
@@ -45,7 +45,7 @@ class SingularMeasure(NamedTuple):
 
 
 class JointRanges(Protocol):
-    """What the joints of an arm can do. Vectors hold one value per joint, from the base outwards."""
+    """The capabilities of an arm's joints. Vectors have one value per joint, from the base outwards."""
 
     @property
     def axis_names(self) -> tuple[str, ...]:
@@ -70,12 +70,12 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
 
     @property
     def name(self) -> str:
-        """Identifies the arm, also in calibration records."""
+        """Identifies the arm, including in calibration records."""
         ...
 
     @property
     def home_rad(self) -> JointVector:
-        """A posture to begin work from: clear of singularities, tool down and ahead of the wrist."""
+        """A posture from which to start work: clear of singularities, tool down and in front of the wrist."""
         ...
 
     @property
@@ -98,8 +98,8 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
     def solutions(self, pose: Pose) -> tuple[Solution, ...]:
         """All joint vectors within range that reach the flange pose, whole turns included.
 
-        Raises ARM-001 when the pose is out of reach, ARM-002 when a joint is not defined in a branch that the
-        ranges allow, ARM-003 when every branch leaves the ranges.
+        Raises ARM-001 when the pose is out of reach, ARM-002 when a joint is undefined in a branch within the
+        ranges, ARM-003 when every branch leaves the ranges.
         """
         ...
 
@@ -108,14 +108,14 @@ class Kinematics(JointRanges, ArmBodies, Protocol):
         ...
 
     def solve_branch(self, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-        """The solution in one branch whose whole turns lie nearest to `near`; called in the real-time loop.
+        """The solution in one branch, with the whole turns nearest to `near`; called in the real-time loop.
 
-        Raises ARM-001, ARM-002 or ARM-003 as `solutions`, for this branch alone.
+        Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
         """
         ...
 
     def singular_measure(self, joints_rad: JointVector) -> SingularMeasure:
-        """How far a posture is from each kind of singularity."""
+        """Distance of a posture from each kind of singularity."""
         ...
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:

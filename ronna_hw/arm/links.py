@@ -1,4 +1,4 @@
-"""An arm's chain of joints, and the bodies of its links: what clearance and calibration know of an arm."""
+"""An arm's chain of joints, and the bodies of its links: what clearance and calibration need of an arm."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Segment = tuple[Vector3, Vector3]
 
 
 class ArmPart(StrEnum):
-    """The parts of an arm whose thickness a theatre file gives (`[cell.arm]`)."""
+    """The parts of an arm whose thickness a theatre file states (`[cell.arm]`)."""
 
     COLUMN = "column"
     UPPER_ARM = "upper_arm"
@@ -25,8 +25,8 @@ class ArmPart(StrEnum):
 class Joint(NamedTuple):
     """One joint of a chain. With all joints at zero every frame is parallel to the base.
 
-    `axis` is a unit vector, about which positive angles turn; `to_next_mm` leads to the next joint in the
-    frame that turns with this one, from the last joint to the flange.
+    `axis` is a unit vector, about which angles are positive; `to_next_mm` leads to the next joint, or from
+    the last joint to the flange, in the frame that turns with this one.
     """
 
     axis: Vector3
@@ -34,9 +34,9 @@ class Joint(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """The nominal chain from the robot base over the joints to the flange.
+    """The nominal chain from the robot base through the joints to the flange.
 
-    `flange_rotation` turns the frame of the last link into that of the flange.
+    `flange_rotation` rotates the frame of the last link into that of the flange.
     """
 
     base_mm: Vector3  # of the first joint
@@ -45,9 +45,9 @@ class Chain(NamedTuple):
 
 
 class Link(NamedTuple):
-    """The body of a link: a capsule in the frame that turns with joint number `joint`, counted from 0.
+    """The body of a link: a capsule in the frame that turns with joint `joint`, counted from 0.
 
-    `touches` names the bodies before it, `COLUMN_NAME` among them, that it touches by construction.
+    `touches` names the preceding bodies, possibly `COLUMN_NAME`, that it touches by construction.
     """
 
     name: str
@@ -62,7 +62,7 @@ COLUMN_NAME = "base column"
 
 
 class ArmBodies(Protocol):
-    """Where the bodies of an arm are. A tool is mounted on the flange and touches the last link only."""
+    """Positions of an arm's bodies. A tool is mounted on the flange and touches the last link only."""
 
     @property
     def chain(self) -> Chain:
@@ -80,12 +80,12 @@ class ArmBodies(Protocol):
         ...
 
     def link_segments(self, joints_rad: JointVector) -> tuple[list[Segment], Pose]:
-        """Axes of all links in the robot base, and the flange's pose: the live watch's own closed form.
+        """Axes of all links in the robot base, and the flange's pose: the live monitor's own closed form.
 
         Called in the real-time loop; shares no formula with the sweeps that multiply out `chain`.
         """
         ...
 
     def levers_mm(self, tool_points_mm: Sequence[Vector3]) -> JointVector:
-        """How far any point of links or tool (flange frame) moves at most, per radian of each joint."""
+        """Bound on the motion of any point of links or tool (flange frame), per radian of each joint."""
         ...

@@ -1,7 +1,7 @@
 """The independent monitor: checks every set-point before it is sent, and every measured pose.
 
-It shares no code with the generators: plain comparisons against limits given at the start. It knows only what
-was really sent, and what the receiver reported as not taken.
+It shares no code with the generators: plain comparisons with limits given at the start. It knows only what
+was actually sent, and what the receiver reported as not accepted.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.devices.readings import JointVector
 
-SPEED_MARGIN = 1.05  # over the working limits: rounding and the end of a ramp do not trip it
+SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
-FOLLOWING_TIME_S = 0.25  # of working speed is the allowed lag: dead time and servo lag stay below 0.1 s
+FOLLOWING_TIME_S = 0.25  # allowed lag at working speed: dead time and servo lag stay below 0.1 s
 FOLLOWING_LEAST_RAD = 0.02  # the allowed lag of a slow axis
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
 
-CLEARANCE, ZONE_SPEED = "clearance", "speed near the head"  # kinds that concern bodies, not axes
+CLEARANCE, ZONE_SPEED = "clearance", "speed near the head"  # kinds that concern bodies rather than axes
 
 
 History = tuple[JointVector, JointVector, JointVector, JointVector]
@@ -52,7 +52,7 @@ class Violation(NamedTuple):
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """Per axis; steps are per cycle. `correction_rad` bounds the distance from the pose at RSI_ON."""
+    """Per axis; steps are per cycle. `correction_rad` limits the distance from the pose at RSI_ON."""
 
     lower_rad: JointVector
     upper_rad: JointVector
@@ -69,7 +69,7 @@ def monitor_limits(
 ) -> MonitorLimits:
     """Limits of the monitor for a session that started at `start_rad`.
 
-    The total correction is bounded by the end switches minus the start pose, as in the controller's context.
+    The total correction is limited by the end switches minus the start pose, as in the controller's context.
     """
 
     def times(values: JointVector, factor: float) -> JointVector:
@@ -123,7 +123,7 @@ class Monitor:
 
     @property
     def held_rad(self) -> JointVector:
-        """The set-point that the arm follows: the last one sent, unless that was not taken."""
+        """The set-point that the arm follows: the last one sent, unless it was not accepted."""
         return self._held
 
     def check(self, joints_rad: JointVector) -> Violation | None:
@@ -160,7 +160,7 @@ class Monitor:
         return Violation(ZONE_SPEED if met.is_speed else CLEARANCE, met.pair, met.value, met.limit)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """This set-point was sent."""
+        """Record that this set-point was sent."""
         one, two, three, _ = self._last
         self._last = (joints_rad, one, two, three)
         self._held = joints_rad
@@ -168,7 +168,7 @@ class Monitor:
             self._watch.sent(joints_rad)
 
     def not_taken(self) -> Violation | None:
-        """The last set-point was not taken: the one before is held. Checks the step from it once more."""
+        """Record that the last set-point was not accepted: the one before is held; recheck the step."""
         held = self._held = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
@@ -177,11 +177,11 @@ class Monitor:
         return None
 
     def sent_again(self) -> None:
-        """The last set-point was sent again. The next one is checked as if there had been no pause."""
+        """Record that the last set-point was sent again. The next is checked as if there was no pause."""
         self._held = self._last[0]
 
     def stands(self) -> None:
-        """The arm has come to rest at the held set-point, and that was sent."""
+        """Record that the arm has come to rest at the held set-point, and that it was sent."""
         self._last = (self._held, self._held, self._held, self._held)
         if self._watch is not None:
             self._watch.sent(self._held)

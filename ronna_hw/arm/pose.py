@@ -1,7 +1,7 @@
-"""Pose of the flange in the robot's base, in plain floats.
+"""Pose of the flange in the robot base, in plain floats.
 
-The robot's real-time loop builds one of these per cycle, so it holds tuples and imports neither NumPy nor
-SciPy. `to_transform` and `from_transform` lead to the checked transforms of the rest of the project.
+The robot's real-time loop creates one of these per cycle, so it consists of tuples and imports neither NumPy
+nor SciPy. `to_transform` and `from_transform` convert to the checked transforms used elsewhere.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Rotation9 = tuple[float, float, float, float, float, float, float, float, float]
 
 _IDENTITY: Rotation9 = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
-_GIMBAL_COSINE = 1e-9  # below this cos(B), only A minus or plus C is defined and C is given as 0
+_GIMBAL_COSINE = 1e-9  # below this cos(B), only A minus or plus C is defined and C is set to 0
 
 
 class Pose(NamedTuple):
@@ -29,7 +29,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_kuka(cls, X: float, Y: float, Z: float, A: float, B: float, C: float) -> Self:
-        """From mm and deg as KUKA writes them: R = Rz(A) Ry(B) Rx(C)."""
+        """From mm and deg in KUKA's convention: R = Rz(A) Ry(B) Rx(C)."""
         ca, sa = math.cos(math.radians(A)), math.sin(math.radians(A))
         cb, sb = math.cos(math.radians(B)), math.sin(math.radians(B))
         cc, sc = math.cos(math.radians(C)), math.sin(math.radians(C))
@@ -47,7 +47,7 @@ class Pose(NamedTuple):
         return cls((X, Y, Z), rotation)
 
     def to_kuka(self) -> tuple[float, float, float, float, float, float]:
-        """X, Y, Z in mm and A, B, C in deg, B within ±90. At B = ±90, C is 0 by choice."""
+        """X, Y, Z in mm and A, B, C in deg, B within ±90. At B = ±90, C is 0 by convention."""
         r = self.rotation
         cos_b = math.hypot(r[0], r[3])
         B = math.atan2(-r[6], cos_b)
@@ -59,7 +59,7 @@ class Pose(NamedTuple):
 
     @classmethod
     def from_quaternion(cls, position_mm: Vector3, quaternion: Quaternion) -> Self:
-        """From mm and a scalar-first quaternion of any length but zero."""
+        """From mm and a scalar-first quaternion of any non-zero length."""
         w, x, y, z = quaternion
         n = 2.0 / (w * w + x * x + y * y + z * z)
         rotation = (
@@ -78,7 +78,7 @@ class Pose(NamedTuple):
     def quaternion(self) -> Quaternion:
         """Scalar-first unit quaternion with non-negative scalar part."""
         r = self.rotation
-        # The largest of the four components is taken first: its square root is never near zero.
+        # The largest of the four components is computed first: its square root is never near zero.
         trace = r[0] + r[4] + r[8]
         largest = max(trace, r[0], r[4], r[8])
         if largest == trace:
@@ -111,14 +111,14 @@ class Pose(NamedTuple):
         return Pose(self.apply(other.position_mm), rotation)
 
     def inverse(self) -> Pose:
-        """The motion back."""
+        """The inverse motion."""
         r = self.rotation
         back = Pose((0.0, 0.0, 0.0), (r[0], r[3], r[6], r[1], r[4], r[7], r[2], r[5], r[8]))
         x, y, z = back.apply(self.position_mm)
         return Pose((-x, -y, -z), back.rotation)
 
     def apply(self, point_mm: Vector3) -> Vector3:
-        """A point (3) in mm, mapped."""
+        """Map a point (3) in mm."""
         x, y, z = point_mm
         r, p = self.rotation, self.position_mm
         return (
@@ -132,7 +132,7 @@ class Pose(NamedTuple):
         return math.dist(self.position_mm, other.position_mm)
 
     def angle_rad(self, other: Pose) -> float:
-        """Angle of the rotation that leads from one orientation to the other, 0..pi; good near zero."""
+        """Angle of the rotation from one orientation to the other, 0..pi; accurate near zero."""
         w, x, y, z = self.inverse().compose(other).quaternion()
         return 2.0 * math.atan2(math.sqrt(x * x + y * y + z * z), w)
 

@@ -1,4 +1,4 @@
-"""What a planned path will do, before it is driven: for people, for records, for the path check."""
+"""Predicts what a planned path will do, before it is driven: for people, records, and the path check."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import duration_s
 from ronna_hw.arm.motion.speed_zones import with_speed_steps
 
-CYCLE_S = 0.004  # of the generator, for the duration
+CYCLE_S = 0.004  # of the generator, for computing the duration
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class PathPreview:
 
     @property
     def clear(self) -> bool:
-        """Whether no body comes too near to another one."""
+        """Whether no body comes too close to another one."""
         return self.refused is None
 
     def as_payload(self) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def preview(
 ) -> PathPreview:
     """Evaluate a planned path as the arm would drive it in these surroundings.
 
-    Raises ARM-001 to ARM-003 where the path has no solution; one that is not clear is reported, not raised.
+    Raises ARM-001 to ARM-003 if the path has no solution; one that is not clear is reported, not raised.
     """
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path)
@@ -95,7 +95,7 @@ def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> Singular
 
 
 def _speeds(path: SweptPath, plan: MotionPlan) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """The largest speed of the path parameter in every interval, as limited."""
+    """The largest speed of the path parameter in each interval, as limited."""
     limits = np.full(len(path.parameters) - 1, plan.limits.velocity)
     for step in plan.speed_steps:
         limits[path.parameters[:-1] >= step.start - 1e-12] = step.velocity

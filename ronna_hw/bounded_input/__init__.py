@@ -1,8 +1,8 @@
 """External input, checked against bounds before use: size, depth, count, expansion.
 
-A file, a reply or a datagram may be damaged, or malicious; a few bytes must not cost
-gigabytes or minutes. Everything here raises INP-001, which is also a ValueError, so that a reader of a
-specific format can refuse with its own code.
+A file, a reply or a datagram may be damaged, or malicious; a few bytes must not cost gigabytes or minutes.
+Everything here raises INP-001, which is also a ValueError, so that the reader of a specific format can
+refuse with its own code.
 """
 
 from __future__ import annotations

@@ -12,17 +12,18 @@ GIVE_A_FILE = "Give a file: pipes, sockets and devices are not read."
 
 
 def read_bounded(path: Path, limit_bytes: int, *, linked: bool = True) -> bytes:
-    """A whole file. Raises INP-001 for more than `limit_bytes`, OSError.
+    """A complete file. Raises INP-001 for more than `limit_bytes`, OSError.
 
-    Never waits: a pipe, a socket or a device in its place is refused, without `linked` a link too (OSError).
+    Never blocks: a pipe, socket or device in its place is refused, and without `linked`
+    also a link (OSError).
     """
     try:
         with open_regular(path, linked=linked) as file:
             content = file.read(limit_bytes + 1)
     except OSError as error:
-        if linked and error.errno in (errno.EINVAL, errno.ENXIO):  # the second of a socket
+        if linked and error.errno in (errno.EINVAL, errno.ENXIO):  # the second for a socket
             raise InputRefused(f"{path} is not a regular file", action=GIVE_A_FILE) from error
-        error.filename = error.filename or str(path)  # of what breaks while it is read nobody says the name
+        error.filename = error.filename or str(path)  # errors while reading do not name the file
         raise
     if len(content) > limit_bytes:
         raise InputRefused(f"{path.name} is too large", limit=f"{limit_bytes} bytes")

@@ -1,6 +1,6 @@
-"""JSON with a bounded number of values, of bounded depth, whose numbers are numbers.
+"""JSON with a limited number of values, limited depth, and finite numbers.
 
-The bounds are checked on the text: a parsed document is up to thirty times as large.
+The limits are checked on the text: a parsed document is up to thirty times as large.
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from typing import Any
 from ronna_hw.bounded_input.files import read_bounded
 from ronna_hw.bounded_input.refusal import InputRefused
 
-LARGEST_JSON_BYTES = 100_000_000  # a journal of a case has one hundredth of it
+LARGEST_JSON_BYTES = 100_000_000  # a case's journal has a hundredth of it
 MOST_VALUES = 2_000_000  # up to 120 bytes each in memory
 MOST_VALUES_OF_A_MODEL = 100_000  # each may be a mistake, and a mistake takes up to two kilobytes
-MOST_VALUES_OF_LINES = 3_000_000  # of which one line at a time is parsed
-DEEPEST = 64  # records nest some ten deep
-MOST_DIGITS = 20  # of a whole number: nanoseconds since 1970 have 19
+MOST_VALUES_OF_LINES = 3_000_000  # parsed one line at a time
+DEEPEST = 64  # records nest about ten deep
+MOST_DIGITS = 20  # of an integer: nanoseconds since 1970 have 19
 
 _STRING = re.compile(rb'"(?:[^"\\]|\\.)*+"', re.DOTALL)
 _NO_BRACKETS = re.compile(rb"[^\[\]{}]+")
 
 
 def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
-    """The value of a JSON text. Raises INP-001, and ValueError for what is no JSON."""
+    """The value of a JSON text. Raises INP-001, and ValueError for invalid JSON."""
     content = check_json(text.encode() if isinstance(text, str) else text, limit_bytes, MOST_VALUES)
     try:
         return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
-    except RecursionError as error:  # of brackets that never close
+    except RecursionError as error:  # from brackets that never close
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
 
 
@@ -41,19 +41,21 @@ def read_json_bytes(
     *,
     linked: bool = True,
 ) -> bytes:
-    """A JSON file as bytes, for a model to read; `linked` as in `read_bounded`. Raises INP-001, OSError."""
+    """A JSON file as bytes for a model to validate; `linked` as in `read_bounded`. Raises
+    INP-001, OSError.
+    """
     return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes, most_values)
 
 
 def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
-    """A file of JSON lines, the last of which may be torn; `linked` as there. Raises INP-001, OSError."""
+    """A file of JSON lines, the last of which may be torn; `linked` likewise. Raises INP-001, OSError."""
     return _check_count(read_bounded(path, limit_bytes, linked=linked), MOST_VALUES_OF_LINES)
 
 
 def check_json(
     content: bytes, limit_bytes: int = LARGEST_JSON_BYTES, most_values: int = MOST_VALUES_OF_A_MODEL
 ) -> bytes:
-    """The same bytes, if their bounds are kept; raises INP-001."""
+    """The same bytes if they are within limits; raises INP-001."""
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
     _check_count(content, most_values)
@@ -69,7 +71,7 @@ def _check_count(content: bytes, most_values: int) -> bytes:
 
 
 def _deeper_than_allowed(content: bytes) -> bool:
-    """Whether brackets remain when the innermost have been taken away once per level."""
+    """Whether brackets remain after removing the innermost ones once per level."""
     brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
     for _ in range(DEEPEST):
         if not brackets:
@@ -85,7 +87,7 @@ def _whole(digits: str) -> int:
 
 
 def _finite(number: str) -> float:
-    """Of a fraction, and of the words that are none in JSON: NaN, Infinity."""
+    """Parse a fraction; rejects NaN and Infinity, which are not JSON."""
     value = float(number)
     if not math.isfinite(value):
         raise InputRefused("a number in JSON that is not finite", got=number[:MOST_DIGITS])

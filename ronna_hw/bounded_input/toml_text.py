@@ -1,6 +1,6 @@
-"""TOML of a bounded size, whose keys have a bounded number of parts.
+"""TOML of limited size, with keys of a limited number of parts.
 
-The standard library keeps every beginning of a key: what it needs grows with the square of the parts.
+The standard library stores every prefix of a key: its memory grows with the square of the parts.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ronna_hw.bounded_input.files import read_bounded
 from ronna_hw.bounded_input.refusal import InputRefused
 from ronna_hw.errors import RonnaError
 
-LARGEST_TOML_BYTES = 300_000  # a plan of a hundred trajectories has twenty thousand
-DEEPEST = 32  # tables in tables and parts of a key; more parts than an identifier of DICOM can have
+LARGEST_TOML_BYTES = 300_000  # a plan with a hundred trajectories has twenty thousand
+DEEPEST = 32  # nested tables and parts of a key; more parts than a DICOM identifier can have
 
 _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
 _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
@@ -27,7 +27,7 @@ _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
 
 
 def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """The content of a file; raises `refusal` with the reason when it is no TOML within bounds, OSError."""
+    """The content of a file; raises `refusal` with the reason if it is not TOML within limits, OSError."""
     try:
         content = read_bounded(path, LARGEST_TOML_BYTES)
     except InputRefused as error:
@@ -36,7 +36,7 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
 
 
 def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
-    """What the bytes of a file of that name say; raises `refusal` as `read_toml`."""
+    """The content of the bytes of a file with this name; raises `refusal` like `read_toml`."""
     try:
         return parse_toml(content.decode("utf-8-sig"))
     except InputRefused as error:
@@ -48,7 +48,7 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
 
 
 def _line_of(error: ValueError, content: bytes) -> str:
-    """The line that the parser stumbled over, and how a date is written where it looks like one."""
+    """The line that failed to parse, and how to write a date if it looks like one."""
     found = _LINE_NUMBER.search(str(error))
     lines = content.decode("utf-8-sig").splitlines()
     if found is None or not 0 < int(found[1]) <= len(lines):
@@ -59,7 +59,7 @@ def _line_of(error: ValueError, content: bytes) -> str:
 
 
 def parse_toml(text: str) -> dict[str, Any]:
-    """The content of a TOML text. Raises INP-001, and ValueError for what is no TOML."""
+    """The content of a TOML text. Raises INP-001, and ValueError for invalid TOML."""
     if len(text) > LARGEST_TOML_BYTES:
         raise InputRefused("too much TOML", limit=f"{LARGEST_TOML_BYTES} bytes")
     if _LONG_KEY.search(text):

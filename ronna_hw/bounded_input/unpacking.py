@@ -1,4 +1,4 @@
-"""Deflated data and ZIP files, unpacked no further than their bound."""
+"""Deflated data and ZIP files, unpacked only up to a limit."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import zlib
 
 from ronna_hw.bounded_input.refusal import InputRefused
 
-LARGEST_ZIP_BYTES = 2_000_000  # its table of contents is read whole
-_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # only these are unpacked step by step
+LARGEST_ZIP_BYTES = 2_000_000  # its table of contents is read entirely
+_METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # only these can be unpacked incrementally
 
 
 def inflate(packed: bytes, limit_bytes: int, *, raw: bool = False) -> bytes:
-    """Unpack zlib's form, or with `raw` deflate without a header. Raises INP-001, also for damaged data."""
+    """Unpack the zlib format, or raw deflate with `raw`. Raises INP-001, also for damaged data."""
     unpacker = zlib.decompressobj(-zlib.MAX_WBITS if raw else zlib.MAX_WBITS)
     try:
         content = unpacker.decompress(packed, limit_bytes + 1)

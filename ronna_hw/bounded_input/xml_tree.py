@@ -1,4 +1,4 @@
-"""XML without document types (which declare entities), of a bounded number of elements and names."""
+"""XML without document types (which declare entities), with a limited number of elements and names."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from ronna_hw.bounded_input.refusal import InputRefused
 
 MOST_ELEMENTS = 100_000  # a camera's description has up to thirty thousand
 DEEPEST = 64
-NAMES_BYTES = 20_000_000  # together: the name of a namespace is repeated in that of every element
+NAMES_BYTES = 20_000_000  # in total: a namespace name is repeated in that of every element
 
 
 def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
-    """The root element. Raises INP-001, also for what is no XML."""
+    """The root element. Raises INP-001, also for invalid XML."""
     if len(data) > limit_bytes:
         raise InputRefused("the XML is too large", limit=f"{limit_bytes} bytes", got=str(len(data)))
     parser = ElementTree.XMLParser(target=_Builder())
@@ -21,7 +21,7 @@ def parse_xml(data: bytes, limit_bytes: int) -> ElementTree.Element:
         root: ElementTree.Element = parser.close()
     except InputRefused:
         raise
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two of an encoding
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two from an encoding
         raise InputRefused(f"not valid XML: {error}") from error
     return root
 

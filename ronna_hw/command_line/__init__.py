@@ -1,1 +1,1 @@
-"""The conventions that every command of the project shares."""
+"""The conventions shared by all commands of the project."""

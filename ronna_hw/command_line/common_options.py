@@ -37,7 +37,7 @@ def _tell_version(wanted: bool) -> None:
 
 
 def _declared() -> list[Any]:
-    """The options as typer makes them: their callbacks do the work, and no command gets a value."""
+    """The options as created by typer: their callbacks do the work, and commands receive no value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
     @app.command()

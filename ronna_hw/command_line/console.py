@@ -1,4 +1,4 @@
-"""Runs a command: options, exit code, end. Commands import everything they share from here.
+"""Runs a command: options, exit code, termination. Commands import everything they share from here.
 
 Data goes to standard output, messages to standard error. A traceback is shown only with `--verbose`. The
 first SIGINT or SIGTERM unwinds the command through its `finally` blocks and ends it with exit code 130.
@@ -61,9 +61,9 @@ _NOTHING_ASKED: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsH
 def run(app: typer.Typer) -> NoReturn:
     """Run a command with this process's arguments and exit with the documented code."""
     code = exit_code_of(app, sys.argv[1:])
-    for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to end
+    for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to exit
         signal.signal(number, signal.SIG_IGN)
-    gc.freeze()  # nor need it search all that it leaves for garbage
+    gc.freeze()  # and need not search everything for garbage
     sys.exit(code)
 
 
@@ -153,7 +153,7 @@ def _unwind_on_signals() -> None:
 
 
 def _abandon_unwritable(stream: TextIO) -> None:
-    """Drop output that a full disk or a closed pipe refused, so that the interpreter exits quietly."""
+    """Drop output refused by a full disk or a closed pipe, so that the interpreter exits quietly."""
     try:
         stream.flush()
     except (OSError, ValueError):

@@ -13,7 +13,7 @@ EXIT_INTERRUPTED = 130  # as in ronna_hw.errors, which is too slow to import her
 
 
 def say_interrupted(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """Exception hook: nothing has to be cleaned up this early."""
+    """Exception hook: nothing needs cleaning up this early."""
     if not issubclass(kind, KeyboardInterrupt):
         sys.__excepthook__(kind, error, trace)
         return

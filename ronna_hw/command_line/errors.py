@@ -1,4 +1,4 @@
-"""Errors around a command: usage, disk, paths, ports, and faults of the program."""
+"""Errors around a command: usage, disk, paths, ports, and program faults."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
 
 
 def _first_with_number(problem: BaseException) -> BaseException:
-    """The operating system's error that a library has wrapped."""
+    """The operating-system error wrapped by a library."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:

@@ -1,4 +1,4 @@
-"""Where a command's log goes, and from which level on: `--verbose`, `--log-level`, `RONNA_LOG`."""
+"""A command's log output and its levels: `--verbose`, `--log-level`, `RONNA_LOG`."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def set_log_levels_by_option(levels: Sequence[str] | None) -> None:
 
 
 def set_log_levels_from_environment() -> None:
-    """Apply the levels in RONNA_LOG, separated by commas; options come later and so take precedence."""
+    """Apply the levels in RONNA_LOG, separated by commas; options are applied later and take precedence."""
     given = os.environ.get(LEVELS_VARIABLE)
     if given:
         set_log_levels(given.split(","))
 
 
 def set_up_logging(verbose: bool) -> None:
-    """Show the log on standard error with `--verbose`; otherwise silence the warnings of libraries.
+    """Show the log on standard error with `--verbose`; otherwise silence warnings from libraries.
 
-    Without it Python prints those warnings among the messages of the command.
+    Python would print those warnings among the command's messages.
     """
     if not verbose:
         logging.getLogger().addHandler(logging.NullHandler())
@@ -63,12 +63,12 @@ def set_up_logging(verbose: bool) -> None:
 
 
 def command_logger() -> Logger:
-    """The logger of the command that runs in this process."""
+    """The logger of this process' command."""
     return logger(command=Path(sys.argv[0]).name)
 
 
 def log_failure(problem: Exception, error: RonnaError) -> None:
-    """Log how a command failed: the error, and where it was raised without any values."""
+    """Log how a command failed: the error, and where it was raised, without any values."""
     import traceback
 
     frames = traceback.extract_tb(problem.__traceback__)

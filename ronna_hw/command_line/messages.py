@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def on_terminal(stream: TextIO) -> bool:
-    """True when this stream is a terminal."""
+    """Whether this stream is a terminal."""
     try:
         return stream.isatty()
     except ValueError:  # closed
@@ -22,14 +22,14 @@ def on_terminal(stream: TextIO) -> bool:
 
 
 def tell(line: str) -> None:
-    """Print a message of one line on standard error, if that is still open."""
+    """Print a one-line message on standard error, if that is still open."""
     with contextlib.suppress(OSError, ValueError):
         sys.stderr.write(printable(line) + "\n")
         sys.stderr.flush()
 
 
 def say(line: str = "") -> None:
-    """Print one line, or several, for a person on standard output."""
+    """Print one or more lines for a person on standard output."""
     sys.stdout.write(printable_lines(line) + "\n")
     sys.stdout.flush()
 
@@ -37,7 +37,7 @@ def say(line: str = "") -> None:
 def fail_with(error: RonnaError, advice: str | None = None) -> None:
     """Print an error as `run` does, for commands that continue after it.
 
-    `advice` takes the place of the error's own, where what is to be done is known better.
+    `advice` replaces the error's own, if the caller knows better what to do.
     """
     line = " ".join(str(error).split())
     if advice is not None:
@@ -52,7 +52,7 @@ def fail_with(error: RonnaError, advice: str | None = None) -> None:
     with console.capture() as rendered:
         console.print(Text.assemble((f"{code} " if code else "", "bold red"), rest))
     with contextlib.suppress(OSError):
-        sys.stderr.write(rendered.get())  # which a live display keeps above itself, unlike what goes past it
+        sys.stderr.write(rendered.get())  # a live display keeps this above itself, unlike direct output
         sys.stderr.flush()
 
 

@@ -12,10 +12,10 @@ Returned = TypeVar("Returned")
 
 
 def with_option_records(command: Callable[..., Returned]) -> Callable[..., Returned]:
-    """The command as typer reads it: each parameter of a dataclass type replaced by the fields of it.
+    """The command as typer reads it: each parameter of a dataclass type is replaced by its fields.
 
     A field is declared like a parameter, `name: Annotated[type, typer.Option(...)] = default`. The command
-    itself gets the record.
+    itself receives the record.
     """
     parameters = inspect.signature(command, eval_str=True).parameters
     records = {

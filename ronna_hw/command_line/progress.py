@@ -16,23 +16,23 @@ if TYPE_CHECKING:
 
 PROGRESS_DELAY_S = 2.0  # no bar for shorter work
 
-Progress = Callable[[float], None]  # called with the share done, 0 to 1
+Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 
 class ProgressBar:
-    """Called with the share done. The bar and its clock rest while `hidden`."""
+    """Called with the fraction done. Bar and timer are paused while `hidden`."""
 
     def __init__(self, description: str, *, shown: bool) -> None:
-        """Not `shown` at all where nobody looks."""
+        """Never shown if not `shown`, when nobody is watching."""
         self._began_s, self._hidden_s = time.monotonic(), 0.0
-        self._writing = threading.RLock()  # a question is asked by one thread, the share is told by another
+        self._writing = threading.RLock()  # one thread asks a question, another reports progress
         self._resting = False
         self._bar = self._made() if shown else None
         self._task = None if self._bar is None else self._bar.add_task(description, total=1.0)
         self._started = False
 
     def __call__(self, share: float) -> None:
-        """The share done, 0 to 1."""
+        """The fraction done, 0 to 1."""
         if self._bar is None or self._task is None:
             return
         with self._writing:
@@ -43,7 +43,7 @@ class ProgressBar:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """Hidden for the duration of the block, in which the user is prompted."""
+        """Hidden during the block, in which the user is prompted."""
         with self._writing:
             since_s = time.monotonic()
             self.close()
@@ -57,7 +57,7 @@ class ProgressBar:
                     self._bar.start()
 
     def close(self) -> None:
-        """Take it away."""
+        """Remove it."""
         if self._bar is not None and self._started:
             self._bar.stop()
 

@@ -1,6 +1,6 @@
-"""What is wrong with a command line: the option, the value, what was expected, the closest right word.
+"""Explains a command line error: the option, the value, what was expected, the closest valid word.
 
-Typer reports one half of that; the other half is in the option and in the error of its validation.
+Typer reports half of that; the other half is in the option and in its validation error.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import Any
 
 from ronna_hw.command_line.errors import UsageMistake
 
-MOST_ALIKE = 3  # of what may have been meant
+MOST_ALIKE = 3  # suggestions
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
 def asked_for(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
-    """The name of the command that the arguments lead to, and its parameters."""
+    """The name of the command selected by the arguments, and its parameters."""
     names = [str(command.name)]
     for word in arguments:
         inner = getattr(command, "commands", {}).get(word)
@@ -72,7 +72,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 
 def _validation(cause: BaseException | None) -> tuple[str, str] | None:
-    """What was expected and what was given instead, where the value was validated."""
+    """What was expected and what was given instead, if the value was validated."""
     errors = getattr(cause, "errors", None)
     if errors is None:
         return None
@@ -87,19 +87,19 @@ def _validation(cause: BaseException | None) -> tuple[str, str] | None:
             expected = "a whole number"
         case "float_parsing":
             expected = "a number"
-        case _:  # one of several words, or what else a type refuses
+        case _:  # one of several words, or something else a type refuses
             expected = str(first["msg"]).removeprefix("Value error, ").rstrip(".")
             expected = expected.partition(" is not ")[2] or expected
     return expected, repr(first["input"])
 
 
 def _hint(parameter: Any, context: Any) -> str:
-    """The option or argument as it is typed."""
+    """The option or argument as typed."""
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
 def _meaning(parameter: Any, context: Any) -> str:
-    """The help of an option, with its limits; an argument's too."""
+    """The help of an option or argument, with its limits."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
     return text if not text or text.endswith((".", "]")) else f"{text}."

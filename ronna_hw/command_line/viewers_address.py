@@ -76,7 +76,7 @@ class ViewersAddress:
         return f"[{self.address}]:{port}" if ":" in self.address else f"{self.address}:{port}"
 
     def context(self) -> ssl.SSLContext:
-        """TLS context. Raises CLI-001 for files that are not a certificate and its key."""
+        """TLS context. Raises CLI-001 unless the files are a certificate and its key."""
         context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
         try:
             context.load_cert_chain(self.certificate, self.key, password=lambda: "")

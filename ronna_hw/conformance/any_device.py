@@ -1,4 +1,4 @@
-"""Checks that the suites of all kinds share: interface, lifecycle, refusals, closing."""
+"""Checks shared by all suites: interface, lifecycle, refusals, closing."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ronna_hw.conformance.device_under_test import DeviceUnderTest
     from ronna_hw.devices.lifecycle import Device, Identity
 
-SLACK_S = 1.5  # beyond a time limit, for a busy computer
+SLACK_S = 1.5  # on top of a time limit, for a busy computer
 
 
 @contextmanager
@@ -28,7 +28,7 @@ def ends_within(limit_s: float) -> Iterator[None]:
 
 
 def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
-    """A new driver has all calls of its interface, has the name it was given, and is not connected."""
+    """A new driver has all calls of its interface and the given name, and is not connected."""
     device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
     check(device.state is Lifecycle.DISCONNECTED, "state disconnected", device.state)
@@ -56,7 +56,7 @@ def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: 
 
 
 def closes(device: Device, limit_s: float) -> None:
-    """Closing is bounded, final, and may be repeated."""
+    """Closing takes bounded time, is final, and may be repeated."""
     with ends_within(limit_s):
         device.close()
     check(device.state is Lifecycle.CLOSED, "state closed", device.state)

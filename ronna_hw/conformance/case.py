@@ -1,4 +1,4 @@
-"""Cases: small functions, each with a number, a statement of behaviour and what it needs to run."""
+"""Cases: small functions, each with a number, a statement of behaviour and its requirements."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Need:
-    """What a case needs of the device under test, and why the case is skipped without it."""
+    """A requirement of a case on the device under test, and why the case is skipped without it."""
 
     name: str
     reason: str
@@ -39,11 +39,11 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Raised by a case that cannot be decided here, for example because no stray is in view; says why."""
+    """Raised by a case that cannot be decided here, for example without a stray in view; says why."""
 
 
 class Nonconformity(AssertionError):
-    """Raised by a case when the device behaves otherwise."""
+    """Raised by a case when the device behaves differently."""
 
 
 Run = Callable[["DeviceUnderTest"], object]
@@ -54,7 +54,7 @@ E = TypeVar("E", bound=Exception)
 class Case:
     """One behaviour under a stable number.
 
-    T, R and S cases hold for any tracker, robot or stereo pair; the other letters belong to a wire protocol.
+    T, R and S cases apply to any tracker, robot or stereo pair; the other letters belong to a wire protocol.
     """
 
     number: str
@@ -70,7 +70,7 @@ class CaseList:
         self.cases = list(cases)
 
     def case(self, number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Callable[[Run], Run]:
-        """Add the decorated function as a case; raises ValueError when the number is taken."""
+        """Add the decorated function as a case; raises ValueError if the number is already used."""
         if any(other.number == number for other in self.cases):
             raise ValueError(f"two cases have number {number}")
 
@@ -84,7 +84,7 @@ class CaseList:
 class Suite(CaseList):
     """All cases for one kind of device.
 
-    `driver` is tested unless another is named; `motions` says what the cases that need "motion" move.
+    `driver` is tested unless another is named; `motions` describes what the cases that need "motion" move.
     """
 
     def __init__(self, kind: str, driver: str, *, motions: str = "", cases: Iterable[Case] = ()) -> None:
@@ -112,13 +112,13 @@ class Suite(CaseList):
 
 
 def check(condition: bool, expected: str, found: object = "") -> None:
-    """Raise Nonconformity unless `condition` holds, with what was expected and what was found."""
+    """Raise Nonconformity unless `condition` holds, with expected and actual behaviour."""
     if not condition:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
 def refused(call: Callable[[], object], kind: type[E], what: str) -> E:
-    """The error that `call` raises; Nonconformity when it raises none or one of another class."""
+    """The error raised by `call`; Nonconformity if there is none, or one of another class."""
     try:
         call()
     except kind as error:

@@ -12,9 +12,9 @@ from functools import cached_property
 class Checklist:
     """The lines of one protocol, numbered from 1.
 
-    A case belongs to a line by its number: one of `letters`, the line, and a small letter where a line has
-    several cases. `also` names generic cases that check a line too. `elsewhere` says where a line without a
-    case is tested. `remarks` say what a line's cases leave out.
+    A case's number assigns it to a line: one of `letters`, the line, and a lower-case letter if a line has
+    several cases. `also` names generic cases that also check a line. `elsewhere` says where a line without a
+    case is tested, `remarks` what a line's cases leave out.
     """
 
     letters: str
@@ -28,7 +28,7 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """The line that a case checks; None for a generic case."""
+        """The line checked by a case; None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 

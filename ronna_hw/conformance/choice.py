@@ -1,4 +1,4 @@
-"""What the command line names, worked out to a suite and a device before anything starts."""
+"""Resolves the command line to a suite and a device before anything starts."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
 
 @dataclass(frozen=True)
 class Choice:
-    """What the command line names: exactly one of `sim`, `config` and `endpoints`, and what goes with it."""
+    """The command line: exactly one of `sim`, `config` and `endpoints`, with its options."""
 
     sim: bool = False
     config: Path | None = None  # a theatre file
     endpoints: tuple[str, ...] = ()  # URI, or NAME=URI for each of several
     driver: str | None = None  # instead of the suite's
     device: str | None = None  # which robot of the theatre file
-    allow: tuple[str, ...] = ()  # of PERMISSIONS; our own simulator allows everything
+    allow: tuple[str, ...] = ()  # from PERMISSIONS; our own simulator allows everything
 
     def check(self) -> None:
         """Raise CNF-001 unless exactly one device is named and every permission is known."""
@@ -103,7 +103,7 @@ def resolve(kind: str, choice: Choice) -> Target:
 
 
 def configured(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
-    """A driver at these endpoints (None for a single one without a name), with its conformance options."""
+    """A driver at these endpoints (None for a single unnamed one), with its conformance options."""
     factory = load_driver(driver)
     options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
     for address in addresses.values():
@@ -123,7 +123,7 @@ def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
 
 
 def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
-    """Raise CNF-001 where a driver that searches for its device needs other endpoints, with an example."""
+    """Raise CNF-001 if the driver needs endpoints with other names, with an example."""
     finder = finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):

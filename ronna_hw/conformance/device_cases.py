@@ -1,4 +1,4 @@
-"""Cases that any device must pass: active for a block, observation from outside, a probe."""
+"""Cases that any device must pass: activation for a block, observation from outside, a probe."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Lifecycle
 from ronna_hw.registry import load_probe
 
-LOOK_LIMIT_S = 1.0  # a look takes microseconds; the rest is for a busy computer
+LOOK_LIMIT_S = 1.0  # observing takes microseconds; the rest is for a busy computer
 READINGS = 3
 
 
@@ -25,13 +25,13 @@ class Interruption(Exception):
 
 @dataclass(frozen=True)
 class DeviceCases:
-    """The cases for one kind of device: `read` takes a reading, `limit_s` bounds how long stopping takes."""
+    """The cases for one kind of device: `read` takes a reading, `limit_s` limits the time for stopping."""
 
     read: Callable[[Any], object]
     limit_s: float
 
     def numbered(self, letter: str, first: int) -> list[Case]:
-        """The cases under running numbers, such as T23 and on."""
+        """The cases with consecutive numbers, such as T23 and on."""
         statements = {
             "a block makes a disconnected device active and leaves it configured": self.active_block,
             "a block left by an exception deactivates the device and lets the exception through": self.left,
@@ -104,7 +104,7 @@ class DeviceCases:
 
 
 def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
-    """What another thread sees of a device in this state; the look must return at once and change nothing."""
+    """What another thread sees of a device in this state; observing must be immediate and change nothing."""
     fault, seen = device.fault, list[LastKnown[object]]()
     observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
     observer.start()

@@ -1,4 +1,4 @@
-"""The device under test: makes drivers for the cases, shares one session among those that only read."""
+"""The device under test: creates drivers for the cases; cases that only read share one session."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED
 class DeviceUnderTest:
     """One driver with one configuration. `offers` names the needs of cases that it meets.
 
-    `clock_known` is False where the host's clock is only assumed.
+    `clock_known` is False if the host's clock is merely assumed.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class DeviceUnderTest:
             self.offers |= protocol.offers(self)
 
     def make(self, *, endpoint: str | None = None, options: dict[str, Any] | None = None) -> Any:
-        """A new driver object, not connected. Closes every other session first."""
+        """A new, unconnected driver object. Closes every other session first."""
         self.release()
         changes: dict[str, Any] = {}
         if endpoint is not None:
@@ -56,7 +56,7 @@ class DeviceUnderTest:
         return device
 
     def at(self, state: Lifecycle) -> Any:
-        """The shared device in CONNECTED, CONFIGURED or ACTIVE; a new one when the old one failed."""
+        """The shared device in CONNECTED, CONFIGURED or ACTIVE; a new one if the old one failed."""
         device = self._shared
         if device is None or device.state not in _ON_THE_WAY:
             device = self._shared = self.make()
@@ -82,12 +82,12 @@ class DeviceUnderTest:
 
     @property
     def endpoint(self) -> Endpoint:
-        """The only endpoint; for cases whose needs imply that there is one."""
+        """The only endpoint, for cases whose needs imply that there is one."""
         assert self.config.endpoint is not None, "the case needs a single endpoint"
         return parse_endpoint(self.config.endpoint)
 
     def disturbed_line(self) -> DisturbedLine:
-        """A line between driver and device that can misbehave; give its endpoint to `make`."""
+        """A line between driver and device that can misbehave; pass its endpoint to `make`."""
         self.release()
         return DisturbedLine(self.endpoint)
 
@@ -106,6 +106,6 @@ class DeviceUnderTest:
             return False
         try:
             self.make(endpoint="tcp://127.0.0.1:1")
-        except ConfigurationError:  # this driver does not take TCP
+        except ConfigurationError:  # this driver does not support TCP
             return False
         return True

@@ -1,6 +1,6 @@
 """A TCP line between a driver and its device that can misbehave.
 
-It changes only what the device sends, never what the driver sends, so it is safe in front of hardware.
+It changes only what the device sends, never what the driver sends, so it is safe to use with hardware.
 """
 
 from __future__ import annotations
@@ -98,7 +98,7 @@ class DisturbedLine:
         ends = selectors.DefaultSelector()
         ends.register(client, selectors.EVENT_READ)
         ends.register(device, selectors.EVENT_READ)
-        held: list[tuple[float, bytes]] = []  # (due, bytes), in the order in which they came
+        held: list[tuple[float, bytes]] = []  # (due, bytes), in order of arrival
         with ends:
             while not (self._ended or self._cut):
                 wait_s = LOOK_EVERY_S
@@ -119,7 +119,7 @@ class DisturbedLine:
                     client.sendall(held.pop(0)[1])
 
     def _from_driver(self, data: bytes) -> None:
-        """Hook for subclasses: what the driver sends, which is passed on unchanged."""
+        """Hook for subclasses: data from the driver, passed on unchanged."""
 
     def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
         disturbance, self._next = self._next, None
@@ -130,7 +130,7 @@ class DisturbedLine:
         deliveries: list[tuple[float, bytes]], held: list[tuple[float, bytes]]
     ) -> list[tuple[float, bytes]]:
         now_s = time.monotonic()
-        earliest_s = held[-1][0] if held else now_s  # nothing overtakes what came before
+        earliest_s = held[-1][0] if held else now_s  # nothing overtakes earlier data
         return [(max(earliest_s, now_s + delay_s), part) for delay_s, part in deliveries]
 
     def _open_device(self) -> _End:

@@ -1,11 +1,11 @@
-"""Cases for a wire protocol, found by its name among the entry points.
+"""Cases for a wire protocol, found by name among the entry points.
 
-A package that brings a driver for a protocol of its own can bring cases for it too::
+A package with a driver for its own protocol can also provide cases for it::
 
     [project.entry-points."ronna_hw.conformance"]
     my-protocol = "my_package.conformance:PROTOCOL"
 
-They follow the generic cases when the driver's `wire_protocol` has that name.
+They follow the generic cases if the driver's `wire_protocol` has that name.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ def _nothing(_dut: DeviceUnderTest) -> frozenset[str]:
 
 @dataclass(frozen=True)
 class ProtocolCases:
-    """What a package brings for one wire protocol.
+    """What a package provides for one wire protocol.
 
     `offers` names the needs that it can meet for a given device under test. `simulator` returns the arguments
     of `ronna-sim` for a device that speaks the protocol.
@@ -45,7 +45,7 @@ class ProtocolCases:
 
 
 def load_protocol(wire_protocol: str) -> ProtocolCases:
-    """What the installed packages bring for a wire protocol; empty when none brings anything."""
+    """What the installed packages provide for a wire protocol; empty if none do."""
     for point in entry_points(group=GROUP, name=wire_protocol):
         found: ProtocolCases = point.load()
         return found
@@ -53,7 +53,7 @@ def load_protocol(wire_protocol: str) -> ProtocolCases:
 
 
 def protocol_of(driver: str) -> ProtocolCases:
-    """The protocol cases for a driver, by its class's `wire_protocol`; raises DEV-002."""
+    """The protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
     return load_protocol(load_driver(driver).wire_protocol)
 
 

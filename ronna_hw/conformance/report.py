@@ -40,7 +40,7 @@ class Report:
     identity: Identity
     started: str
     results: tuple[CaseResult, ...]
-    confirmed_by: str = ""  # who stood by while the device was moved
+    confirmed_by: str = ""  # the person who stood by while the device was moved
 
     def count(self, outcome: Outcome) -> int:
         """Number of cases with this outcome."""
@@ -48,7 +48,7 @@ class Report:
 
     @property
     def passed(self) -> bool:
-        """True when no case failed and at least one passed."""
+        """Whether no case failed and at least one passed."""
         return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
@@ -77,8 +77,8 @@ def run_suite(
 ) -> Report:
     """Run every case that the device under test allows.
 
-    The device is connected once first; raises ConnectError and the like when that fails, because no case
-    would mean anything then.
+    The device is connected once first; raises ConnectError and the like if that fails, because no case
+    would be meaningful.
     """
     started = datetime.now(UTC).isoformat(timespec="seconds")
     device = dut.make()

@@ -1,7 +1,7 @@
 """Cases that every robot arm must pass, whatever its protocol.
 
-Without `--allow motion` nothing moves: the stream starts with corrections of zero, which hold the arm
-where it is. The motions of the suite are small and return to their start.
+Without `--allow motion` nothing moves: the stream starts with zero corrections, which hold the arm in place.
+The motions of the suite are small and return to their start.
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
 
-HOLDING_S = 0.2  # theatre time for which an arm with zero corrections is watched
+HOLDING_S = 0.2  # theatre time for which an arm with zero corrections is observed
 STANDS_STILL_RAD = radians(0.001)  # ten of the last digits of the usual wire
-REACHED_RAD = radians(0.01)  # of a settled joint move
-REACHED_MM = 0.05  # of a settled straight line; repeatability of small arms is 0.03 mm
+REACHED_RAD = radians(0.01)  # after a settled joint move
+REACHED_MM = 0.05  # after a settled straight line; repeatability of small arms is 0.03 mm
 SMALL_TURN_RAD = radians(1.0)  # of the last axis: the hand turns, nothing else moves
 STOPPED_TURN_RAD = radians(20.0)  # long enough to be stopped on the way
 SMALL_LINE_MM = 2.0
-SMALL_TILT_RAD = radians(1.0)  # of the hand, about a point beside the flange
+SMALL_TILT_RAD = radians(1.0)  # of the hand, about a point off the flange
 BESIDE_FLANGE_MM = (100.0, 0.0, 50.0)
 SLOW = 0.1  # of the driver's working speed: a person can follow it and press a button
 CLOSE_LIMIT_S = 8.0  # the arm may have to come to rest first
@@ -62,13 +62,13 @@ SUITE = Suite(
 
 
 def turned(joints_rad: JointVector, by_rad: float) -> JointVector:
-    """The same pose with the last axis turned, towards the middle of its range."""
+    """The same pose with the last axis turned towards the middle of its range."""
     a, b, c, d, e, last = joints_rad
     return (a, b, c, d, e, last - math.copysign(by_rad, last))
 
 
 def shifted(pose: Transform, by_mm: tuple[float, float, float]) -> Transform:
-    """The same orientation, moved in the robot's frame."""
+    """The same orientation, moved in the robot frame."""
     return Transform.of(
         pose.target,
         pose.source,
@@ -78,7 +78,7 @@ def shifted(pose: Transform, by_mm: tuple[float, float, float]) -> Transform:
 
 
 def apart_rad(a: JointVector, b: JointVector) -> float:
-    """Largest difference of an axis."""
+    """Largest difference of any axis."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
@@ -317,7 +317,7 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
     half = SMALL_TILT_RAD / 2.0
     tilt = Transform.of(Frame.TOOL, Frame.TOOL, quaternion_wxyz=(math.cos(half), math.sin(half), 0.0, 0.0))
     for target in (here @ tilt, here):
-        # The tool's point stays where it is while the hand turns about it.
+        # The tool point stays in place while the hand turns about it.
         seen = _joints_on_the_way(
             dut,
             arm,
@@ -332,7 +332,7 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
 
 
 def _joints_on_the_way(dut: DeviceUnderTest, arm: Any, motion: Callable[[], object]) -> list[JointVector]:
-    """The commanded axes during a motion and after it; raises what the motion raises."""
+    """The commanded axes during a motion and after it; raises the motion's errors."""
     with ThreadPoolExecutor(1) as pool:
         moving = pool.submit(motion)
         seen = []
@@ -367,7 +367,7 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
 def _stopped_on_the_way(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector, kind: StopKind
 ) -> list[RonnaError]:
-    """Stop a motion once the arm has visibly left its start; what the motion raised."""
+    """Stop a motion once the arm has visibly left its start; returns the errors that the motion raised."""
     mover, ends = set_moving(dut, arm, start, target)
     try:
         arm.stop(kind)
@@ -379,7 +379,7 @@ def _stopped_on_the_way(
 def set_moving(
     dut: DeviceUnderTest, arm: Any, start: JointVector, target: JointVector
 ) -> tuple[threading.Thread, list[RonnaError]]:
-    """A thread that moves the arm, which has visibly left its start, and what the motion will raise."""
+    """A thread that moves the arm, which has visibly left its start, and the errors the motion will raise."""
     ends: list[RonnaError] = []
 
     def move() -> None:

@@ -1,4 +1,4 @@
-"""Set up the device under test: start our simulator where that is wanted, and end everything afterwards."""
+"""Sets up the device under test: starts our simulator if requested, and cleans up everything afterwards."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ CLOSE_LIMIT_S = 5.0
 CONNECT_LIMIT_S = 2.0
 AREA_STEP_PX = 32  # a multiple of what cameras allow
 NOBODY = "gev://127.0.0.251"
-EXPOSURES_US = (0.0, 1e9)  # beyond every camera
+EXPOSURES_US = (0.0, 1e9)  # outside every camera's limits
 GAIN_RAW = 64
 
 SUITE = Suite("stereo", driver="basler_stereo")
@@ -196,7 +196,7 @@ SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).num
 
 
 def _part(area: AreaOfInterest) -> AreaOfInterest:
-    """A part in the middle of an area, in steps that cameras allow."""
+    """The middle part of an area, in steps that cameras allow."""
 
     def step(value: int) -> int:
         return value // AREA_STEP_PX * AREA_STEP_PX

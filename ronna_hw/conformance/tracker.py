@@ -53,7 +53,7 @@ def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
 
 
 def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
-    """All readings of all tools; undecided when no tool is configured."""
+    """All readings of all tools; undecided if no tool is configured."""
     readings = [reading for frame in frames_of(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
@@ -62,7 +62,7 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
 
 @contextlib.contextmanager
 def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
-    """(line, tracker): an active tracker on a line that can misbehave; every session is closed afterwards."""
+    """(line, tracker): an active tracker on a line that can misbehave; closes every session afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()

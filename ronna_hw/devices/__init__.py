@@ -1,4 +1,4 @@
-"""Typed device interfaces, their lifecycle, and the readings they give."""
+"""Typed device interfaces, their lifecycle, and their readings."""
 
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Device, Identity, Lifecycle, LifecycleGuard

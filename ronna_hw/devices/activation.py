@@ -1,4 +1,4 @@
-"""A device made active for the length of a block, whatever happens in it."""
+"""Activates a device for the length of a block, whatever happens in it."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ RUNNING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
 def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     """Connect and configure as needed, activate, and deactivate on leaving the block.
 
-    `timeout_s` limits each of these calls. A device that is in HOLD starts anew; one that is already active
-    is taken as it is, and left active. What the block raises is never masked: a failure to deactivate is
-    added to it as a note. Raises what `connect`, `configure` and `activate` raise, and DEV-001
-    for a device that is in FAULT or CLOSED.
+    `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is
+    used as it is, and left active. Errors from the block are never masked: a failure to deactivate is
+    added to them as a note. Raises the errors of `connect`, `configure` and `activate`, and DEV-001 for a
+    device in FAULT or CLOSED.
     """
-    if device.state is Lifecycle.ACTIVE:  # by whoever made it so, who also deactivates it
+    if device.state is Lifecycle.ACTIVE:  # activated by someone else, who also deactivates it
         yield device
         return
     _activate(device, timeout_s)
     try:
         yield device
-    except BaseException as problem:  # also an interruption: the device stops whatever ended the block
+    except BaseException as problem:  # including interruptions: the device stops whatever ended the block
         with interruption_deferred():
             try:
                 _deactivate(device, timeout_s)
@@ -50,6 +50,6 @@ def _activate(device: Device, timeout_s: float) -> None:
 
 
 def _deactivate(device: Device, timeout_s: float) -> None:
-    """Nothing is left to do for a device that is in FAULT: it has stopped, and only `recover` leaves that."""
+    """Deactivate, unless the device is in FAULT: it has stopped, and only `recover` clears that."""
     if device.state in RUNNING:
         device.deactivate(timeout_s)

@@ -13,9 +13,9 @@ class WrongState(StateError):
 
 
 class MotionInterrupted(StateError):
-    """A motion was stopped before its end, by `stop` from elsewhere; the arm rests on its path in HOLD.
+    """A motion was stopped before its end by `stop` from elsewhere; the arm rests on its path in HOLD.
 
-    Each driver of an arm has its own, with its code.
+    Each arm driver has its own subclass, with its code.
     """
 
 
@@ -59,7 +59,7 @@ class NoNewFrame(LinkTimeout):
 
 
 class UnknownTool(ConfigurationError, LookupError):
-    """The tracker has no tool of that name."""
+    """The tracker has no tool with that name."""
 
     code = "DEV-003"
     action = "Use the name of a tool in the tracker's options, or add the tool there."

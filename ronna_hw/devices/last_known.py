@@ -1,4 +1,4 @@
-"""What is known of a device without asking it."""
+"""What is known about a device without querying it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ R_co = TypeVar("R_co", covariant=True)
 
 @dataclass(frozen=True)
 class LastKnown(Generic[R_co]):
-    """State, latched fault and newest reading as they were last seen; the reading's stamp tells its age."""
+    """State, latched fault and latest reading as last seen; the reading's stamp gives its age."""
 
     state: Lifecycle
     fault: RonnaError | None
     reading: R_co | None
-    says: tuple[Fact, ...] = ()  # what the device said of itself, unasked
+    says: tuple[Fact, ...] = ()  # what the device reported unsolicited

@@ -1,8 +1,8 @@
-"""Device lifecycle: the states of every device, and the calls that each one allows.
+"""Device lifecycle: the states of every device, and the calls allowed in each.
 
-DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD;
-FAULT is latched and left only by an explicit `recover`, which re-reads the device; CLOSED is final.
-Reading is allowed from CONNECTED, motion only in ACTIVE.
+DISCONNECTED -> CONNECTED (identity and version checked) -> CONFIGURED -> ACTIVE <-> HOLD; FAULT is latched
+and cleared only by an explicit `recover`, which re-reads the device; CLOSED is final. Reading is allowed from
+CONNECTED, motion only in ACTIVE.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ R = TypeVar("R")
 
 
 class Lifecycle(StrEnum):
-    """The states every device has."""
+    """The states of every device."""
 
     DISCONNECTED = "disconnected"
     CONNECTED = "connected"
@@ -50,7 +50,7 @@ _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
     Lifecycle.HOLD: frozenset(
         {Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
     ),
-    # A fault is left only through `recover`, which lands where the re-read device stands.
+    # A fault is cleared only by `recover`, which ends in the state of the re-read device.
     Lifecycle.FAULT: frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.CLOSED}),
     Lifecycle.CLOSED: frozenset(),
 }
@@ -58,7 +58,7 @@ _ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
 
 @dataclass(frozen=True)
 class Identity:
-    """What the device says it is: read at connect, never taken from the configuration."""
+    """The device's own identity: read at connect, never taken from the configuration."""
 
     vendor: str
     model: str
@@ -69,7 +69,7 @@ class Identity:
 
 @runtime_checkable
 class Device(Protocol):
-    """Interface of every device. Calls are synchronous and take a timeout in seconds."""
+    """Interface of every device. Calls are synchronous and have a time limit in seconds."""
 
     @property
     def name(self) -> str:
@@ -78,9 +78,9 @@ class Device(Protocol):
 
     @property
     def wire_protocol(self) -> str:
-        """What is spoken on the wire, such as `ndi-polaris`: which byte-level conformance cases apply.
+        """The protocol on the wire, such as `ndi-polaris`, which selects the byte-level conformance cases.
 
-        Empty when it is nothing that the conformance suite knows.
+        Empty if the conformance suite does not know it.
         """
         ...
 
@@ -96,27 +96,28 @@ class Device(Protocol):
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """What `configure` found that is no error but that the operator should know."""
+        """Observations at `configure` that are not errors but that the operator should know."""
         ...
 
     def observe(self) -> LastKnown[object]:
-        """State, fault and newest reading as last seen. Allowed in every state, CLOSED too, in any thread.
+        """State, fault and latest reading as last seen. Allowed in any state, including
+        CLOSED, and any thread.
 
-        Only looks: asks the device nothing, latches nothing, never raises.
+        Passive: sends nothing to the device, latches nothing, never raises.
         """
         ...
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
 
-        `ronna_hw.devices.activation.activated` implements it for every driver.
+        `ronna_hw.devices.activation.activated` implements this for every driver.
         """
         ...
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the connection and check identity and version.
 
-        Raises ConnectError when nothing replies, or a different device does.
+        Raises ConnectError when nothing, or a different device, replies.
         """
         ...
 
@@ -133,7 +134,7 @@ class Device(Protocol):
         ...
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Leave FAULT once the device has been re-read; moves nothing. Raises DEV-006 without a name."""
+        """Clear FAULT once the device has been re-read; moves nothing. Raises DEV-006 without a name."""
         ...
 
     def close(self) -> None:
@@ -142,7 +143,7 @@ class Device(Protocol):
 
 
 def require_person(name: str) -> str:
-    """Return the name of the person who acknowledges or confirms; raises DEV-006 for one without letters."""
+    """Return the name of the person who acknowledges or confirms; raises DEV-006 if it has no letters."""
     if not any(map(str.isalpha, name)):
         raise PersonNotNamed(
             "an acknowledgement or confirmation needs the name of a person",
@@ -158,7 +159,7 @@ class LifecycleGuard:
     def __init__(self, device: str) -> None:
         self.log = logger(device=device)
         self._device = device
-        # One value, replaced at once: whoever looks from another thread never sees half of a change.
+        # One value, replaced atomically: another thread never sees half of a change.
         self._now: tuple[Lifecycle, RonnaError | None] = (Lifecycle.DISCONNECTED, None)
 
     @property
@@ -171,7 +172,7 @@ class LifecycleGuard:
         return self._now[1]
 
     def last_known(self, reading: R | None, says: tuple[Fact, ...] = ()) -> LastKnown[R]:
-        """What `Device.observe` returns, with the newest reading that the driver has."""
+        """The result of `Device.observe`, with the driver's latest reading."""
         return LastKnown(*self._now, reading, says)
 
     def require(self, call: str, allowed: Iterable[Lifecycle]) -> None:
@@ -188,7 +189,7 @@ class LifecycleGuard:
         )
 
     def enter(self, state: Lifecycle, **facts: object) -> None:
-        """Move to `state` and log it with `facts`; raise DEV-001 when there is no such transition."""
+        """Move to `state` and log it with `facts`; raise DEV-001 if there is no such transition."""
         before = self.state
         if state is before:
             return
@@ -198,7 +199,7 @@ class LifecycleGuard:
         self.log.info(state, before=before, **facts)
 
     def latch(self, cause: RonnaError) -> None:
-        """Enter FAULT from anywhere but CLOSED, and keep the first cause."""
+        """Enter FAULT from any state but CLOSED, and keep the first cause."""
         before = self.state
         if before in (Lifecycle.CLOSED, Lifecycle.FAULT):
             return

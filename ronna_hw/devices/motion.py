@@ -1,4 +1,4 @@
-"""A motion of an arm as a value: the one that was previewed is the one that is driven."""
+"""A motion of an arm as a value: the motion previewed is the motion driven."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 class JointMove:
     """All joints straight to `target_rad`, together.
 
-    `speed_fraction` is of the driver's working speed, 0 < fraction <= 1.
+    `speed_fraction` is a fraction of the driver's working speed, 0 < fraction <= 1.
     """
 
     target_rad: JointVector
     speed_fraction: float = 1.0
 
     def drive(self, arm: RobotArm) -> ArmReading:
-        """As `RobotArm.move_joints`."""
+        """Like `RobotArm.move_joints`."""
         return arm.move_joints(self.target_rad, speed_fraction=self.speed_fraction)
 
 
@@ -31,7 +31,7 @@ class JointMove:
 class LineMove:
     """A straight line of the flange to ROBOT <- FLANGE, or of the tool to ROBOT <- TOOL.
 
-    `flange_from_tool` (FLANGE <- TOOL) belongs to the latter. `speed_fraction` as in `JointMove`.
+    `flange_from_tool` (FLANGE <- TOOL) is given with the latter. `speed_fraction` as in `JointMove`.
     """
 
     target: Transform
@@ -39,7 +39,7 @@ class LineMove:
     speed_fraction: float = 1.0
 
     def drive(self, arm: RobotArm) -> ArmReading:
-        """As `RobotArm.move_linear`."""
+        """Like `RobotArm.move_linear`."""
         return arm.move_linear(
             self.target, flange_from_tool=self.flange_from_tool, speed_fraction=self.speed_fraction
         )

@@ -1,4 +1,4 @@
-"""Iterate over what a tracker measures."""
+"""Iterates over a tracker's measurements."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ ASK_AGAIN_S = 0.005  # host time; a tracker measures every 16 ms
 def new_frames(
     tracker: OpticalTracker, count: int | None = None, *, timeout_s: float = 1.0
 ) -> Iterator[TrackerFrame]:
-    """Yield `count` measurements, or measurements without end; each is a new one, none is STALE.
+    """Yield `count` measurements, or endless ones; each is new, none is STALE.
 
     `timeout_s`: host time for each. Raises DEV-009 when the tracker delivers no new measurement in time, and
-    whatever `read_frame` raises.
+    the errors of `read_frame`.
     """
     for _ in itertools.count() if count is None else range(count):
         yield _new_frame(tracker, timeout_s)

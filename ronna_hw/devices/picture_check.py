@@ -1,4 +1,4 @@
-"""Whether pictures of two cameras come whole and are exposed, as diagnostics. Nothing moves."""
+"""Whether images from two cameras are complete and well exposed, as diagnostics. Nothing moves."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.devices.stereo import StereoPair
 from ronna_hw.errors import RonnaError
 
-MOST_SATURATED = 0.02  # of a picture: lamps, not film
-LEAST_MEAN_SHARE = 0.002  # of the largest value: below, a picture is dark, or the lens is covered
+MOST_SATURATED = 0.02  # of an image: lamps rather than film
+LEAST_MEAN_SHARE = 0.002  # of the largest value: below this, an image is dark, or the lens is covered
 LARGEST_GREY = {1: 255.0, 2: 4095.0}  # by the bytes of a pixel: Mono8, Mono12
 
 
 def picture_diagnostics(subject: str, stereo: StereoPair, pairs: int) -> Iterator[Diagnostic]:
-    """Take that many pairs with cameras that are configured: how many come whole, how the last is exposed."""
+    """Take this many pairs with configured cameras: how many are complete, and the exposure of the last."""
     whole = 0
     last: StereoReading | None = None
     told: tuple[Diagnostic, ...] = ()
@@ -26,7 +26,7 @@ def picture_diagnostics(subject: str, stereo: StereoPair, pairs: int) -> Iterato
                 last = stereo.grab_pair()
                 whole += int(last.validity is Validity.OK)
             if isinstance(stereo, TellsReadiness):
-                told = tuple(fact_diagnostics(subject, stereo))  # of these pictures
+                told = tuple(fact_diagnostics(subject, stereo))  # about these images
     except RonnaError as error:
         yield refusal(f"{subject}pictures", error)
     yield Diagnostic(

@@ -1,4 +1,4 @@
-"""Probes find out why a device does not answer; `ronna-procedure doctor` shows what they find.
+"""Probes find out why a device does not answer; `ronna-procedure doctor` shows the findings.
 
 A driver's package declares its probe under the name of the driver::
 
@@ -26,15 +26,15 @@ REACH_LIMIT_S = 1.0
 
 D = TypeVar("D", bound=Device)
 
-Progress = Callable[[float], None]  # called with the share done, 0 to 1
+Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """One line: what was looked at, whether it is well, what was seen, what to do.
+    """One line: what was checked, whether it is OK, what was observed, what to do.
 
-    `document` holds the same in numbers and bytes, ready for JSON; `section` is the list of the doctor's JSON
-    that it belongs to, such as `lines` or `cameras`.
+    `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
+    JSON that it belongs to, such as `lines` or `cameras`.
     """
 
     subject: str
@@ -46,43 +46,43 @@ class Diagnostic:
 
 
 def refusal(subject: str, error: RonnaError) -> Diagnostic:
-    """What a device refused, as a diagnostic."""
+    """A device's refusal as a diagnostic."""
     return Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
 
 
-Inspection = Callable[[Device], Iterable[Diagnostic]]  # more about a device that is connected
+Inspection = Callable[[Device], Iterable[Diagnostic]]  # further checks on a connected device
 
 
 def leave_alone(_device: Device) -> Iterable[Diagnostic]:
-    """Nothing more is looked at."""
+    """No further checks."""
     return ()
 
 
 class Probe(Protocol):
-    """Looks at one device of a theatre file."""
+    """Checks one device of a theatre file."""
 
     def __call__(
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
-        """What was found, in the order in which to read it; never raises for what the device does.
+        """The findings, in reading order; never raises, whatever the device does.
 
-        Talks to the endpoints of `config` only, in bounded time; nothing moves and no setting stays changed.
-        What `inspect` finds at the connected device is added: a device takes one client at a time.
+        Talks only to the endpoints of `config`, in bounded time; nothing moves and no setting stays changed.
+        The findings of `inspect` on the connected device are appended: a device accepts one client at a time.
         """
         ...
 
 
 @runtime_checkable
 class EndpointProbe(Probe, Protocol):
-    """A probe that needs no theatre file: it can also look at bare endpoints."""
+    """A probe that needs no theatre file: it can also check bare endpoints."""
 
     @property
     def endpoint_schemes(self) -> frozenset[str]:
-        """Schemes that it can look at, such as `serial`."""
+        """Schemes that it can check, such as `serial`."""
         ...
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        """As a call, without the driver itself: what is at each endpoint?"""
+        """Like a call, but without the driver itself: what is at each endpoint?"""
         ...
 
 
@@ -93,9 +93,9 @@ def connect_and_leave(
     advice: str = "",
     inspect: Inspection = leave_alone,
 ) -> tuple[Diagnostic, ...]:
-    """Connect as a procedure would, read the identity, look further by `inspect`, and close.
+    """Connect as a procedure would, read the identity, run `inspect`, and close.
 
-    `advice` is what to do when that fails, where the caller knows better than the driver's error.
+    `advice` is what to do if that fails, when the caller knows better than the driver's error.
     """
     endpoints = endpoints_of(config)
     addresses = ", ".join(map(str, endpoints))
@@ -108,7 +108,7 @@ def connect_and_leave(
         finally:
             device.close()
     except RonnaError as error:
-        if isinstance(error, ConnectError):  # a wrong configuration gives its own advice
+        if isinstance(error, ConnectError):  # a wrong configuration has its own advice
             advice = advice or next(filter(None, map(why_unreachable, endpoints)), "")
         advice = advice or error.advice
         return (Diagnostic(subject, False, f"{addresses}: {error.code} {error.summary}", advice),)
@@ -123,7 +123,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 
 def why_unreachable(endpoint: Endpoint) -> str:
-    """Why a TCP endpoint takes no connection, as advice; empty when it does, and for other endpoints."""
+    """Why a TCP endpoint accepts no connection, as advice; empty if it does, and for other endpoints."""
     if endpoint.scheme != "tcp":
         return ""
     try:

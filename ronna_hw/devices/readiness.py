@@ -1,4 +1,4 @@
-"""Conditions a device must meet before a case can begin, as reported by the device."""
+"""Conditions that a device must meet before a case can begin, as reported by the device."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from typing import Protocol, runtime_checkable
 
 from ronna_hw.devices.probing import Diagnostic
 
-MESSAGES = "messages"  # the name of the fact that a person makes true by acknowledging them
+MESSAGES = "messages"  # the name of the fact that a person fulfils by acknowledging messages
 
 
 @dataclass(frozen=True)
 class Fact:
-    """One of them: `operating mode`, what was found, whether a case can begin so, and what to do if not."""
+    """One condition: name, such as `operating mode`, finding, whether a case can begin, else what to do."""
 
     name: str
     found: str
@@ -23,17 +23,17 @@ class Fact:
 
 @runtime_checkable
 class TellsReadiness(Protocol):
-    """A device that knows more about its readiness than that it answers."""
+    """A device that can report more about its readiness than that it answers."""
 
     def readiness(self, timeout_s: float = 1.0) -> Sequence[Fact]:
         """Everything that decides whether it can be activated, read now. Allowed from CONNECTED.
 
-        Moves nothing and changes nothing. Raises what reading from the device raises.
+        Moves nothing and changes nothing. Raises the errors of reading from the device.
         """
         ...
 
 
 def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnostic]:
-    """Each fact as a line of the doctor, with its advice where a case cannot begin so."""
+    """Each fact as a line of the doctor, with its advice if a case cannot begin."""
     for fact in device.readiness():
         yield Diagnostic(f"{subject}{fact.name}", fact.ready, fact.found, "" if fact.ready else fact.advice)

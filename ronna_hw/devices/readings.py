@@ -1,6 +1,7 @@
 """Readings: frozen records of plain numbers, with units in the names.
 
-Missing data shows in the validity, never as NaN or zeros. Transforms are built from a reading on demand.
+Missing data is expressed by the validity, never as NaN or zeros. Transforms are built from
+a reading on demand.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ JointVector = tuple[float, float, float, float, float, float]  # A1..A6, radians
 
 
 class Validity(StrEnum):
-    """Whether a reading can be used, and why not."""
+    """Whether a reading can be used, and if not, why."""
 
     OK = "ok"
     PARTIAL = "partial"
@@ -31,17 +32,17 @@ class Validity(StrEnum):
     OUT_OF_VOLUME = "out_of_volume"
     STALE = "stale"
     CORRUPT = "corrupt"
-    UNPAIRED = "unpaired"  # left and right image come from different triggers
+    UNPAIRED = "unpaired"  # left and right image are from different triggers
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """When a reading was made: our sequence number, the device's clock, the theatre's time."""
+    """When a reading was made: our sequence number, the device clock, theatre time."""
 
     sequence: int
     device_clock: int  # in the device's own unit: tracker frames, IPOC milliseconds, camera ticks
-    theatre_time_s: float  # when it arrived
-    measured_s: float | None = None  # theatre time of the measurement, where the driver knows it
+    theatre_time_s: float  # on arrival
+    measured_s: float | None = None  # theatre time of the measurement, if the driver knows it
 
 
 _TO_SEE = {
@@ -52,7 +53,7 @@ _TO_SEE = {
 
 @dataclass(frozen=True)
 class ToolReading:
-    """Pose of one loaded tool in the tracker frame; rotation and position are None when it has none."""
+    """Pose of one loaded tool in the tracker frame; rotation and position are None if it has none."""
 
     tool: str
     validity: Validity
@@ -61,9 +62,9 @@ class ToolReading:
     fit_error_mm: float | None  # rms of the fit to the definition; not an accuracy
 
     def transform(self, target: Frame, source: Frame) -> Transform:
-        """The pose as `target <- source`; raises DEV-004 when the reading has none that can be trusted.
+        """The pose as `target <- source`; raises DEV-004 if the reading has none that can be trusted.
 
-        Outside the measuring volume the tracker's error is not specified: those numbers only serve to aim.
+        Outside the measuring volume the tracker's error is not specified: use those numbers only for aiming.
         """
         from ronna_hw.frames import Transform
 
@@ -93,7 +94,7 @@ class TrackerFrame:
     strays: tuple[StrayReading, ...]
 
     def tool(self, name: str) -> ToolReading:
-        """The reading of one tool by name; raises DEV-003 when the tracker has no such tool."""
+        """The reading of one tool by name; raises DEV-003 if the tracker has no such tool."""
         for reading in self.tools:
             if reading.tool == name:
                 return reading
@@ -103,7 +104,7 @@ class TrackerFrame:
 
 @dataclass(frozen=True)
 class ArmReading:
-    """State of the arm: measured axes as the controller reports them, and commanded axes."""
+    """State of the arm: axes as measured by the controller, and commanded axes."""
 
     stamp: Stamp
     validity: Validity
@@ -114,7 +115,7 @@ class ArmReading:
 
 @dataclass(frozen=True)
 class ToolIdentity:
-    """Tool number that the controller's inputs report; 0 means no tool."""
+    """Tool number reported by the controller's inputs; 0 means no tool."""
 
     stamp: Stamp
     number: int
@@ -166,7 +167,7 @@ class CameraImage:
 class StereoReading:
     """A pair of frames of one trigger.
 
-    PARTIAL: packets are missing; MISSING: one side did not arrive; UNPAIRED: left and right come from
+    PARTIAL: packets are missing; MISSING: one side did not arrive; UNPAIRED: left and right are from
     different triggers; STALE: both are older than the trigger.
     """
 

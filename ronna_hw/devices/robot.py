@@ -1,4 +1,4 @@
-"""A six-axis arm that follows corrections in real time and stops by itself."""
+"""A six-axis arm that follows corrections in real time and can stop on its own."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ class StopKind(StrEnum):
 
 @runtime_checkable
 class ConfirmedStart(Protocol):
-    """What an arm offers besides `RobotArm` when it may need a person's word before `activate`."""
+    """Additional interface of an arm that may need a person's confirmation before `activate`."""
 
     @property
     def to_confirm(self) -> str | None:
-        """What a person must confirm before the next `activate`, as a question shows it; None for nothing.
+        """What a person must confirm before the next `activate`, worded as a question; None for nothing.
 
-        Only looks at what the controller said last; allowed in every state.
+        Passive: uses only the controller's last report; allowed in every state.
         """
         ...
 
     def confirm_start(self, confirmed_by: str) -> None:
-        """Somebody confirmed what `to_confirm` said last: the next `activate`, and only that, goes ahead.
+        """Someone confirmed the last `to_confirm`: the next `activate`, and only that, may proceed.
 
         Raises DEV-006 without a name. Moves nothing.
         """
@@ -51,12 +51,12 @@ class RobotArm(Device, Protocol):
     """`activate` starts the correction stream (the arm may move); `deactivate` ends it."""
 
     def observe(self) -> LastKnown[ArmReading]:
-        """As `Device.observe`; the reading holds the last axes that the controller reported."""
+        """Like `Device.observe`; the reading contains the axes last reported by the controller."""
         ...
 
     @property
     def kinematics(self) -> Kinematics:
-        """The nominal kinematics that lines, ranges and clearance are computed with; known in every state."""
+        """The nominal kinematics used for lines, ranges and clearance; known in every state."""
         ...
 
     def read_state(self, timeout_s: float = 1.0) -> ArmReading:
@@ -73,9 +73,9 @@ class RobotArm(Device, Protocol):
         """Synchronised joint move to rest; returns the settled reading.
 
         `speed_fraction` scales the driver's working speed, 0 < fraction <= 1. `timeout_s` is in theatre
-        time where the controller is clocked by it. Raises LimitError before motion when the path leaves
-        the joint ranges, StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched
-        fault when the link or monitor trips.
+        time if that clocks the controller. Raises LimitError before motion if the path leaves the joint
+        ranges, StateError outside ACTIVE, MotionInterrupted when `stop` ended it, and the latched fault
+        when link or monitor trips.
         """
         ...
 
@@ -89,32 +89,33 @@ class RobotArm(Device, Protocol):
     ) -> ArmReading:
         """Straight line of the flange to a pose ROBOT <- FLANGE, or of the tool to a pose ROBOT <- TOOL.
 
-        `flange_from_tool` (FLANGE <- TOOL) belongs to the latter. Orientation by slerp; the arm stays in the
-        branch of its current pose. Raises FRM-001 before motion for other frames, otherwise as `move_joints`.
+        `flange_from_tool` (FLANGE <- TOOL) is given with the latter. Orientation by slerp; the arm
+        stays in the branch of its current pose. Raises FRM-001 before motion for other frames,
+        otherwise like `move_joints`.
         """
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
-        """What a motion would do when it is driven from `start_rad`, by default from here; nothing moves.
+        """What a motion would do if driven from `start_rad`, by default from here; nothing moves.
 
-        Raises as `move_joints` and `move_linear` if there is no such path; one that is not clear is reported
-        in `refused`.
+        Raises like `move_joints` and `move_linear` if there is no such path; one that is not clear is
+        reported in `refused`.
         """
         ...
 
     def surround(self, surroundings: Surroundings) -> None:
-        """Declare what the arm carries and what surrounds it, from the next motion on.
+        """Declare the mounted tool and the arm's surroundings, from the next motion on.
 
-        Every motion is checked against it before it starts (ARM-007), and monitored while it runs.
+        Every motion is checked against them before it starts (ARM-007), and monitored while it runs.
         """
         ...
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
-        """Bring the arm to rest; may be called from another thread than the one that moves."""
+        """Bring the arm to rest; may be called from another thread than the motion."""
         ...
 
     def resume(self) -> None:
-        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only planned again."""
+        """HOLD -> ACTIVE. Moves nothing: an interrupted path is never continued, only re-planned."""
         ...
 
     def link_statistics(self) -> LinkStatistics:

@@ -19,7 +19,7 @@ class StereoPair(Device, Protocol):
         ...
 
     def observe(self) -> LastKnown[StereoReading]:
-        """As `Device.observe`; the reading is the last pair."""
+        """Like `Device.observe`; the reading is the last pair."""
         ...
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
@@ -27,11 +27,11 @@ class StereoPair(Device, Protocol):
         ...
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set exposure and gain of both cameras; values outside their limits raise LimitError."""
+        """Set exposure and gain of both cameras; raises LimitError for values outside their limits."""
         ...
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Expose both cameras by that share of the time that was configured or set; 1.0 brings it back."""
+        """Multiply the exposure configured or set last by `share` on both cameras; 1.0 restores it."""
         ...
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:

@@ -1,4 +1,4 @@
-"""Group the stray markers that belong to one sphere across frames, and average each group."""
+"""Groups the stray markers that belong to one sphere across frames, and averages each group."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from ronna_hw.devices.readings import TrackerFrame, Validity, Vector3
 Array = NDArray[np.float64]
 
 GROUP_RADIUS_MM = 4.0  # far above the tracker's noise, below the radius of a sphere: two never merge
-LEAST_SHARE = 0.5  # of the frames; a reflection or a phantom that flickers is seen less often
-OUTLIER_SIGMAS = 5.0  # from the median, by the scale of the median absolute deviation
+LEAST_SHARE = 0.5  # of the frames; a reflection or a flickering phantom is seen less often
+OUTLIER_SIGMAS = 5.0  # from the median, in units of the median absolute deviation
 MAD_TO_SIGMA = 1.4826  # for normal noise
-LEAST_SIGMA_MM = 0.01  # a still reading has a deviation of zero, and must not be its own outlier
+LEAST_SIGMA_MM = 0.01  # a static reading has zero deviation, and must not be its own outlier
 
 
 @dataclass(frozen=True)
 class StrayGroup:
-    """One sphere over the frames, in the tracker's coordinates.
+    """One sphere over the frames, in tracker coordinates.
 
-    `mean_mm` (3,) over the readings without `outliers`, `spread_mm` the rms distance of all readings from
-    it, so that a sphere that moved shows, `covariance_mm2` (3, 3) of one reading, `count` readings in all.
+    `mean_mm` (3,) excludes `outliers`; `spread_mm` is the rms distance of all readings from it, which reveals
+    a moving sphere; `covariance_mm2` (3, 3) is that of one reading; `count` is the number of all readings.
     """
 
     mean_mm: Array
@@ -38,7 +38,7 @@ class StrayGroup:
 
 @dataclass(frozen=True)
 class StrayAverage:
-    """Strays of some frames, averaged: `groups` are spheres, `rejected` were seen in too few frames."""
+    """Averaged strays of some frames: `groups` are spheres, `rejected` were seen in too few frames."""
 
     groups: tuple[StrayGroup, ...]
     rejected: tuple[StrayGroup, ...]
@@ -60,7 +60,7 @@ class _Growing:
 
 
 def average_strays(frames: Iterable[TrackerFrame], *, least_share: float = LEAST_SHARE) -> StrayAverage:
-    """Average the strays inside the measuring volume; repeated measurements (STALE) are left out.
+    """Average the strays inside the measuring volume, excluding repeated measurements (STALE).
 
     Raises DEV-005 for an impossible share.
     """
@@ -82,8 +82,8 @@ def group_strays(
 ) -> StrayAverage:
     """Group the positions in mm of each frame's strays.
 
-    Within a frame a group takes one reading, the nearest first. Groups are in the order of their first
-    appearance; those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
+    A group accepts one reading per frame, nearest first. Groups are in the order of their first appearance;
+    those in fewer than `least_share` of the frames are rejected. Raises DEV-005.
     """
     if not (0.0 < radius_mm < math.inf and 0.0 <= least_share <= 1.0):
         raise BadStrays("the radius must be positive and the share between 0 and 1")
@@ -112,7 +112,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
 
 
 def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[int]:
-    """Give each reading to the nearest group that has none in this frame; returns the readings left over."""
+    """Assign each reading to the nearest group without one in this frame; returns the readings left."""
     free = list(range(len(readings)))
     if not groups or not free:
         return free

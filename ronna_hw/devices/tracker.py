@@ -21,11 +21,11 @@ class OpticalTracker(Device, Protocol):
 
     @property
     def markers_mm(self) -> Mapping[str, tuple[Vector3, ...]]:
-        """Where the markers of each tool are, by its name and in its own frame."""
+        """Marker positions of each tool by name, in the tool's own frame."""
         ...
 
     def observe(self) -> LastKnown[TrackerFrame]:
-        """As `Device.observe`; the reading is the last frame."""
+        """Like `Device.observe`; the reading is the last frame."""
         ...
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
@@ -39,12 +39,12 @@ class OpticalTracker(Device, Protocol):
 
 @runtime_checkable
 class BoundedTracker(Protocol):
-    """A tracker that knows where it measures."""
+    """A tracker that reports its measuring volume."""
 
     @property
     def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
-        """Rectangles across its axis, from near to far: z, half x, half y, in the frame of the tracker.
+        """Rectangles perpendicular to its axis, from near to far: z, half x, half y, tracker frame.
 
-        Empty before `configure`, and where the unit does not tell. Between two of them the faces are flat.
+        Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
         """
         ...

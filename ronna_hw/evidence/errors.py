@@ -1,4 +1,4 @@
-"""What is wrong with the evidence of a run."""
+"""Errors in the evidence of a run."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The integrity check of a run's folder: nothing in it is changed, missing, added, replaced or foreign.
+"""The integrity check of a run folder: nothing in it is changed, missing, added, replaced or foreign.
 
-Journal and seal say how the run left its folder. A run that was killed has neither its last line nor a seal:
-it is checked as far as it goes, and what only its end could tell is `unfinished`, not changed.
+Journal and seal describe the folder as the run left it. A run that was killed has neither its last line nor a
+seal: it is checked as far as it goes, and what only its end could confirm is `unfinished`, not changed.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from ronna_hw.text.printable import printable
 REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
 PICTURES_FOLDER = "pictures"  # of spheres in the CT and in the stereo head, for people
-LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # what a run that goes on does not change any more
+LASTING = (REQUEST_FILE, f"{RECORDS_FOLDER}/", "case/")  # no longer changed once a run continues
 FINISH_IT = "Nothing in it was changed: ronna-procedure resume RUN completes it."
-NOT_AS_LEFT = "not_as_left"  # of a `restarted` line: files that the end of the run does not vouch for
-SHOWN = 3  # problems that an error names; verify lists all
+NOT_AS_LEFT = "not_as_left"  # in a `restarted` line: files that the end of the run does not vouch for
+SHOWN = 3  # problems named in an error; verify lists all
 
 
 @dataclass(frozen=True)
 class Problem:
     """One file that is not as the run left it, and how.
 
-    `unfinished` where no more is wrong than that the run did not come to its end, `beside` where nothing that
-    the run has written is concerned: its folder was renamed, or a file was added.
+    `unfinished` if the only problem is that the run did not reach its end, `beside` if nothing written by the
+    run is affected: its folder was renamed, or a file was added.
     """
 
     file: str
@@ -46,7 +46,7 @@ class Problem:
 
     @property
     def of_account(self) -> bool:
-        """Whether journal, request or records are not as they were written."""
+        """Whether journal, request or records are not as written."""
         of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
         return of_it and not self.beside
 
@@ -55,7 +55,7 @@ class Problem:
 
 
 class Parent(NamedTuple):
-    """What a line of the journal says of a record that others may be made from."""
+    """What a line of the journal says about a record that others may be made from."""
 
     sha256: str
     series: str | None
@@ -63,7 +63,7 @@ class Parent(NamedTuple):
 
 @dataclass(frozen=True)
 class Inspection:
-    """A run's journal, those of its records that are as the journal names them, and everything wrong."""
+    """A run's journal, its records that are as the journal names them, and all problems."""
 
     folder: Path
     chain: Chain
@@ -78,14 +78,14 @@ class Inspection:
 
     @property
     def changes(self) -> tuple[Problem, ...]:
-        """What is wrong beyond a run that did not come to its end."""
+        """The problems beyond those of a run that did not reach its end."""
         return tuple(problem for problem in self.problems if not problem.unfinished)
 
     @property
     def not_as_left(self) -> dict[str, str | None]:
         """Changed, missing and added files, with their hash when the run last ended; None without one.
 
-        Files that every session continues, as the log, are not among them unless added; neither is a renamed
+        Files that every session continues, such as the log, are excluded unless added; so is a renamed
         folder, which is found whenever it is read.
         """
         end = next((line for line in reversed(self.chain.lines) if line["entry"] == Entry.CLOSED), {})
@@ -97,15 +97,15 @@ class Inspection:
         }
 
     def require_unchanged(self, action: str | None = None) -> Inspection:
-        """This, or PRO-033 where anything was changed; a run that did not come to its end passes."""
+        """This, or PRO-033 if anything was changed; a run that did not reach its end passes."""
         return self._require(self.changes, action)
 
     def require_account(self) -> Inspection:
-        """This, or PRO-033 where journal, request or records were changed: the way home is read in them."""
+        """This, or PRO-033 if journal, request or records were changed: the way home depends on them."""
         return self._require(tuple(problem for problem in self.changes if problem.of_account))
 
     def require_whole(self) -> Inspection:
-        """This, or PRO-033 unless the folder is as a run left it that was closed and sealed."""
+        """This, or PRO-033 unless the folder is as left by a closed and sealed run."""
         return self._require(self.problems, None if self.changes else FINISH_IT)
 
     def _require(self, problems: tuple[Problem, ...], action: str | None = None) -> Inspection:
@@ -118,9 +118,9 @@ class Inspection:
 
 
 def inspected(folder: Path, *, every_file: bool = True) -> Inspection:
-    """Check the folder of a run; raises nothing that its content can cause.
+    """Check a run folder; raises nothing that its content can cause.
 
-    Without `every_file` journal and records alone are checked, which takes milliseconds.
+    Without `every_file` only journal and records are checked, which takes milliseconds.
     """
     problems: list[Problem] = []
     chain = _chain(folder, problems)
@@ -137,7 +137,7 @@ def closed_files(lines: tuple[Line, ...]) -> dict[str, str]:
 
 
 def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
-    """Files that were not as left when the run was last taken up, as `Inspection.not_as_left` says them."""
+    """Files that were not as left when the run was last resumed, as in `Inspection.not_as_left`."""
     restarted = next((line for line in reversed(lines) if line["entry"] == Entry.RESTARTED), {})
     return cast("dict[str, str | None]", hashes_in(restarted, NOT_AS_LEFT))
 
@@ -145,14 +145,14 @@ def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
 def held_to(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
     """The hashes for the end of a run, in which files that were not as left keep their earlier ones.
 
-    A file that never had one is left out: it stays an added file until it is removed.
+    A file that never had one is omitted: it remains an added file until it is removed.
     """
     held = {name: sha256 for name, sha256 in hashes.items() if name not in expected}
     return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
 
 
 def is_closed(lines: tuple[Line, ...]) -> bool:
-    """Whether a journal ends as a run ends."""
+    """Whether a journal ends like a closed run."""
     return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
 
 
@@ -182,7 +182,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
 
 
 def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
-    """The records that are as their lines say, with parents that came before them."""
+    """The records that match their lines, with parents that came before them."""
     known: dict[str, Parent] = {}
     run = lines[0].get("run") if lines else None
     for line in lines:
@@ -223,7 +223,7 @@ def _unlike(record: Record, line: Line, run: object, known: Mapping[str, Parent]
 
 
 def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
-    """Request, pictures, and every file that the journal's end and the seal name."""
+    """Problems with the request, the pictures, and every file named by the journal's end and the seal."""
     lines, closed, named = chain.lines, is_closed(chain.lines), closed_files(chain.lines)
     request = lines[0].get("request_sha256")
     if isinstance(request, str):
@@ -260,7 +260,7 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 
 def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
-    """The journal as it was sealed, and what came after; returns whether the seal is over all of it."""
+    """Differences between the journal and its sealed state; returns whether the seal covers all of it."""
     with open_regular(folder / JOURNAL_FILE) as file:
         sealed, after = file.read(seal.journal_bytes), file.read()
     if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
@@ -300,6 +300,6 @@ def _why_unread(error: OSError | InputRefused) -> str:
 
 
 def hashes_in(line: Line, field: str) -> dict[str, str]:
-    """Names of files and their hashes in a field of a line; empty where it has none."""
+    """File names and their hashes in a field of a line; empty if it has none."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}

@@ -1,7 +1,7 @@
-"""Reads a journal back and checks its chain. Damage from a crash is distinguished from later changes.
+"""Reads a journal back and checks its chain, distinguishing crash damage from later changes.
 
-A crash or a loss of power tears the end: a line without its end, or a last block of zeros. Nothing whole can
-follow it. A whole line after a broken one means that someone changed or removed something.
+A crash or a power loss tears the end: an unterminated line, or a last block of zeros. Nothing intact can
+follow it. An intact line after a broken one means that someone changed or removed something.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.evidence.errors import JournalCorrupt
 
 JOURNAL_FILE = "journal.jsonl"
-MOST_TORN_LINES = 1000  # in a block of zeros that a loss of power leaves, there are none or few
-FIRST = "0" * 64  # what the first line names as the one before it
+MOST_TORN_LINES = 1000  # in the block of zeros that a power loss leaves there are none or few
+FIRST = "0" * 64  # hash named by the first line as that of its predecessor
 
 JournalValue = str | float | bool | None | Sequence["JournalValue"] | Mapping[str, "JournalValue"]
-Line = Mapping[str, JournalValue]  # one line, as it is read back
+Line = Mapping[str, JournalValue]  # one line, as read back
 
 
 class Entry(StrEnum):
@@ -31,25 +31,25 @@ class Entry(StrEnum):
     RESULT = "result"
     REFUSED = "refused"
     CONFIRMATION = "confirmation"
-    MISREAD = "misread"  # what was to be read back was not; the question stands
+    MISREAD = "misread"  # a read-back was wrong; the question stands
     MOTION = "motion"  # the intent of one motion
-    MOVED = "moved"  # what came of it
+    MOVED = "moved"  # its outcome
     INSTRUMENT = "instrument"  # goes into the guide, beyond the entry; or is confirmed to be out
-    STAGE = "stage"  # of the work through the guide: hands begin it, or it is confirmed to be done
-    WORK = "work"  # what hands did, and what they read off
+    STAGE = "stage"  # of the work through the guide: begun by hand, or confirmed to be done
+    WORK = "work"  # manual work, and its readings
     FAILED = "failed"
     INTERRUPTED = "interrupted"
-    VOIDED = "voided"  # results that no longer hold: something has moved
+    VOIDED = "voided"  # results that are no longer valid: something has moved
     FINDING = "finding"  # something the operator should know that stops nothing
     RESTED = "rested"  # paused, or suspended by a guard; with the reason
-    RESUMED = "resumed"  # goes on after a rest
+    RESUMED = "resumed"  # continues after a pause
     DOUBTED = "doubted"  # the arm was in fault: registrations must be confirmed, the tool checked again
-    SEAT = "seat"  # somebody took the operator's seat at a console, or it became free
-    ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, by whom
+    SEAT = "seat"  # someone took the operator's seat at a console, or it became free
+    ACKNOWLEDGED = "acknowledged"  # a device was recovered from its fault, and by whom
     HOME = "home"  # the intent to leave the head and park, outside the steps
-    RESTARTED = "restarted"  # a program took up a run that had ended or broken off
+    RESTARTED = "restarted"  # a program resumed a run that had ended or broken off
     FOUND = "found"  # what was read again and compared after a restart
-    ACCEPTED = "accepted"  # the operator accepted it: motion may follow
+    ACCEPTED = "accepted"  # by the operator: motion may follow
     CLOSED = "closed"
 
 
@@ -57,23 +57,23 @@ ENDS_OF_A_STEP = (Entry.RESULT, Entry.FAILED, Entry.INTERRUPTED)
 
 
 def theatre_time_s(line: Line) -> float:
-    """When a line was written; 0 where it does not say so."""
+    """When a line was written; 0 if it does not say."""
     value = line.get("theatre_time_s")
     return float(value) if isinstance(value, int | float) else 0.0
 
 
 @dataclass(frozen=True)
 class Chain:
-    """What a journal holds: its whole lines, how many bytes they take, the SHA-256 of the last of them."""
+    """Content of a journal: its complete lines, their length in bytes, and the SHA-256 of the last one."""
 
     lines: tuple[Line, ...] = ()
     size: int = 0
     last: str = FIRST
-    torn: bytes = b""  # what follows the last whole line
+    torn: bytes = b""  # anything after the last complete line
 
 
 def read_chain(path: Path) -> Chain:
-    """A journal's lines in order, and what is torn at its end; raises PRO-011 when the chain is broken."""
+    """A journal's lines in order, and the torn rest at its end; raises PRO-011 when the chain is broken."""
     chain, broken = chain_until_broken(path)
     if broken is not None:
         raise broken
@@ -81,7 +81,7 @@ def read_chain(path: Path) -> Chain:
 
 
 def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
-    """As `read_chain`, with what comes before a broken line, and the break. Raises INP-001, OSError."""
+    """Like `read_chain`, with everything before a broken line, and the break. Raises INP-001, OSError."""
     content = read_json_lines(path, linked=False)
     lines: list[Line] = []
     size, broken = 0, None
@@ -104,7 +104,7 @@ def read_journal(path: Path) -> Iterator[Line]:
 
 
 def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
-    """Every line that follows the one before it, and where it ends."""
+    """Every line that follows its predecessor, and where it ends."""
     number, begin, previous = 0, 0, FIRST
     while begin < len(content):
         end = content.find(b"\n", begin) + 1
@@ -132,7 +132,7 @@ def _parsed(line: bytes) -> dict[str, JournalValue] | None:
 
 
 def _is_torn(rest: bytes) -> bool:
-    """Whether a crash can have left this after the last whole line."""
+    """Whether a crash can have left this after the last complete line."""
     *whole, last = rest.split(b"\n", MOST_TORN_LINES)
     if b"\0" not in rest and (whole or not last):
         return False

@@ -1,8 +1,8 @@
 """Integrity of a run's files: hashes in the journal's last line, and a seal over the rest.
 
-The journal's chain covers its lines, its last line every file that was there when the run was closed. What is
-written after that (the log's end, how the theatre was left, the report) the seal covers, and the journal as a
-whole with it, so that a removed last line shows.
+The journal's chain covers its lines, its last line every file present when the run was closed. The seal
+covers what is written later (the log's end, the theatre's final state, the report), and the journal as a
+whole, so that removing the last line is detected.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import PARTIAL, canonical_json, write_whole
 
 SEAL_FILE = "seal.json"
-ROOM_FILE = f".room{PARTIAL}"  # held while a run is open, and half of nothing when it is left by a kill
-# Written also after the run is closed: how the names of files begin, and folders with everything in them.
+ROOM_FILE = f".room{PARTIAL}"  # held while a run is open; a kill leaves it as an unfinished file
+# Also written after the run is closed: prefixes of file names, and folders with everything in them.
 LATER_FILES = (
     *("log.jsonl", "events.jsonl", "report.html", ROOM_FILE),
     *("theatre/world.json", "theatre/.world.json"),
 )
-RAW_FOLDER = "raw"  # pictures and frames as files, where they are wanted
+RAW_FOLDER = "raw"  # images and frames as files, if wanted
 LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 APART = (
     "export/",
     f"{BESIDE}/",
     f".{RAW_FOLDER}{PARTIAL}/",
-)  # made from the run at any time, and no part of it
+)  # derived from the run at any time, and not part of it
 CHUNK_BYTES = 1 << 20
 
 
 class Seal(BaseModel):
-    """The content of `seal.json`. `own_sha256` is of everything else in it."""
+    """The content of `seal.json`. `own_sha256` is the hash of everything else in it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -49,7 +49,7 @@ class Seal(BaseModel):
 
     @property
     def whole(self) -> bool:
-        """Whether it is as it was made."""
+        """Whether it is unchanged."""
         return self.own_sha256 == self._own()
 
     def signed(self) -> Seal:
@@ -62,7 +62,7 @@ class Seal(BaseModel):
 
 
 def sha256_of(path: Path) -> str:
-    """Of a file's content. Raises OSError, also for what is no regular file."""
+    """Hash of a file's content. Raises OSError, also if it is not a regular file."""
     found = hashlib.sha256()
     with open_regular(path) as file:
         while part := file.read(CHUNK_BYTES):
@@ -71,7 +71,7 @@ def sha256_of(path: Path) -> str:
 
 
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file of a run by its name in it, without journal, seal and exports."""
+    """Every file of a run by its name there, without journal, seal and exports."""
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if (path.is_symlink() or not path.is_dir()) and not _is_apart(name):
@@ -84,7 +84,7 @@ def hashes_at_closing(folder: Path) -> dict[str, str]:
 
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
-    """Hashes of files and whole folders that a run worked with and that are not in it, by their paths."""
+    """Hashes of files and whole folders outside a run that it worked with, by path."""
     hashes = {}
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
@@ -95,7 +95,7 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
 
 
 def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> None:
-    """Write the seal over the files that neither the journal's last line (`closed`) nor `apart` names.
+    """Write the seal over the files named neither by the journal's last line (`closed`) nor by `apart`.
 
     Raises OSError.
     """
@@ -108,7 +108,7 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
 
 
 def read_seal(folder: Path) -> Seal | None:
-    """The seal of a run; None where there is none, or it cannot be read or was changed."""
+    """The seal of a run; None if there is none, or it is unreadable or was changed."""
     try:
         content = read_json_bytes(folder / SEAL_FILE, linked=False)
         found = Seal.model_validate_json(content)
@@ -118,13 +118,13 @@ def read_seal(folder: Path) -> Seal | None:
 
 
 def is_sealed(folder: Path) -> bool:
-    """Whether the seal is over the journal as long as it is now."""
+    """Whether the seal covers the journal at its present length."""
     found = read_seal(folder)
     return found is not None and found.journal_bytes == (folder / JOURNAL_FILE).stat().st_size
 
 
 def is_later(name: str) -> bool:
-    """Whether a file of that name is written also after the run is closed."""
+    """Whether a file with that name is also written after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
 
 

@@ -1,7 +1,7 @@
-"""The truth of a simulated theatre, held while a run goes on: what is exchanged before its end shows too.
+"""The truth of a simulated theatre, secured during a run, so that an exchange before its end also shows.
 
-The first line of the journal and every result name how long its files are and their hashes so far. The scene
-stays as it is, and samples are added only while a step runs.
+The first line of the journal and every result state the length of its files and their hashes so far. The
+scene is constant, and samples are added only while a step runs.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def truth_so_far(folder: Path) -> dict[str, JournalValue]:
 
 
 def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Files of a run which are not as its lines say, and how."""
+    """Files of a run that do not match its lines, and how."""
     told: dict[str, tuple[int, str, int]] = {}
     for number, line in enumerate(lines):
         field = line.get(FIELD)

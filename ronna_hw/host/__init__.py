@@ -1,1 +1,1 @@
-"""The computer the code runs on: processes, ports, network cards, real-time scheduling, the control port."""
+"""The computer the code runs on: processes, ports, network interfaces, scheduling, the control port."""

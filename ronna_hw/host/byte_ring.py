@@ -1,7 +1,7 @@
-"""A ring of bytes in shared memory: one writer that never waits, one reader that may come too late.
+"""A ring of bytes in shared memory: one writer that never waits, one reader that may be too late.
 
 Entries follow each other without gaps; the reader finds their ends in the entries themselves. A reader that
-was overtaken, or nearly, gives up what it has missed and is told how much that was.
+was overtaken, or nearly, skips what it has missed and learns how much that was.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from ronna_hw.host.memory_map import Bytes, Word
 
 
 class RingPart(NamedTuple):
-    """What a reader got."""
+    """Result of one read."""
 
     content: bytes
-    end: int  # where to go on
-    lost: int  # bytes that were overwritten before they were read
+    end: int  # where to continue
+    lost: int  # bytes overwritten before they were read
 
 
 class ByteRing:
@@ -50,6 +50,6 @@ class ByteRing:
             content = memory[offset + first : offset + last]
         else:
             content = memory[offset + first : offset + capacity] + memory[offset : offset + last]
-        if self._written.read(memory) - begin > capacity - self._longest:  # overtaken meanwhile
+        if self._written.read(memory) - begin > capacity - self._longest:  # overtaken in the meantime
             return RingPart(b"", end, end - begin)
         return RingPart(content, end, 0)

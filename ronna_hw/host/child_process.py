@@ -1,7 +1,7 @@
 """Starts commands as child processes, waits for their READY line, and always ends them.
 
-A child prints one line `READY {json}` on standard output when clients may connect, and ends by itself
-when its parent dies. The end of its standard error is kept for the message when it fails.
+A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
+dies. The end of its standard error is kept for the message if it fails.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class ChildNotReady(LinkTimeout):
 
 
 class ChildProcess:
-    """One child. `ready` holds what its READY line says."""
+    """One child. `ready` is the content of its READY line."""
 
     def __init__(
         self,
@@ -45,10 +45,10 @@ class ChildProcess:
         inherited: Sequence[int] = (),
         told: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """Start the process and wait until it is ready; raises PRC-001. `told` hears each of its messages.
+        """Start the process and wait until it is ready; raises PRC-001. `told` receives its messages.
 
-        `inherited` are descriptors that it gets. With `timeout_s` None it is not waited for, so that several
-        become ready side by side: `await_ready` must follow.
+        `inherited` are descriptors passed to it. With `timeout_s` None there is no wait, so that several can
+        start in parallel: `await_ready` must follow.
         """
         self.name = name
         self._log = logger(process=name)
@@ -80,7 +80,9 @@ class ChildProcess:
     def await_ready(
         self, timeout_s: float = READY_TIMEOUT_S, stop_s: float = STOP_TIMEOUT_S
     ) -> dict[str, Any]:
-        """Wait for the READY line; raises PRC-001 with the child's last messages, and ends it in `stop_s`."""
+        """Wait for the READY line; raises PRC-001 with the child's last messages, ending
+        it within `stop_s`.
+        """
         deadline = time.monotonic() + timeout_s
         while True:
             try:
@@ -108,11 +110,11 @@ class ChildProcess:
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """The last lines the child wrote on standard error."""
+        """The last lines that the child wrote to standard error."""
         return tuple(self._messages)
 
     def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> None:
-        """End the process: SIGTERM, then SIGKILL, also of all below it. Never raises; may be called twice."""
+        """End the process: SIGTERM, then SIGKILL, descendants included. Never raises; may be called twice."""
         ended_before = not self.alive
         if not ended_before:
             self.process.terminate()
@@ -153,5 +155,5 @@ class ChildProcess:
 
 
 def command(module: str, *arguments: str) -> list[str]:
-    """The command line of one of our own commands, run by this very Python and nothing on the path."""
+    """The command line of one of our own commands, run by this same Python, independent of the path."""
     return [sys.executable, "-P", "-m", module, *arguments]

@@ -1,9 +1,9 @@
 """The control port of a simulated theatre or device, as its callers use it.
 
-JSON lines over TCP, one answer per line. The first shows the token that the READY line tells with the
-endpoint, `{"token": "..."}`; then requests follow: `{"do": "step", "name": "at_target:T1"}`,
-`{"do": "mount", "number": 2}`, `{"do": "work", "task": "insert", ...}`,
-`{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`. No driver and no step knows of it.
+JSON lines over TCP, one answer per line. The first shows the token given in the READY line with the endpoint,
+`{"token": "..."}`; then requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount", "number":
+2}`, `{"do": "work", "task": "insert", ...}`, `{"do": "fault", "line": "now: ..."}`, `{"do": "clear_faults"}`.
+Drivers and steps do not know of it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class ControlRequestRefused(ConfigurationError):
 
 @dataclass(frozen=True)
 class ControlAddress:
-    """Where a control port is, and what opens it: `tcp://127.0.0.1:PORT?token=...`."""
+    """Where a control port is, and its token: `tcp://127.0.0.1:PORT?token=...`."""
 
     endpoint: Endpoint
     token: str = field(repr=False)
@@ -59,15 +59,15 @@ class ControlAddress:
         return cls(endpoint, token)
 
     def text(self) -> str:
-        """The whole of it, secret included: for the READY line."""
+        """The complete address, including the secret: for the READY line."""
         return f"{self.endpoint}{_TOKEN_MARK}{self.token}"
 
 
 class ControlPortClient:
-    """One connection, which the port ends when nothing is asked for a while.
+    """One connection, which the port closes when there are no requests for a while.
 
-    Raises CTL-001 when nobody answers, CTL-002 when the token is another's, CFG-002 for anything but
-    tcp://host:port?token=...
+    Raises CTL-001 when no one answers, CTL-002 for a wrong token, CFG-002 for anything
+    but tcp://host:port?token=...
     """
 
     def __init__(self, address: str) -> None:
@@ -82,12 +82,12 @@ class ControlPortClient:
         self._answers = self._socket.makefile("rb")
         try:
             self._exchange("the token", {TOKEN_KEY: found.token})
-        except BaseException:  # whatever came between: nobody else knows of this connection
+        except BaseException:  # whatever happened: no one else knows of this connection
             self.close()
             raise
 
     def ask(self, action: str, **arguments: Any) -> dict[str, Any]:
-        """Have something done; raises CTL-001 when no answer comes, CTL-002 with the reason of a refusal."""
+        """Request something; raises CTL-001 when no answer arrives, CTL-002 with the reason for a refusal."""
         return self._exchange(action, {"do": action, **arguments})
 
     def close(self) -> None:
@@ -121,6 +121,6 @@ class ControlPortClient:
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
-    """The answer to one request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
+    """The answer to one request on its own connection; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
         return port.ask(action, **arguments)

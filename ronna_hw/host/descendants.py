@@ -1,6 +1,6 @@
-"""Every process below one of ours, for when that cannot end them itself any more.
+"""Every descendant of one of our processes, for when that process can no longer end them itself.
 
-A halted process takes notice of nothing but SIGKILL, neither of its parent's death.
+A halted process reacts only to SIGKILL, not even to its parent's death.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 
 def descendants_of(number: int) -> list[psutil.Process]:
-    """Of the process with this number; ask before it ends, afterwards they are nobody's."""
-    import psutil  # not before it is needed: device processes import little
+    """Descendants of the process with this number; ask before it ends, afterwards they are orphaned."""
+    import psutil  # imported late: device processes import little
 
     try:
         below: list[psutil.Process] = psutil.Process(number).children(recursive=True)
@@ -24,7 +24,7 @@ def descendants_of(number: int) -> list[psutil.Process]:
 
 
 def kill_all(processes: list[psutil.Process]) -> None:
-    """End them hard; never raises, also for one that has ended."""
+    """Kill them; never raises, not even for one that has already ended."""
     import psutil
 
     for process in processes:

@@ -1,4 +1,4 @@
-"""Who may read what a command writes: a run's folder holds a patient's CT, plan, journal and report."""
+"""Permissions of what a command writes: a run folder contains a patient's CT, plan, journal and report."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ _UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 07
 
 @contextmanager
 def own_files() -> Iterator[None]:
-    """Inside the block this process and its children write for their user alone, whatever the umask.
+    """In the block, this process and its children create files for their user only, whatever the umask.
 
-    `RONNA_ACCESS=group` also lets the group of the folder in: a folder that a lab shares. Raises ValueError
-    for another word.
+    `RONNA_ACCESS=group` also admits the folder's group: for a folder that a lab shares. Raises
+    ValueError for any other word.
     """
     access = os.environ.get(ACCESS_VARIABLE, "owner")
     if access not in _UMASKS:

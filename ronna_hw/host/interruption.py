@@ -1,4 +1,4 @@
-"""Work that Ctrl-C and SIGTERM must not cut short, and work that they may end though all else is ending."""
+"""Work that Ctrl-C and SIGTERM must not cut short, and work that they may end even during shutdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DEFERRED = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def interruption_deferred() -> Iterator[None]:
-    """Hold the signals that end a program back until the block is left; for work that is bounded in time.
+    """Hold back the signals that end a program until the block is left; for work bounded in time.
 
     Python delivers signals to the main thread only; in any other thread there is nothing to hold back.
     """
@@ -33,7 +33,7 @@ def interruption_deferred() -> Iterator[None]:
 
 @contextmanager
 def interruptible() -> Iterator[None]:
-    """Let Ctrl-C and SIGTERM end the block by KeyboardInterrupt, also where they are ignored around it."""
+    """Let Ctrl-C and SIGTERM end the block by KeyboardInterrupt, even if they are ignored around it."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -47,7 +47,7 @@ def interruptible() -> Iterator[None]:
 
 @contextmanager
 def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Within, those signals go to `handler`; for the main thread."""
+    """In the block, those signals go to `handler`; for the main thread."""
     before = {number: signal.signal(number, handler) for number in DEFERRED}
     try:
         yield

@@ -1,7 +1,7 @@
-"""Places in one block of shared memory, handed out in order: none overlap, no offset is written by hand.
+"""Locations in one block of shared memory, assigned in order: none overlap, no offset is written by hand.
 
-Each place has one writer. Single words are aligned and need no more. A checked row or text carries a
-checksum: a reader that meets a half-written one sees that and tries again; nobody waits for the other side.
+Each location has one writer. Single words are aligned and need nothing more. A checked row or text has a
+checksum: a reader that finds a half-written one retries; no one waits for the other side.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Word:
 
 
 class Rows(Generic[RowT]):
-    """Plain rows of one kind, side by side; `index` 0 for a single one."""
+    """Plain rows of one type, in sequence; `index` 0 for a single one."""
 
     def __init__(self, row: type[RowT], offset: int, count: int) -> None:
         self._codec = RowCodec(row)
@@ -67,7 +67,7 @@ class CheckedRow(Generic[RowT]):
 
 
 class CheckedBytes:
-    """Bytes of changing length behind a checksum."""
+    """Bytes of variable length behind a checksum."""
 
     def __init__(self, offset: int, capacity_bytes: int) -> None:
         self._offset = offset
@@ -80,7 +80,7 @@ class CheckedBytes:
         return _Checked(self._offset + _LENGTH.size, min(length, self.capacity_bytes)).read(memory)
 
     def write(self, memory: Any, content: bytes) -> None:
-        """Raises ValueError for more than fits."""
+        """Raises ValueError if they do not fit."""
         if len(content) > self.capacity_bytes:
             raise ValueError(f"{len(content)} bytes do not fit into {self.capacity_bytes}")
         _LENGTH.pack_into(memory, self._offset, len(content))
@@ -103,7 +103,7 @@ class _Checked:
 
 
 class Counters:
-    """A row of counters, seen as one typed view of the memory."""
+    """A row of counters, accessed as one typed view of the memory."""
 
     def __init__(self, offset: int, count: int) -> None:
         self._offset = offset
@@ -124,7 +124,7 @@ class Bytes:
 
 
 class MemoryMap:
-    """Begins with a mark that tells whose memory it is. `size_bytes` grows with every place handed out."""
+    """Begins with a mark that identifies the owner. `size_bytes` grows with every location assigned."""
 
     def __init__(self, mark: bytes) -> None:
         self.mark = mark
@@ -155,7 +155,7 @@ class MemoryMap:
         return place
 
     def checked_bytes(self, capacity_bytes: int) -> CheckedBytes:
-        """Bytes of changing length behind a checksum."""
+        """Bytes of variable length behind a checksum."""
         place = CheckedBytes(self.size_bytes, capacity_bytes)
         self._take(place.size_bytes)
         return place

@@ -16,15 +16,15 @@ class Interface:
     name: str
     address: str
     prefix: int
-    mtu_bytes: int  # 0 where the system does not say
+    mtu_bytes: int  # 0 if the system does not report it
 
     @property
     def loopback(self) -> bool:
-        """True for the network inside this computer."""
+        """Whether it is the network inside this computer."""
         return IPv4Address(self.address).is_loopback
 
     def reaches(self, address: str) -> bool:
-        """True for an address of its own subnet; False for a host name."""
+        """Whether an address is in its own subnet; False for a host name."""
         try:
             return IPv4Address(address) in IPv4Network(f"{self.address}/{self.prefix}", strict=False)
         except ValueError:
@@ -32,7 +32,7 @@ class Interface:
 
 
 def interfaces() -> tuple[Interface, ...]:
-    """All interfaces that have an IPv4 address."""
+    """All interfaces with an IPv4 address."""
     states = psutil.net_if_stats()
     return tuple(
         Interface(name, each.address, _prefix(each.netmask), states[name].mtu if name in states else 0)
@@ -43,7 +43,7 @@ def interfaces() -> tuple[Interface, ...]:
 
 
 def interface_of(local_address: str) -> Interface | None:
-    """The interface with that address, or else the one whose subnet contains it; None when there is none."""
+    """The interface with that address, or else the one whose subnet contains it; None if there is none."""
     every = interfaces()
     exact = (each for each in every if each.address == local_address)
     return next(exact, next((each for each in every if each.reaches(local_address)), None))

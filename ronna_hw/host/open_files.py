@@ -1,4 +1,4 @@
-"""How many files and sockets this program may have open at once, known before it opens the first."""
+"""How many files and sockets this program may have open at once, checked before it opens the first."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from ronna_hw.errors import RonnaError
 
 
 class TooFewOpenFiles(RonnaError):
-    """The system lets this program have too few files and sockets open for what it is asked to do."""
+    """The system allows this program too few open files and sockets for its task."""
 
     code = "PRC-002"
     action = "Raise it with ulimit -n in this shell or LimitNOFILE of the service, and start again."
 
 
 def require_open_files(needed: int) -> None:
-    """Raise PRC-002 where not so many may be open; a soft limit is raised as far as that takes."""
+    """Raise PRC-002 if that many may not be open; a soft limit is raised as far as necessary."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= needed:
         return

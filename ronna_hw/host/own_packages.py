@@ -1,7 +1,7 @@
 """Detects a foreign package with the name of one of ours.
 
 `sim`, `drivers` and `procedures` are common names: if another project on the path shadows one of them, half
-of the program would be foreign code, so it must not start.
+of the program is foreign code, so it must not start.
 """
 
 from __future__ import annotations

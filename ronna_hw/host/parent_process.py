@@ -1,6 +1,7 @@
 """The parent process, noted before anything heavy is imported.
 
-An import may outlast the parent. If it dies meanwhile, `os.getppid` names init, which never ends.
+An import may outlast the parent. If the parent dies in the meantime, `os.getppid` returns
+init, which never ends.
 """
 
 from __future__ import annotations
@@ -13,14 +14,14 @@ INIT = 1
 
 @dataclass(frozen=True)
 class ParentProcess:
-    """The parent as it was when this process began."""
+    """The parent at the start of this process."""
 
     pid: int
     gone_at_start: bool = False
 
     @property
     def gone(self) -> bool:
-        """True once the parent has died, even before it could be noted."""
+        """Whether the parent has died, even before it could be noted."""
         return self.gone_at_start or os.getppid() != self.pid
 
 
@@ -28,7 +29,7 @@ def note_parent() -> ParentProcess:
     """Note the current parent.
 
     A service started by init leads its own process group or belongs to init's. A child of init in any other
-    group is an orphan whose parent died before this line.
+    group is an orphan whose parent died before this call.
     """
     pid = os.getppid()
     orphan = pid == INIT and os.getpgrp() not in (os.getpid(), os.getpgid(INIT))

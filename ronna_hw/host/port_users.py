@@ -1,4 +1,4 @@
-"""Which processes use a serial port, a UDP port or a lock of this computer, as far as this user may see."""
+"""Which processes use a serial port, UDP port or lock of this computer, as far as this user may see."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import psutil
 
-LONGEST_NAME = 60  # characters of a command line that are shown
+LONGEST_NAME = 60  # characters of a command line shown
 MASTER_NAME = "ptmx"  # the device behind the master side of every pseudo-terminal
 ANY_ADDRESS = "0.0.0.0"
 _INDEX = "tty-index:"
@@ -23,14 +23,14 @@ class PortUser:
 
     pid: int
     name: str  # its command line
-    terminal: str = ""  # where it can be typed at, if it is known
+    terminal: str = ""  # where it can be typed at, if known
 
     def __str__(self) -> str:
         return f"{self.name} (pid {self.pid}{', ' * bool(self.terminal)}{self.terminal})"
 
 
 def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
-    """Other processes that have this port open; without the one on the master side of a pseudo-terminal."""
+    """Other processes that have this port open, except the one on the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
     except OSError:
@@ -45,7 +45,7 @@ def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
 
 
 def user_of_udp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer that is bound to a UDP port; None when there is none, or it is hidden."""
+    """The process of this computer bound to a UDP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="udp4"):
         if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
             return PortUser(each.pid, _name(each.pid))
@@ -53,7 +53,7 @@ def user_of_udp_port(address: str, port: int) -> PortUser | None:
 
 
 def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
-    """The process of this computer that listens on a TCP port; None when there is none, or it is hidden."""
+    """The process of this computer listening on a TCP port; None if there is none, or it is hidden."""
     for each in psutil.net_connections(kind="tcp4"):
         listens = each.status == psutil.CONN_LISTEN and each.laddr.port == port
         if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
@@ -62,7 +62,7 @@ def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
 
 
 def holder_of_lock(file: int) -> PortUser | None:
-    """The process that holds the `flock` of an open file, with its terminal; None when it is hidden."""
+    """The process that holds the `flock` of an open file, with its terminal; None if it is hidden."""
     inode = os.fstat(file).st_ino
     with contextlib.suppress(OSError, ValueError):
         for line in Path("/proc/locks").read_text().splitlines():
@@ -95,7 +95,7 @@ def _is_device(file: Path, device: int) -> bool:
 
 
 def _is_master_of(file: Path, device: int) -> bool:
-    """True for the master side of the pseudo-terminal that `device` is the other side of."""
+    """Whether it is the master side of the pseudo-terminal `device`."""
     if not _FIRST_MAJOR <= os.major(device) <= _LAST_MAJOR:
         return False
     index = (os.major(device) - _FIRST_MAJOR) * 256 + os.minor(device)
@@ -111,7 +111,7 @@ def _name(pid: int) -> str:
         process = psutil.Process(pid)
         words = [word for word in process.cmdline() if word]
         is_python = os.path.basename(words[0] if words else "").startswith("python")
-        if is_python and words[1:] and not words[1].startswith("-"):  # what it runs says more
+        if is_python and words[1:] and not words[1].startswith("-"):  # the program it runs says more
             words = [os.path.basename(words[1]), *words[2:]]
         line = " ".join(words) or process.name()
         return line if len(line) <= LONGEST_NAME else line[: LONGEST_NAME - 1] + "…"

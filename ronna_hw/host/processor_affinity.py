@@ -1,7 +1,7 @@
 """Pins the real-time process to the processor that receives its telegrams.
 
 Waking up there needs no interrupt to another, possibly halted, processor, and the telegram is still in the
-caches. The process runs ahead of all others, so being pinned does not make it wait.
+caches. The process has priority over all others, so being pinned does not make it wait.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ SURE_AFTER_TELEGRAMS = 2  # consecutive, on the same other processor; a single o
 
 
 class ProcessorAffinity:
-    """Affinity of the calling thread. A process without real-time priority stays where the system puts it."""
+    """Affinity of the calling thread. Without real-time priority a process stays where the system puts it."""
 
     def __init__(self, *, follows: bool) -> None:
         self._allowed = os.sched_getaffinity(0)
@@ -22,7 +22,7 @@ class ProcessorAffinity:
         self._consecutive = 0
 
     def follow(self, processor: int) -> None:
-        """A telegram was received on this processor; -1 for unknown."""
+        """Follow a telegram that was received on this processor; -1 for unknown."""
         if processor == self._pinned_to or not self._follows:
             return
         self._consecutive = self._consecutive + 1 if processor == self._last else 1
@@ -32,7 +32,7 @@ class ProcessorAffinity:
             self._pinned_to = processor
 
     def free(self) -> None:
-        """Undo the pinning: in lock-step, sender and receiver do better side by side."""
+        """Undo the pinning: in lock-step, sender and receiver run better in parallel."""
         if self._pinned_to is not None:
             self._restrict(self._allowed - {self._pinned_to})  # otherwise it would stay where it is
             self._restrict(self._allowed)

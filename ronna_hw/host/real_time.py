@@ -1,4 +1,4 @@
-"""Real-time scheduling and memory locking; the system may refuse any of it."""
+"""Real-time scheduling and memory locking; the system may refuse either."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ PARENT_DEATH_SIGNAL = signal.SIGUSR1  # SIGTERM is an order to end
 
 
 def lock_memory() -> bool:
-    """Lock all pages in memory; True when granted."""
+    """Lock all pages in memory; True if granted."""
     limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     if os.geteuid() != 0 and limit != resource.RLIM_INFINITY and limit < ENOUGH_LOCKED_BYTES:
-        return False  # granted, it would make later allocations fail
+        return False  # if granted, it would make later allocations fail
     try:
         return bool(ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT_AND_FUTURE) == 0)
     except (OSError, AttributeError):
@@ -29,7 +29,7 @@ def lock_memory() -> bool:
 
 
 def run_first(priority: int) -> bool:
-    """Run ahead of all ordinary processes (SCHED_FIFO); True when granted. Priority 0 requests nothing."""
+    """Run ahead of all ordinary processes (SCHED_FIFO); True if granted. Priority 0 requests nothing."""
     if priority <= 0:
         return False
     try:
@@ -40,13 +40,13 @@ def run_first(priority: int) -> bool:
 
 
 def sleep_exactly() -> None:
-    """Make short sleeps precise (timer slack), at ordinary priority too."""
+    """Make short sleeps precise (timer slack), also at ordinary priority."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
 
 
 def stop_collecting() -> None:
-    """Turn garbage collection off: a control cycle creates no reference cycles."""
+    """Turn off garbage collection: a control cycle creates no reference cycles."""
     gc.collect()
     gc.freeze()
     gc.disable()

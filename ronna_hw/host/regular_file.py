@@ -12,7 +12,7 @@ NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
 
 def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
-    """A file, to be read. Raises OSError, also for a pipe or a device, and never waits for one.
+    """Open a file for reading. Raises OSError, also for a pipe or a device, and never blocks on one.
 
     Without `linked` also for a link.
     """

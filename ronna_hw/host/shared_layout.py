@@ -38,7 +38,7 @@ def one_of(choices: Sequence[str]) -> FieldCode:
 
 
 def text(capacity_bytes: int) -> FieldCode:
-    """A short text in UTF-8; what does not fit is cut off."""
+    """A short text in UTF-8; anything longer is cut off."""
 
     def encode(value: str) -> bytes:
         return value.encode()[:capacity_bytes]
@@ -97,11 +97,11 @@ class RowCodec(Generic[RowT]):
         self._unpack, self._unpack_from = layout.unpack, layout.unpack_from
 
     def unpack(self, data: bytes) -> RowT:
-        """The row that `pack` made; raises struct.error for another length."""
+        """The row made by `pack`; raises struct.error for another length."""
         return self._make(self._unpack(data))
 
     def unpack_from(self, memory: Any, offset: int) -> RowT:
-        """The row at a place in memory."""
+        """The row at an offset in memory."""
         return self._make(self._unpack_from(memory, offset))
 
 

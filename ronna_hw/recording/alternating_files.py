@@ -1,4 +1,4 @@
-"""Two files that are written in turn: a bound on the disk, and the newest part is always there."""
+"""Two files written alternately: bounded disk use, with the latest part always available."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class AlternatingFiles:
     """The files of one link. When one is full the other is emptied and written."""
 
     def __init__(self, folder: Path, link: str, limit_bytes: int) -> None:
-        """Goes on with what an earlier process of the same run has left. Raises OSError."""
+        """Continues what an earlier process of the same run has left. Raises OSError."""
         self._paths = [folder / name.format(link=link) for name in FILE_NAMES]
         self._limit_bytes = limit_bytes
         newest = max(self._paths, key=lambda path: path.stat().st_mtime_ns if path.exists() else 0)
@@ -20,10 +20,10 @@ class AlternatingFiles:
         self._file = self._open(os.O_APPEND)
         self._size = os.fstat(self._file).st_size
         if self._size:
-            self.write(b"\n")  # ends a line that was torn
+            self.write(b"\n")  # terminates a torn line
 
     def write(self, lines: bytes) -> None:
-        """Append whole lines. Raises OSError."""
+        """Append complete lines. Raises OSError."""
         if self._size and self._size + len(lines) > self._limit_bytes:
             os.close(self._file)
             self._which = 1 - self._which

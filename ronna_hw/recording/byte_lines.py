@@ -1,8 +1,8 @@
-"""One line of JSON for everything that passed on a link, written and read back.
+"""One line of JSON for each piece of link traffic, written and read back.
 
     {"host_time":"2026-11-20T23:58:31.000123+00:00","theatre_time_s":1.250000,"direction":"sent","hex":"4150"}
 
-In place of direction and bytes a line may carry a `note`. A torn last line, as a crash leaves it, is skipped.
+Instead of direction and bytes a line may have a `note`. A torn last line, left by a crash, is skipped.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.host.regular_file import open_regular
 
 BYTES_FOLDER = "bytes"
-FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written in turn
+FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written alternately
 _BEGINNING = '{"host_time"'
 Facts = Mapping[str, str | float]
 
@@ -37,23 +37,23 @@ class LinkLine:
 
 
 def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
-    """The line of bytes that passed at `epoch_ns`."""
+    """The line for bytes that passed at `epoch_ns`."""
     return f'{_moment(epoch_ns, theatre_time_s)},"direction":"{direction}","hex":"{data.hex()}"}}\n'
 
 
 def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
-    """The line of a note."""
+    """The line for a note."""
     return f'{_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
 
 
 def links_of(folder: Path) -> tuple[str, ...]:
-    """Names of the links that a folder holds bytes of."""
+    """Names of the links with bytes in a folder."""
     names = {path.name.rsplit(".", 2)[0] for path in folder.glob("*.jsonl")}
     return tuple(sorted(names))
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
-    """Everything that is kept of a link, oldest first."""
+    """Everything stored of a link, oldest first."""
     files = [folder / name.format(link=link) for name in FILE_NAMES]
     parts = [lines for path in files if path.exists() and (lines := list(_read(link, path)))]
     for part in sorted(parts, key=lambda lines: lines[0].host_time):

@@ -1,4 +1,4 @@
-"""Which calls on devices are kept for a replay, and what they answer."""
+"""Which device calls are recorded for replay, and their answers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
 
-# By name, over all kinds of devices. `None` answers nothing: what matters is whether it raised.
+# By name, over all kinds of devices. For `None` only matters whether the call raised.
 ANSWERS: dict[str, Any] = {
     "connect": Identity,
     "read_frame": TrackerFrame,
@@ -22,8 +22,8 @@ ANSWERS: dict[str, Any] = {
     **dict.fromkeys(("configure", "activate", "deactivate", "resume"), None),
     **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
 }
-# Properties that may change by themselves; each look at them is an answer.
+# Properties that may change on their own; each access is an answer.
 LOOKS: dict[str, Any] = {"to_confirm": str | None}
-# What a device knows of itself once one of these calls is done; they are kept with its answer.
+# What a device knows about itself once one of these calls is done; recorded with its answer.
 PROPERTIES: dict[str, Any] = {"serials": tuple[str, str], "notices": tuple[str, ...]}
 TELLING = ("connect", "configure")

@@ -1,7 +1,7 @@
 """The flight recorder: the bytes of all links, written by a separate thread.
 
-A caller pays only for one append to a queue. When the disk does not keep up, bytes are dropped and
-counted, and a note in the link's file says how many; nobody ever waits.
+A caller only pays for one append to a queue. If the disk does not keep up, bytes are dropped and counted, and
+a note in the link's file says how many; no one ever waits.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from ronna_hw.logs import logger
 from ronna_hw.recording.alternating_files import AlternatingFiles
 from ronna_hw.recording.byte_lines import Facts, encode_bytes, encode_note
 
-# Each of a link's two files: one holds at least the last minute of a robot link's telegrams of 4 ms.
+# Each of a link's two files: one contains at least the last minute of a robot link's 4 ms telegrams.
 FILE_BYTES = 32_000_000
-QUEUE_LENGTH = 20_000  # entries that wait for the disk: seconds of all links together
-WRITE_PERIOD_S = 0.05  # host time; what a killed process loses
-CLOSE_LIMIT_S = 2.0  # for what still waits
+QUEUE_LENGTH = 20_000  # entries that wait for the disk: seconds of traffic on all links
+WRITE_PERIOD_S = 0.05  # host time; lost if the process is killed
+CLOSE_LIMIT_S = 2.0  # for what is still queued
 
 
 class _Entry(NamedTuple):
@@ -36,7 +36,7 @@ class _Entry(NamedTuple):
 
 
 class FlightRecorder:
-    """A `ByteSink` that keeps what it is given in a folder, for one run."""
+    """A `ByteSink` that stores the traffic of one run in a folder."""
 
     def __init__(
         self,
@@ -46,7 +46,7 @@ class FlightRecorder:
         file_bytes: int = FILE_BYTES,
         queue_length: int = QUEUE_LENGTH,
     ) -> None:
-        """`now_s` is theatre time. Raises OSError when the folder cannot be made."""
+        """`now_s` is theatre time. Raises OSError when the folder cannot be created."""
         folder.mkdir(parents=True, exist_ok=True)
         self._folder = folder
         self._now_s = now_s
@@ -55,20 +55,20 @@ class FlightRecorder:
         self._queue: deque[_Entry] = deque()
         self._queue_length = queue_length
         self._dropped: dict[str, int] = defaultdict(int)
-        self._lock = threading.Lock()  # of the count of dropped ones
-        self._looked: dict[str, tuple[int, float]] = {}  # by link: host and theatre time of the last look
+        self._lock = threading.Lock()  # protects the count of dropped entries
+        self._looked: dict[str, tuple[int, float]] = {}  # by link: host and theatre time of the last query
         self._last_s = 0.0
-        self._files: dict[str, AlternatingFiles | None] = {}  # None: it cannot be written
+        self._files: dict[str, AlternatingFiles | None] = {}  # None: not writable
         self._ending = threading.Event()
         self._writer = threading.Thread(target=self._run, name="flight recorder", daemon=True)
         self._writer.start()
 
     def passed(self, link: str, direction: Direction, data: bytes) -> None:
-        """As `ByteSink`."""
+        """As in `ByteSink`."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
 
     def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
-        """As `ByteSink`; theatre time is interpolated between the last call for this link and this one."""
+        """As in `ByteSink`; theatre time is interpolated between the last call for this link and this one."""
         now_ns, now_s = time.monotonic_ns(), self._theatre_s()
         before_ns, before_s = self._looked.get(link, (now_ns, now_s))
         self._looked[link] = now_ns, now_s
@@ -78,11 +78,11 @@ class FlightRecorder:
             self._put(_Entry(link, host_ns, theatre_s, direction, data, {}))
 
     def note(self, link: str, **facts: str | float) -> None:
-        """As `ByteSink`."""
+        """As in `ByteSink`."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), None, b"", facts))
 
     def close(self) -> None:
-        """Write what waits and close the files. Bounded in time; never raises."""
+        """Write what is queued and close the files. Bounded in time; never raises."""
         self._ending.set()
         if self._writer is not threading.current_thread():
             self._writer.join(CLOSE_LIMIT_S)

@@ -1,7 +1,7 @@
-"""Pixels without loss, small and cheap: each row as differences, entropy-coded.
+"""Lossless pixel coding, small and cheap: each row as differences, entropy-coded.
 
-A camera's noise leaves little for a search of repetitions, so there is none: coding takes milliseconds. Of
-wide pixels the low and the high bytes are coded apart.
+A camera's noise leaves little for a search for repetitions, so there is none: coding takes milliseconds. For
+wide pixels the low and the high bytes are coded separately.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from ronna_hw.bounded_input import inflate
 
 Pixels = NDArray[np.uint8] | NDArray[np.uint16]
 TYPES: dict[str, type[np.uint8 | np.uint16]] = {"uint8": np.uint8, "uint16": np.uint16}
-LARGEST_BYTES = 50_000_000  # ten times a whole sensor of ours
-CENTRE = 0x80  # small differences of either sign around it: their high byte is then all but constant
+LARGEST_BYTES = 50_000_000  # ten times a full sensor of ours
+CENTRE = 0x80  # small differences of either sign around it: their high byte is then almost constant
 
 
 def pack_pixels(pixels: Pixels) -> bytes:
@@ -31,7 +31,7 @@ def pack_pixels(pixels: Pixels) -> bytes:
 
 
 def unpack_pixels(packed: bytes, shape: tuple[int, int], kind: str) -> Pixels:
-    """The array again, read-only. Raises ValueError when the bytes do not make one."""
+    """The array back, read-only. Raises ValueError if the bytes do not form one."""
     if kind not in TYPES:
         raise ValueError(f"{kind} is not a pixel type")
     wanted = np.dtype(TYPES[kind])

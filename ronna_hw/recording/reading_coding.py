@@ -1,4 +1,4 @@
-"""What devices answer, as plain JSON values and back: records, tuples, enumerations, numbers, pixels."""
+"""Device answers as plain JSON values and back: records, tuples, enumerations, numbers, pixels."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import numpy as np
 from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
-PIXELS = "kept pixels"  # the key of a reference to pixels that are kept elsewhere
+PIXELS = "kept pixels"  # the key of a reference to pixels stored elsewhere
 
 PutPixels = Callable[[Any], dict[str, Any]]
 GetPixels = Callable[[dict[str, Any]], Any]
 
 
 def as_plain(value: Any, put: PutPixels) -> Any:
-    """A value as JSON has it; `put` takes arrays of pixels and returns what refers to them.
+    """A value in JSON form; `put` stores arrays of pixels and returns a reference.
 
-    Raises ValueError or TypeError for what has no such form.
+    Raises ValueError or TypeError for values without such a form.
     """
 
     def other(part: Any) -> Any:
@@ -33,7 +33,7 @@ def as_plain(value: Any, put: PutPixels) -> Any:
 
 
 def as_recorded(kind: Any, value: Any, get: GetPixels) -> Any:
-    """The value of a declared type again. Raises ValueError, KeyError or TypeError for what is none."""
+    """The value of a declared type back. Raises ValueError, KeyError or TypeError if it is not one."""
     return _adapter(kind).validate_python(_with_pixels(value, get))
 
 

@@ -1,10 +1,10 @@
-"""The tape: what every device answered to a procedure, in order, for a replay.
+"""The tape: every device's answers to a procedure, in order, for replay.
 
-RUN/readings/readings.jsonl   one line per answer, in sections
-RUN/readings/pixels.bin       the pixels that these lines refer to, each packed by itself
+RUN/readings/readings.jsonl one line per answer, in sections RUN/readings/pixels.bin the pixels that these
+lines refer to, each packed separately
 
-A section is what happens between two lines of the journal, and carries the number of the first. Answers to
-whoever asks beside it, a guard or another thread, are not on the tape. A thread of its own packs and writes.
+A section is what happens between two lines of the journal, and has the number of the first. Answers to other
+callers, a guard or another thread, are not on the tape. A separate thread packs and writes.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ from ronna_hw.recording.reading_coding import as_plain
 
 READINGS_FOLDER = "readings"
 READINGS_FILE, PIXELS_FILE = "readings.jsonl", "pixels.bin"
-MOST_BYTES = 2_000_000_000  # of one run: ten full cases
-MOST_WAITING_BYTES = 400_000_000  # of pixels: fifty pairs of whole sensors
+MOST_BYTES = 2_000_000_000  # per run: ten full cases
+MOST_WAITING_BYTES = 400_000_000  # of pixels: fifty pairs of full sensors
 WRITE_PERIOD_S = 0.05  # host time
-CLOSE_LIMIT_S = 10.0  # for what still waits
+CLOSE_LIMIT_S = 10.0  # for what is still queued
 NO_SECTION = -1
 
 
 class Answer(NamedTuple):
-    """What a call on a device gave: a value, or the error that it raised; and the state it left."""
+    """Answer to a device call: a value, or the error raised; and the resulting state."""
 
     section: int
     device: str
@@ -44,11 +44,11 @@ class Answer(NamedTuple):
     theatre_time_s: float
     value: object
     error: RonnaError | None
-    properties: Mapping[str, object]  # of the device, where the call tells them
+    properties: Mapping[str, object]  # of the device, if the call reveals them
 
 
 class ReadingTape:
-    """Of one run. `opening` is the first line: what a replay needs in addition to the answers."""
+    """For one run. `opening` is the first line: what a replay needs in addition to the answers."""
 
     def __init__(
         self,
@@ -58,14 +58,14 @@ class ReadingTape:
         *,
         most_bytes: int = MOST_BYTES,
     ) -> None:
-        """Goes on with what an earlier process of the run has left. Raises OSError."""
+        """Continues what an earlier process of the run has left. Raises OSError."""
         folder.mkdir(parents=True, exist_ok=True)
         self._lines = (folder / READINGS_FILE).open("ab")
         self._pixels = (folder / PIXELS_FILE).open("ab")
         self._now_s = now_s
         self._most_bytes = most_bytes
         self._section = NO_SECTION
-        self._thread = 0  # who reads within the section
+        self._thread = 0  # the one that reads within the section
         self._beside = 0
         self._queue: deque[Answer] = deque()
         self._waiting_bytes = 0
@@ -73,7 +73,7 @@ class ReadingTape:
         self._ending = threading.Event()
         self._writing = threading.Lock()
         if self._lines.tell():
-            self._lines.write(b"\n")  # ends a line that was torn
+            self._lines.write(b"\n")  # terminates a torn line
         self._write_line({"opening": dict(opening)})
         self._writer = threading.Thread(target=self._run, name="reading tape", daemon=True)
         self._writer.start()
@@ -83,12 +83,12 @@ class ReadingTape:
         self._section, self._thread = section, threading.get_ident()
 
     def end(self) -> None:
-        """The section is over."""
+        """End the section."""
         self._section = NO_SECTION
 
     @contextmanager
     def beside(self) -> Iterator[None]:
-        """What is read within is no part of the section."""
+        """Readings within the block are not part of the section."""
         self._beside += 1
         try:
             yield
@@ -97,7 +97,7 @@ class ReadingTape:
 
     @property
     def listening(self) -> bool:
-        """Whether an answer to this thread is to be kept."""
+        """Whether an answer to this thread should be kept."""
         return self._section != NO_SECTION and not self._beside and threading.get_ident() == self._thread
 
     def keep(
@@ -109,7 +109,7 @@ class ReadingTape:
         error: RonnaError | None = None,
         properties: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
-        """Keep an answer that was given just now. Never blocks, never raises."""
+        """Keep an answer that was just given. Never blocks, never raises."""
         answer = Answer(self._section, device, call, state, self._now_s(), value, error, properties)
         self._waiting_bytes += _pixel_bytes(value)
         if self._waiting_bytes > MOST_WAITING_BYTES:
@@ -118,18 +118,18 @@ class ReadingTape:
             self._queue.append(answer)
 
     def close(self) -> None:
-        """Write what waits and close the files. Bounded in time; never raises."""
+        """Write what is queued and close the files. Bounded in time; never raises."""
         self._ending.set()
         self._writer.join(CLOSE_LIMIT_S)
 
     def settle(self) -> None:
-        """Write all that was kept so far: a kill after this costs none of it. Never raises."""
+        """Write everything kept so far: a kill after this loses none of it. Never raises."""
         with self._writing:
             if self._lines.closed:
                 return
             try:
                 self._write_waiting()
-            except (OSError, TypeError, ValueError) as error:  # the disk, or an answer of no known form
+            except (OSError, TypeError, ValueError) as error:  # the disk, or an answer of unknown form
                 self._full = True
                 self._queue.clear()
                 logger(part="reading tape").warning("readings are no longer recorded", cause=error)

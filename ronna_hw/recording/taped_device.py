@@ -1,4 +1,4 @@
-"""A device as it is, with its answers on a tape."""
+"""A device whose answers are recorded on a tape."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from ronna_hw.recording.reading_tape import ReadingTape
 
 
 def taped(device: Device, tape: ReadingTape) -> Device:
-    """The same device to its callers: it has exactly the public names of the device."""
+    """The same device for its callers: it has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
     members = {name: _member(name) for name in names}
     return cast("Device", type("Taped", (_Taped,), members)(device, tape))
 
 
 class _Taped:
-    """Members follow those of the device in it."""
+    """Members are those of the wrapped device."""
 
     def __init__(self, device: Device, tape: ReadingTape) -> None:
         self._device = device

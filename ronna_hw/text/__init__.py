@@ -1,1 +1,1 @@
-"""Text from outside, as it may be shown."""
+"""Text from outside, made safe to display."""

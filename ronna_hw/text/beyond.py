@@ -1,12 +1,12 @@
-"""A figure and the limit that refuses it, so that the reader sees on which side of it the figure is."""
+"""A figure and the limit that refuses it, formatted so that it is visible on which side the figure is."""
 
 from __future__ import annotations
 
-MOST_MORE = 6  # decimals; what is then still the limit equals it
+MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals it
 
 
 def beyond(value: float, limit: float, decimals: int) -> str:
-    """The value with so many decimals, or with as many more as put it on its side of a limit shown in full.
+    """The value with this many decimals, or as many more as needed to show its side of a limit shown in full.
 
     `beyond(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """
@@ -18,7 +18,7 @@ def beyond(value: float, limit: float, decimals: int) -> str:
 
 
 def told_apart(value: float, limit: float, decimals: int) -> tuple[str, str]:
-    """The value and a computed limit, each with so many decimals, or with as many more as tell them apart."""
+    """The value and a computed limit, each with this many decimals, or as many more as distinguish them."""
     for more in range(MOST_MORE):
         shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))
         if shown != refused_from:

@@ -1,20 +1,20 @@
-"""Names from outside (files, series, patients, trajectories, devices) cannot steer a terminal or flood it."""
+"""Keeps names from outside (files, series, patients, devices) from steering or flooding a terminal."""
 
 from __future__ import annotations
 
 import re
 
-LONGEST_WORD = 160  # characters: a path or a number stays within a line of a wide terminal
-LONGEST_LINE = 4000  # an error that lists what is wrong in a file is a paragraph, not a page
+LONGEST_WORD = 160  # characters: a path or a number fits on a line of a wide terminal
+LONGEST_LINE = 4000  # an error that lists the mistakes in a file is a paragraph, not a page
 GAP = "…"
 
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_WORD + 1},}}")
 
 
 def printable(text: str) -> str:
-    """One line of it, without control characters, whose words and numbers have an end.
+    """The text as one line, without control characters, with words and numbers of limited length.
 
-    What is too long is shortened in its middle: a path is known by its beginning and its end.
+    Anything too long is shortened in the middle: a path is recognised by its beginning and end.
     """
     line = without_controls(text)
     if len(line) <= LONGEST_WORD:
@@ -28,7 +28,7 @@ def printable_lines(text: str) -> str:
 
 
 def without_controls(text: str) -> str:
-    """White space as blanks; escapes, marks that turn the direction and the like as `\\x1b`, `\\u202e`."""
+    """White space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
     if text.isprintable():
         return text
     return "".join(map(_shown, text))

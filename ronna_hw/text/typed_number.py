@@ -6,7 +6,7 @@ import math
 
 
 def typed_number(typed: str) -> float:
-    """A finite number, with a point or a comma before its decimals; raises ValueError with what was typed."""
+    """A finite number, with a decimal point or comma; raises ValueError with the text typed."""
     words = typed.strip()
     try:
         number = float(words.replace(",", "."))

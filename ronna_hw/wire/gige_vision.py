@@ -1,7 +1,7 @@
 """Vocabulary of GigE Vision: command codes, addresses, status codes, pixel formats, header layouts.
 
-Control (GVCP) and stream (GVSP) are UDP, every field big-endian. Layouts are given as format strings of
-Python's `struct`, always with an explicit byte order; packing and unpacking are each side's own work.
+Control (GVCP) and stream (GVSP) are UDP, every field big-endian. Layouts are format strings of Python's
+`struct`, always with an explicit byte order; each side does its own packing and unpacking.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class GvcpFlag(IntFlag):
 
 
 class GvcpCommand(IntEnum):
-    """Commands, and their answers where they have one (the command plus one)."""
+    """Commands, and their answers if they have one (the command plus one)."""
 
     DISCOVERY = 0x0002
     DISCOVERY_ACK = 0x0003
@@ -152,12 +152,12 @@ class Bootstrap(IntEnum):
     GVCP_CONFIGURATION = 0x0954
     PENDING_TIMEOUT_MS = 0x0958
     CCP = 0x0A00
-    PRIMARY_APPLICATION_PORT = 0x0A04  # whoever is in control; 0 when nobody is
+    PRIMARY_APPLICATION_PORT = 0x0A04  # the application in control; 0 if there is none
     PRIMARY_APPLICATION_ADDRESS = 0x0A14
     MCP = 0x0B00  # host port in the low 16 bits; 0 closes the channel
     MCDA = 0x0B10  # destination address
-    MCTT_MS = 0x0B14  # how long an acknowledge is awaited; 0: none is asked for
-    MCRC = 0x0B18  # how often a message is repeated
+    MCTT_MS = 0x0B14  # how long to wait for an acknowledge; 0: none is requested
+    MCRC = 0x0B18  # number of retries of a message
     MCSP = 0x0B1C  # source port
     SCP = 0x0D00  # host port in the low 16 bits; 0 closes the channel
     SCPS = 0x0D04
@@ -178,7 +178,7 @@ TEXT_BYTES: dict[Bootstrap, int] = {
     Bootstrap.FIRST_URL: 512,
     Bootstrap.SECOND_URL: 512,
 }
-"""Length of the text registers; a shorter text is filled up with zeros."""
+"""Length of the text registers; shorter text is padded with zeros."""
 
 DEVICE_MODE_BIG_ENDIAN = 0x8000_0000
 DEVICE_MODE_UTF8 = 0x0000_0001
@@ -197,7 +197,7 @@ GVCP_CONFIGURATION_EXTENDED_STATUS = 2
 SCPS_FIRE_TEST = 0x8000_0000  # clears itself
 SCPS_DO_NOT_FRAGMENT = 0x4000_0000
 SCPS_BIG_ENDIAN_PIXELS = 0x2000_0000
-SCPS_SIZE_MASK = 0x0000_FFFF  # packet size with the IP and UDP headers
+SCPS_SIZE_MASK = 0x0000_FFFF  # packet size including IP and UDP headers
 SCP_PORT_MASK = 0x0000_FFFF
 MCP_PORT_MASK = 0x0000_FFFF
 

@@ -1,10 +1,11 @@
 """The RSI context: the content of a telegram, the input fed by each channel, the controller's limits.
 
-`load_context()` reads our own description, `kuka_rsi_context.toml` beside this module; `load_context(path)`
-another one in the same form. Driver, generator of the controller's files and the controller's stand-in all
-start from the `RsiContext` it returns. `context_hash()` is what the controller reports as `CtxHash`.
+`load_context()` reads our own description, `kuka_rsi_context.toml` next to this module;
+`load_context(path)` another one in the same form. The driver, the generator of the controller's files and
+the controller's stand-in all start from the `RsiContext` it returns. `context_hash()` is what the
+controller reports as `CtxHash`.
 
-Nothing is encoded or decoded here: each side of the wire writes its own.
+Nothing is encoded or decoded here: each side of the wire does its own.
 """
 
 from __future__ import annotations
@@ -64,7 +65,7 @@ class SendElement(_Table):
 
 
 class ReceiveElement(_Table):
-    """One ELEMENT the controller receives; `holdon` 1 keeps the last value over a missing reply."""
+    """One ELEMENT the controller receives; with `holdon` 1 a missing reply keeps the last value."""
 
     tag: Annotated[str, Field(min_length=1)]
     type: ElementType
@@ -89,7 +90,7 @@ class Feedback(_Table):
 
 
 class Program(_Table):
-    """What the KRL program asks of RSI_ON, and the arm it is written for."""
+    """What the KRL program requests from RSI_ON, and the arm it is written for."""
 
     cycle_ms: Literal[4, 12]
     corrections: Literal["absolute", "relative"]
@@ -140,13 +141,13 @@ class PositionMonitor(_Table):
 
 
 class Stop(_Table):
-    """The STOP object; it acts on the rising edge of its input."""
+    """The STOP object; it reacts to the rising edge of its input."""
 
     mode: Literal["InfoMessage", "PathNormal", "Velocity", "PathFast", "ExitMoveCorr"] = "ExitMoveCorr"
 
 
 class RsiContext(_Table):
-    """A whole context. Objects that are `None` are not in the context, and their defaults apply."""
+    """A complete context. Objects that are `None` are not in the context, and their defaults apply."""
 
     schema_version: Annotated[Literal[1], Field(alias="schema")]
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,18}$")]
@@ -183,7 +184,7 @@ class RsiContext(_Table):
         return self
 
     def wired_tag(self, object_name: str, input_name: str) -> str | None:
-        """Tag of the received element that feeds an object input, or None when nothing does."""
+        """Tag of the received element that feeds an object input, or None if nothing does."""
         for wire in self.wiring:
             if (wire.object, wire.input) == (object_name, input_name):
                 return next(e.tag for e in self.receive if e.indx == wire.indx)
@@ -191,14 +192,14 @@ class RsiContext(_Table):
 
 
 def load_context(path: Path | None = None) -> RsiContext:
-    """Read a context; without a path our own. Raises WIR-001 with every mistake in one line."""
+    """Read a context; without a path, our own. Raises WIR-001 with every mistake in one line."""
     source = str(path) if path else DEFAULT_CONTEXT_FILE
     try:
         if path is None:
             content = parse_toml(files("ronna_hw.wire").joinpath(DEFAULT_CONTEXT_FILE).read_text("utf-8"))
         else:
             content = read_toml(path, ContextInvalid)
-        # JSON in between: in strict mode pydantic takes arrays as tuples from JSON only.
+        # JSON in between: in strict mode pydantic accepts arrays as tuples from JSON only.
         return RsiContext.model_validate_json(json.dumps(content, default=str))
     except OSError as error:
         raise ContextInvalid(f"cannot read the RSI context {source}: {error.strerror}") from error
@@ -214,8 +215,8 @@ def load_context(path: Path | None = None) -> RsiContext:
 def context_hash(context: RsiContext) -> str:
     """First digits of the sha256 over the canonical description, without the PC's address.
 
-    Canonical is JSON with sorted keys and no blanks, defaults written out, but for a feedback that is not
-    wired: two files that mean the same have the same hash.
+    Canonical is JSON with sorted keys and no blanks, defaults written out, except for an unwired feedback:
+    two files with the same meaning have the same hash.
     """
     meaning = context.model_dump(mode="json", by_alias=True)
     del meaning["ethernet"]["pc_ip"], meaning["ethernet"]["pc_port"]

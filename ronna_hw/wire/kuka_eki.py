@@ -1,18 +1,18 @@
 """Names on the EKI channel of the project: elements, attributes, commands, codes and their meanings.
 
 The controller is the TCP server. A client writes `<Cmd Id= Name= ...></Cmd>`; every command is answered by
-`<Ack Id= Cmd= Code= Text=></Ack>`, STATUS by `<State ...><Axis .../><Pos .../></State>`, which also comes
-unasked on a change and every 100 ms. Elements are closed by a separate end tag, as EthernetKRL writes them.
-Attribute values are text: BOOL "1"/"0", numbers with a decimal point. No encoding or decoding here.
+`<Ack Id= Cmd= Code= Text=></Ack>`, STATUS by `<State ...><Axis .../><Pos .../></State>`, which is also sent
+unsolicited on a change and every 100 ms. Elements are closed by a separate end tag, as EthernetKRL writes
+them. Attribute values are text: BOOL "1"/"0", numbers with a decimal point. No encoding or decoding here.
 """
 
 from __future__ import annotations
 
 from enum import IntEnum, StrEnum
 
-PROJECT_PORT = 54602  # EKI gives a KR C4 the ports 54600 to 54615; 54600 is the control SDK's
+PROJECT_PORT = 54602  # EKI reserves ports 54600 to 54615 on a KR C4; 54600 is the control SDK's
 STATE_PERIOD_MS = 100
-FIRST_REQUEST_LIMIT_MS = 10_000  # who has asked for nothing since it connected is hung up on
+FIRST_REQUEST_LIMIT_MS = 10_000  # a client without any request since it connected is disconnected
 
 CMD = "Cmd"
 ACK = "Ack"
@@ -69,13 +69,13 @@ class StateAttribute(StrEnum):
     OVERRIDE = "Ov"  # percent
     ERROR = "Err"  # number of the active message, 0 is none
     RSI = "RSI"  # RsiState
-    TOOL = "Tool"  # number of the tool that the tool changer's inputs report, 0 is none
+    TOOL = "Tool"  # tool number reported by the tool changer's inputs, 0 is none
     BASE = "Base"
     STOPMESS = "Stopmess"
     REFERENCE = "Ref"  # Reference
-    HOLDON = "HoldOn"  # 1 when every correction channel keeps its value over a missing reply
+    HOLDON = "HoldOn"  # 1 if every correction channel keeps its value over a missing reply
     CYCLE = "Cycle"  # ms
-    CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of what the program loads
+    CONTEXT_HASH = "CtxHash"  # ronna_hw.wire.kuka_context.context_hash of the context that the program loads
     VARIANT = "Variant"  # ronna_hw.arm.kr6_r900.ArmVariant
 
 
@@ -99,16 +99,16 @@ class ProState(StrEnum):
 
 
 class RsiState(IntEnum):
-    """Where the RSI program is."""
+    """State of the RSI program."""
 
     IDLE = 0
-    ON = 1  # streaming, corrections do not act yet
-    MOVECORR = 2  # corrections act
-    FAULT = 3  # left by ACK_ERRORS
+    ON = 1  # streaming, corrections not effective yet
+    MOVECORR = 2  # corrections are effective
+    FAULT = 3  # cleared by ACK_ERRORS
 
 
 class Reference(StrEnum):
-    """How corrections add up."""
+    """How corrections accumulate."""
 
     ABSOLUTE = "ABS"
     RELATIVE = "REL"

@@ -20,7 +20,7 @@ ASCII_CRC_DIGITS: Final = 4  # upper-case hex, high byte first
 REPLY_OKAY: Final = "OKAY"
 REPLY_RESET: Final = "RESET"  # sent after power-up, break or the RESET command, at 9600 baud
 REPLY_ERROR: Final = "ERROR"  # followed by 2 hex digits
-REPLY_WARNING: Final = "WARNING"  # followed by 2 hex digits on newer firmware; the command was carried out
+REPLY_WARNING: Final = "WARNING"  # followed by 2 hex digits on newer firmware; the command was executed
 REPLY_UNOCCUPIED: Final = "UNOCCUPIED"
 REPLY_MISSING: Final = "MISSING"
 REPLY_DISABLED: Final = "DISABLED"
@@ -43,7 +43,7 @@ CRC16_TABLE: Final = _crc16_table()
 
 @cache
 def _crc16_word_table() -> tuple[int, ...]:
-    """For each 16-bit word, low byte first, the CRC of its two bytes; made by whoever needs it."""
+    """For each 16-bit word, low byte first, the CRC of its two bytes; created on first use."""
     table = CRC16_TABLE
     return tuple(
         (crc >> 8) ^ table[crc & 0xFF] for high in range(256) for crc in (low ^ high for low in table)
@@ -53,7 +53,7 @@ def _crc16_word_table() -> tuple[int, ...]:
 def crc16(data: bytes, start: int = 0) -> int:
     """CRC-16 of `data`, continuing from `start`. In binary replies it is stored low byte first.
 
-    Two bytes are taken at a time, because every reply of a tracker waits for this.
+    Processes two bytes at a time, because every tracker reply waits for this.
     """
     crc = start
     table = _crc16_word_table()
@@ -93,7 +93,7 @@ COMM_DEFAULT_ARGUMENT: Final = "00000"
 
 # --- commands --------------------------------------------------------------------------------------------
 
-# Time limits of the unit itself, seconds, as `Info.Timeout.<name>` reads on a real unit.
+# Time limits of the unit itself, seconds, as read from `Info.Timeout.<name>` on a real unit.
 COMMAND_TIMEOUT_S: Final = MappingProxyType(
     {
         "INIT": 4.0, "COMM": 2.0, "VER": 2.0, "PHRQ": 2.0, "PINIT": 6.0, "PENA": 2.0, "PDIS": 2.0,
@@ -143,7 +143,7 @@ class ReplyOption(IntFlag):
     TOOL_INFORMATION = 0x0002
     STRAY_ACTIVE = 0x0004
     TOOL_MARKERS = 0x0008
-    OUT_OF_VOLUME = 0x0800  # report transforms and strays that lie outside the volume
+    OUT_OF_VOLUME = 0x0800  # report transforms and strays outside the volume
     STRAY_PASSIVE = 0x1000
 
 
@@ -263,15 +263,15 @@ PARAMETER_BUMPED: Final = "Param.Bump Detector.Bumped"
 PARAMETER_BUMP_CLEAR: Final = "Param.Bump Detector.Clear"
 PARAMETER_TIMEOUT_PREFIX: Final = "Info.Timeout."
 
-FRAME_RATE_HZ: Final = 60.0  # the frame number counts at this rate whatever the illuminator rate is
+FRAME_RATE_HZ: Final = 60.0  # the frame number counts at this rate, whatever the illuminator rate
 ILLUMINATOR_RATES_HZ: Final = MappingProxyType({0: 20, 1: 30, 2: 60})
 
-# Answer to SFLIST 03: one digit count, then per volume so many characters, LF the last of them.
+# Answer to SFLIST 03: one digit count, then this many characters per volume, the last one LF.
 SFLIST_VOLUMES: Final = "03"
 SFLIST_VOLUME_CHARACTERS: Final = 74
 SFLIST_DIMENSIONS: Final = 10  # D1..D10, each sign and 6 digits
 SFLIST_DIMENSION_CHARACTERS: Final = 7
-SFLIST_DIMENSION_SCALE: Final = 100  # per mm; slopes come out per 1000
+SFLIST_DIMENSION_SCALE: Final = 100  # per mm; slopes are per 1000
 
 # --- error and warning codes -----------------------------------------------------------------------------
 

@@ -18,7 +18,7 @@ CHECKSUM_OFFSET: Final = 4  # u16: sum of all bytes from CHECKSUM_FROM to the en
 CHECKSUM_FROM: Final = 6
 CONSTANT_ONE_OFFSET: Final = 8  # u8, always 1
 SUBTYPE_OFFSET: Final = 12  # u8
-SUBTYPE_BELOW_TYPE: Final = 1  # real files carry main type - 1 as the subtype
+SUBTYPE_BELOW_TYPE: Final = 1  # real files have main type minus 1 as the subtype
 MAIN_TYPE_OFFSET: Final = 15  # u8
 REVISION_OFFSET: Final = 16  # u16
 SERIAL_OFFSET: Final = 20  # u32, fields below
@@ -59,7 +59,7 @@ MARKER_PASSIVE_SPHERE: Final = 41  # 0x29
 MARKER_PASSIVE_DISC: Final = 49
 MARKER_RADIX_LENS: Final = 57
 
-# Byte 15, as PHINF tells it.
+# Byte 15, as reported by PHINF.
 MAIN_TYPE_UNKNOWN: Final = 0
 MAIN_TYPE_REFERENCE: Final = 1
 MAIN_TYPE_POINTER: Final = 2

@@ -1,4 +1,4 @@
-"""What hands do in an operating room, by the names that a procedure and a simulated room share."""
+"""Manual tasks in an operating room, named identically in a procedure and a simulated room."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ SKIN = "skin"
 DRILL = "drill"
 DURA = "dura"
 INSERT = "insert"  # the instrument, up to its stop
-OUT = "out"  # the instrument out of the guide
+OUT = "out"  # take the instrument out of the guide
 HEAD_CLAMP = "head_clamp"  # clamp the head, and lock the clamp to the table
 CART_PLACE = "cart_place"  # wheel the cart to its place
-CART_LOCK = "cart_lock"  # close its brakes
+CART_LOCK = "cart_lock"  # apply its brakes
 CART_PUSH = "cart_push"  # lean on the locked cart from each side
 DIALS = "dials"  # of the calibration stand: raise the divot to the tip, read its x, y and z, lower it again
-GAUGE = "gauge"  # read it: the joints at which it stands in deg, and the height between its dials in mm
+GAUGE = "gauge"  # read it: the arm's joints at it in deg, and the height between its dials in mm

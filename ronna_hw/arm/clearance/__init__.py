@@ -1,1 +1,1 @@
-"""What the arm could meet: bodies, distances, whole paths before motion, and the live watch."""
+"""Collisions of the arm: bodies, distances, whole paths before motion, and live monitoring."""

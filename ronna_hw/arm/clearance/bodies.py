@@ -12,9 +12,9 @@ from ronna_hw.arm.links import COLUMN_NAME, ArmBodies, ArmPart
 
 
 class Pair(NamedTuple):
-    """Two bodies that must keep their distance: index of the moving one, and of the other one.
+    """Two bodies that must keep their distance: index of the moving one, and of the other.
 
-    `other` counts fixed bodies when it is not negative; -1 - k is the moving body k.
+    A non-negative `other` is the index of a fixed body; -1 - k is the moving body k.
     """
 
     moving: int
@@ -25,7 +25,7 @@ class Pair(NamedTuple):
 
 @dataclass(frozen=True)
 class Bodies:
-    """Moving bodies: the arm's links, then the parts of the tool. Fixed ones: its column, then obstacles."""
+    """Moving bodies: the arm's links, then parts of the tool. Fixed ones: its column, then obstacles."""
 
     arm: ArmBodies
     surroundings: Surroundings
@@ -59,7 +59,7 @@ class Bodies:
 
     @cached_property
     def fixed(self) -> tuple[Capsule, ...]:
-        """The fixed bodies; the column reaches from the base to a little below the first moving one."""
+        """The fixed bodies; the column extends from the base to slightly below the first moving one."""
         radius_mm = self.surroundings.radii.of(ArmPart.COLUMN)
         top_mm = max(self.arm.column_height_mm - radius_mm, 0.0)
         column = Capsule((0.0, 0.0, 0.0), (0.0, 0.0, top_mm), radius_mm)
@@ -67,7 +67,7 @@ class Bodies:
 
     @cached_property
     def pairs(self) -> tuple[Pair, ...]:
-        """Every pair that can meet. Bodies that touch by construction are left out."""
+        """Every pair that can collide. Bodies that touch by construction are left out."""
         links, tool = self.arm.links, self.surroundings.tool
         obstacles = self.surroundings.obstacles
         count = len(links)

@@ -1,7 +1,7 @@
-"""Capsules: the one shape of the collision geometry, and the distance of two of them, in plain floats.
+"""Capsules, the only shape of the collision geometry, and the distance between two of them, in plain floats.
 
-A capsule is all points within a radius of a segment. Everything else is covered by some of them, so that one
-closed formula answers every question. The real-time loop uses this module: no NumPy.
+A capsule is the set of points within a radius of a segment. Everything else is covered by capsules, so that a
+single closed formula suffices. Used in the real-time loop: no NumPy.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ class Capsule(NamedTuple):
     radius_mm: float
 
     def moved(self, pose: Pose) -> Capsule:
-        """The capsule in the frame that `pose` leads to."""
+        """The capsule in the target frame of `pose`."""
         return Capsule(pose.apply(self.start_mm), pose.apply(self.end_mm), self.radius_mm)
 
 
 def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float:
-    """Distance of the segments a-b and c-d: closest points of the lines, clamped in turn to both segments."""
+    """Distance between segments a-b and c-d: closest points of the lines, clamped in turn to the segments."""
     ux, uy, uz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     vx, vy, vz = d[0] - c[0], d[1] - c[1], d[2] - c[2]
     wx, wy, wz = a[0] - c[0], a[1] - c[1], a[2] - c[2]
@@ -57,11 +57,11 @@ def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float
 
 
 def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Capsule]:
-    """Two capsules that hold an ellipsoid, along its longest axis, side by side along the middle one.
+    """Two capsules that cover an ellipsoid, along its longest axis, side by side along the middle one.
 
-    The radius is the least for which the balls at the ends of the segments hold the ellipsoid's ends and the
-    two capsules meet in its middle; the surface is overshot by some per cent of the differences of the axes.
-    `pose` leads from the ellipsoid's frame (origin in its middle, along its axes) to the wanted one.
+    The radius is the smallest for which the balls at the ends of the segments cover the ellipsoid's ends and
+    the two capsules meet in its middle; they exceed its surface by some per cent of the differences between
+    the axes. `pose` maps from the ellipsoid's frame (origin at its centre, along its axes) to the wanted one.
     """
     order = sorted(range(3), key=lambda axis: semi_axes_mm[axis])
     short, middle, long = (semi_axes_mm[axis] for axis in order)

@@ -1,8 +1,8 @@
 """Checks where set-points take the bodies: distances to everything, and speed near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the arm's closed form, distances
-are the scalar ones. A pair is measured again only when the arm may have moved enough since to bring it to its
-limit, and the bodies are placed only when a bound from the joint angles alone does not already clear them.
+are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring it to its
+limit, and the bodies are placed only if a bound from the joint angles alone does not already clear them.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from ronna_hw.arm.clearance.capsule import segment_distance_mm
 from ronna_hw.arm.links import Segment
 from ronna_hw.devices.readings import JointVector
 
-SPEED_MARGIN = 1.05  # over the cap: planning keeps below it, rounding is no violation
-LEAVING_MM = 0.5  # a body that starts too close may stay or leave; planning resolves less than this
+SPEED_MARGIN = 1.05  # over the cap: planning stays below it, rounding is no violation
+LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning resolves less than this
 
 
 class Encounter(NamedTuple):
@@ -47,7 +47,7 @@ class LiveWatch:
         cycle_s: float,
         joints_rad: JointVector,
     ) -> None:
-        """`joints_rad` is where the arm rests; what starts too close may only leave."""
+        """`joints_rad` is the arm's position at rest; whatever starts too close may only move away."""
         self._bodies = bodies
         self._surroundings = surroundings = bodies.surroundings
         self._cycle_s = cycle_s
@@ -62,24 +62,24 @@ class LiveWatch:
         tool = [end for part in surroundings.tool for end in part.capsule[:2]]
         self._levers = bodies.arm.levers_mm(tool)
         segments = body_segments(bodies, joints_rad)
-        self._segments: list[Segment] | None = segments  # where `_joints` puts the bodies, once worked out
+        self._segments: list[Segment] | None = segments  # position of the bodies at `_joints`, once computed
         self._joints = joints_rad
         self._tried: tuple[JointVector, list[Segment] | None, float] | None = None
-        self._odometer_mm = 0.0  # bound of the largest motion of any body, summed over all set-points sent
+        self._odometer_mm = 0.0  # bound on the largest motion of any body, summed over all set-points sent
         gaps = [self._gap(number, segments) for number in range(len(self._pairs))]
         self._floors = [min(surroundings.live_margin_mm, gap - LEAVING_MM) for gap in gaps]
-        # Odometer reading up to which a pair cannot have come to its floor.
+        # Odometer reading before which a pair cannot have reached its limit.
         self._due = [
             ((gap - floor) * self._share(number) if gap < inf else 0.0, number)
             for number, (gap, floor) in enumerate(zip(gaps, self._floors, strict=True))
         ]
         heapify(self._due)
         self._head = [number for number, pair in enumerate(self._pairs) if pair.is_head]
-        # Distance to the head plus odometer at which it was measured: less the odometer, it is a lower bound.
+        # Distance to the head plus the odometer at that time: minus the current odometer, a lower bound.
         self._bounds = [self._distance(number, segments) for number in self._head]
 
     def check(self, joints_rad: JointVector) -> Encounter | None:
-        """The first thing that would be wrong if this set-point were sent next, or None."""
+        """The first violation if this set-point were sent next, or None."""
         most = self._at_most(joints_rad)
         if self._plainly_well(most):
             self._tried = (joints_rad, None, most)
@@ -90,7 +90,7 @@ class LiveWatch:
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
     def sent(self, joints_rad: JointVector) -> None:
-        """This set-point was sent, or is the arm's current position."""
+        """Record that this set-point was sent, or is the arm's current position."""
         if joints_rad is self._joints:
             return
         segments, moved = None, 0.0
@@ -102,7 +102,7 @@ class LiveWatch:
         self._joints, self._segments = joints_rad, segments
 
     def _at_most(self, joints_rad: JointVector) -> float:
-        """Bound of the largest motion of any body since the last set-point, mm."""
+        """Upper bound of the largest motion of any body since the last set-point, mm."""
         a, b, c, d, e, f = self._levers
         p1, p2, p3, p4, p5, p6 = joints_rad
         q1, q2, q3, q4, q5, q6 = self._joints
@@ -171,7 +171,7 @@ class LiveWatch:
         )
 
     def _gap(self, number: int, segments: list[Segment]) -> float:
-        """Distance of the surfaces of a pair; infinite where a corridor allows the contact."""
+        """Distance between the surfaces of a pair; infinite where a corridor allows contact."""
         pair = self._pairs[number]
         corridor = self._surroundings.corridor
         if (

@@ -1,7 +1,7 @@
-"""What the arm carries and what is around it, as capsules: plain values, for the real-time loop too.
+"""The tool and the surroundings of the arm as capsules: plain values, also for the real-time loop.
 
-Lengths in mm. Parts of the tool are given in the flange frame, obstacles in $ROBROOT. A `Surroundings` is
-made once per tool and patient position; nothing in it changes while the arm moves.
+Lengths in mm. Parts of the tool are in the flange frame, obstacles in $ROBROOT. A `Surroundings` is created
+once per tool and patient position, and is constant while the arm moves.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from ronna_hw.arm.links import ArmPart
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import Vector3
 
-DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may move
+DEEPER_THAN_TARGET_MM = 3.0  # the corridor extends this far beyond the target, which a registration may shift
 
 
 class Part(NamedTuple):
-    """A body of the tool, fixed to the flange. `enters_head`: it may go into the head along a corridor."""
+    """A body of the tool, fixed to the flange. `enters_head`: it may enter the head along a corridor."""
 
     name: str
     capsule: Capsule
@@ -36,14 +36,14 @@ class Obstacle(NamedTuple):
 
 
 class Corridor(NamedTuple):
-    """The straight way into the head: from anywhere outside over the entry to a little beyond the target."""
+    """The straight passage into the head: from outside through the entry to slightly beyond the target."""
 
     entry_mm: Vector3
     target_mm: Vector3
     radius_mm: float
 
     def holds(self, start_mm: Vector3, end_mm: Vector3) -> bool:
-        """Whether both ends of a segment, and so all of it, lie within."""
+        """Whether both ends of a segment, and therefore all of it, are inside."""
         return self._holds(start_mm) and self._holds(end_mm)
 
     def _holds(self, point_mm: Vector3) -> bool:
@@ -56,7 +56,7 @@ class Corridor(NamedTuple):
 
 
 class SpeedZone(NamedTuple):
-    """Largest speed of anything that moves, by the smallest distance to the head: linear between two."""
+    """Speed limit for everything that moves, linear in the distance to the head between two points."""
 
     near_mm: float
     near_speed_mm_s: float
@@ -64,14 +64,14 @@ class SpeedZone(NamedTuple):
     far_speed_mm_s: float
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """The largest speed at a distance; constant nearer than `near_mm` and farther than `far_mm`."""
+        """The speed limit at a distance; constant closer than `near_mm` and farther than `far_mm`."""
         share = (distance_mm - self.near_mm) / (self.far_mm - self.near_mm)
         share = min(max(share, 0.0), 1.0)
         return self.near_speed_mm_s + share * (self.far_speed_mm_s - self.near_speed_mm_s)
 
 
 class ArmRadii(NamedTuple):
-    """Thickness of the arm's bodies about their axes; conservative estimates of our own (U)."""
+    """Radii of the arm's bodies about their axes; our own conservative estimates (U)."""
 
     column_mm: float = 150.0
     upper_arm_mm: float = 85.0
@@ -91,7 +91,7 @@ DEFAULT_RADII = ArmRadii()
 
 @dataclass(frozen=True)
 class Surroundings:
-    """All bodies, and the rules: least distance on a planned path, least distance live, speed zone."""
+    """All bodies, and the rules: minimum distance on a planned path, minimum distance live, speed zone."""
 
     tool: tuple[Part, ...] = ()
     obstacles: tuple[Obstacle, ...] = ()
@@ -100,14 +100,14 @@ class Surroundings:
     live_margin_mm: float = 5.0
     zone: SpeedZone | None = None
     corridor: Corridor | None = None
-    most_mm_s: float = inf  # of anything that moves, anywhere: what the operating mode allows
+    most_mm_s: float = inf  # limit for anything that moves, anywhere: set by the operating mode
 
     def into(self, corridor: Corridor | None) -> Surroundings:
-        """The same with this way into the head open, or with none."""
+        """The same with this corridor into the head open, or none."""
         return replace(self, corridor=corridor)
 
     def moved(self, by: Pose) -> Surroundings:
-        """The same with everything that is fixed in the room elsewhere."""
+        """The same with everything fixed in the room moved."""
         corridor = self.corridor
         return replace(
             self,
@@ -119,7 +119,7 @@ class Surroundings:
         )
 
     def cap_mm_s(self, distance_mm: float) -> float:
-        """Largest speed of anything that moves at a distance from the head."""
+        """Speed limit of anything that moves at a distance from the head."""
         if self.zone is None:
             return self.most_mm_s
         return min(self.zone.cap_mm_s(distance_mm), self.most_mm_s)
@@ -130,7 +130,7 @@ class Surroundings:
 
     @classmethod
     def from_json(cls, line: str) -> Surroundings:
-        """The inverse; raises KeyError, TypeError or ValueError when the line is not from `to_json`."""
+        """The inverse; raises KeyError, TypeError or ValueError if the line is not from `to_json`."""
         values: dict[str, Any] = json.loads(line)
         corridor, zone = values["corridor"], values["zone"]
         return cls(

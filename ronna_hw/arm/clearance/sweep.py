@@ -1,6 +1,6 @@
 """Distances of all pairs of bodies over many joint vectors at once, with NumPy.
 
-For planning. The live watch of the real-time process has formulas of its own, so that one mistake cannot hide
+For planning. The real-time process' live monitoring has formulas of its own, so that one mistake cannot hide
 in both: here the chain is multiplied out joint by joint.
 """
 
@@ -23,10 +23,10 @@ POINT_MM2 = 1e-12
 
 @dataclass(frozen=True)
 class Swept:
-    """`gaps_mm` (n, pairs) between surfaces, infinite where a corridor allows the contact; `to_head_mm` (n).
+    """`gaps_mm` (n, pairs) between surfaces, infinite where a corridor allows contact; `to_head_mm` (n).
 
     `ends_mm` (n, bodies, 2, 3): both ends of every moving body's axis in $ROBROOT. `to_head_mm` is the
-    smallest distance of anything that moves to the head, not negative, and infinite where there is no head.
+    smallest distance between the head and anything that moves, not negative, and infinite without a head.
     """
 
     ends_mm: Array
@@ -90,9 +90,9 @@ def moving_ends(bodies: Bodies, joints: Array) -> Array:
 
 
 def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Distances (...) of the segments a-b and c-d, each (3, ...).
+    """Distances (...) between the segments a-b and c-d, each (3, ...).
 
-    The smallest of five: between the lines where their closest points lie within both segments, and of each
+    The smallest of five: between the lines, if their closest points are within both segments, and from each
     of the four ends to the other segment.
     """
     u, v, w = b - a, d - c, a - c
@@ -114,13 +114,13 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
 
 
 def _in_corridor(corridor: Corridor, ends: Array) -> NDArray[np.bool_]:
-    """Which of (n, 2, 3) segments lie wholly in the corridor."""
+    """Which of (n, 2, 3) segments are entirely in the corridor."""
     return np.array([corridor.holds(tuple(start), tuple(end)) for start, end in ends])
 
 
 @cache
 def _rotation_parts(axis: Vector3) -> tuple[Array, Array, Array]:
-    """What stays of a rotation about a unit vector, what its cosine and what its sine scales, (3, 3, 1)."""
+    """Parts of a rotation about a unit vector: constant, scaled by cosine, scaled by sine, (3, 3, 1)."""
     x, y, z = axis
     along = np.outer(axis, axis)
     across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

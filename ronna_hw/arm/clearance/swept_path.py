@@ -1,7 +1,8 @@
 """Whether a planned path is clear of every body, checked over its whole length.
 
-The path is sampled. Between two samples a pair cannot get closer than half the sum of both distances less the
-motion between them; where that bound does not suffice the interval is halved, down to `FINEST_MM` of motion.
+The path is sampled. Between two samples a pair cannot come closer than half of the sum of both
+distances minus the motion in between; if that bound is not enough, the interval is halved, down to
+`FINEST_MM` of motion.
 """
 
 from __future__ import annotations
@@ -24,12 +25,12 @@ from ronna_hw.devices.readings import JointVector
 Array = NDArray[np.float64]
 
 FIRST_SAMPLES = 9
-STEP_MM = 12.0  # of motion between two samples at first
-STEP_RAD = 0.1  # of any joint: within it a path between two samples is straight to 0.05 %
+STEP_MM = 12.0  # initial motion between two samples
+STEP_RAD = 0.1  # of any joint: within this, a path between two samples is straight to 0.05 %
 FINEST_MM = 0.5
 ARC_FACTOR = 1.01  # between two samples a body moves along an arc, not its chord
-LEAVING_MM = 0.05  # a body that starts too close may stay or leave; this much does not count as approach
-ALIKE_MM = 1e-6  # two distances closer to each other than this are the same but for rounding
+LEAVING_MM = 0.05  # a body that starts too close may stay or move away; this much does not count as approach
+ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,7 @@ class SweptPath:
 
     @property
     def closest(self) -> Closest | None:
-        """The smallest distance of any pair; None when there is nothing to meet."""
+        """The smallest distance of any pair; None if there is nothing to collide with."""
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
@@ -61,9 +62,9 @@ class SweptPath:
 
     @property
     def refused(self) -> Closest | None:
-        """The pair that comes too close, at its worst; None when the path is clear.
+        """The pair that comes too close, at its closest; None if the path is clear.
 
-        A pair that starts out too close must not get any closer.
+        A pair that is too close at the start must not come any closer.
         """
         lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
         if not lacking.size or lacking.min() >= 0.0:
@@ -71,7 +72,7 @@ class SweptPath:
         return self._at(_first_smallest(lacking))
 
     def require(self, what: str = "the path") -> None:
-        """Raises ARM-007 with the pair, the distance and the place when the path is not clear."""
+        """Raise ARM-007 with the pair, the distance and the position if the path is not clear."""
         bad = self.refused
         if bad is None:
             return
@@ -90,25 +91,25 @@ class SweptPath:
 
 
 def _first_smallest(distances_mm: Array) -> int:
-    """The flat index of the first distance that is the smallest but for rounding.
+    """Flat index of the first distance that is smallest up to rounding.
 
-    Bodies that turn together keep their distance: the last digits must not choose a place on the path.
+    Bodies that rotate together keep their distance: the last digits must not decide the position on the path.
     """
     return int(np.argmax(distances_mm <= distances_mm.min() + ALIKE_MM))
 
 
 def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
-    """The least distance of each pair (pairs,) on a path that starts with these distances."""
+    """The minimum distance of each pair (pairs,) on a path that starts with these distances."""
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
 def sweep_path(
     kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
 ) -> SweptPath:
-    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 where the path has no solution.
+    """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 if the path has no solution.
 
-    A path that is not clear is searched for its worst place, for the message; without `to_the_worst` only
-    until the verdict is certain.
+    A path that is not clear is searched for its closest point, for the message; without `to_the_worst` only
+    until the result is certain.
     """
     path = plan.path(kinematics)
     bodies = Bodies(kinematics, surroundings)
@@ -148,12 +149,12 @@ def sweep_path(
 
 
 def motion_mm(swept: Swept) -> Array:
-    """How far each body moves at most between neighbouring samples, (n - 1, bodies)."""
+    """Upper bound of each body's motion between neighbouring samples, (n - 1, bodies)."""
     return _moved(swept) * ARC_FACTOR
 
 
 def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]:
-    """Which intervals (n - 1) may hide a distance below its floor."""
+    """Which intervals (n - 1) may hide a distance below its minimum."""
     moved = motion_mm(found)
     pairs = bodies.pairs
     own = np.array([pair.other < 0 for pair in pairs])
@@ -162,7 +163,7 @@ def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]
     before, after = found.gaps_mm[:-1], found.gaps_mm[1:]
     with np.errstate(invalid="ignore"):
         bound = (before + after - relative) / 2.0
-    # On one side of the interval only, a corridor allows the contact: the other side alone is known.
+    # If a corridor allows contact on one side of the interval only, just the other side is known.
     half = np.isinf(before) ^ np.isinf(after)
     bound = np.where(half, np.minimum(before, after) - relative, bound)
     bound = np.where(np.isinf(before) & np.isinf(after), np.inf, bound)

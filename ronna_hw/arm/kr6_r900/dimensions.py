@@ -22,14 +22,14 @@ class ArmVariant(StrEnum):
 class Dimensions:
     """One variant in numbers; names follow the chain from $ROBROOT to the flange.
 
-    A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm lies along x.
+    A1 turns about -z, A2, A3, A5 about +y, A4, A6 about -x. With all axes at zero the arm extends along x.
     """
 
     variant: ArmVariant
     base_height_mm: float  # $ROBROOT to A2, along z
     shoulder_offset_mm: float  # A1 to A2, along x
     upper_arm_mm: float  # A2 to A3
-    elbow_offset_mm: float  # A3 to the axis of A4, across
+    elbow_offset_mm: float  # A3 to the axis of A4, perpendicular
     forearm_mm: float  # A3 to the wrist centre, along A4
     flange_mm: float  # wrist centre to flange, along A6
     lower_rad: JointVector
@@ -44,7 +44,7 @@ class Dimensions:
 
     @cached_property
     def stretched_A3_rad(self) -> float:
-        """Angle of A3 at which upper arm and wrist centre are in one line."""
+        """Angle of A3 at which upper arm and wrist centre are aligned."""
         return math.atan2(self.elbow_offset_mm, self.forearm_mm)
 
     @cached_property
@@ -53,8 +53,8 @@ class Dimensions:
         return self.shoulder_offset_mm + self.upper_arm_mm + self.elbow_to_wrist_mm
 
 
-# Geometry and ranges: public robot descriptions of both arms. Accelerations: planner limits published for
-# the sixx; none are published for the -2, which is not weaker, so the same are used.
+# Geometry and ranges: public robot descriptions of both arms. Accelerations: planner limits published for the
+# sixx; none are published for the -2, which is no weaker, so the same are used.
 _LOWER = radians6(-170, -190, -120, -185, -120, -350)
 _UPPER = radians6(170, 45, 156, 185, 120, 350)
 _ACCELERATION: JointVector = (21.67, 6.89, 31.42, 133.1, 135.6, 268.4)

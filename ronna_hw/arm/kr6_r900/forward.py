@@ -23,7 +23,7 @@ def forward(arm: Dimensions, joints_rad: JointVector) -> Pose:
     c4, s4 = cos(A4), sin(A4)
     c5, s5 = cos(A5), sin(A5)
     c6, s6 = cos(A6), sin(A6)
-    # Columns of the flange frame in the frame of the forearm (x along A4, y as A3, z across).
+    # Columns of the flange frame in the frame of the forearm (x along A4, y along A3, z across).
     x0, x1, x2 = -s5 * c6, -c4 * s6 - s4 * c5 * c6, s4 * s6 - c4 * c5 * c6
     y0, y1, y2 = -s5 * s6, c4 * c6 - s4 * c5 * s6, -s4 * c6 - c4 * c5 * s6
     z0, z1, z2 = c5, -s4 * s5, -c4 * s5

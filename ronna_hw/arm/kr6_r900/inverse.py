@@ -1,8 +1,8 @@
 """Inverse kinematics of the KR 6 R900 in closed form, branch by branch.
 
 The wrist is spherical, so A1..A3 follow from the wrist centre (two sides of A1, two bends of the elbow) and
-A4..A6 from the orientation that is left (two flips of the wrist). A4 and A6 turn further than a circle: each
-branch comes with all its whole turns that fit the joint range.
+A4..A6 from the remaining orientation (two flips of the wrist). A4 and A6 turn more than a full circle: each
+branch includes all whole turns within the joint range.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector
 
 TURN = 2.0 * pi
-SINGULAR_A5_RAD = 1e-7  # below, rounding decides A4 - A6; how near a path may come is a matter of joint speed
+SINGULAR_A5_RAD = 1e-7  # below this, rounding decides A4 - A6; joint speed limits how close a path may come
 SINGULAR_AXIS_MM = 1e-3  # wrist centre on the axis of A1
-STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow are one
+STRETCH_COSINE = 5e-13  # one minus the cosine of 1e-6 rad: the two bends of the elbow coincide
 
 
-# The branch is KUKA's status S; its bits:
+# The branch is KUKA's status S, with these bits:
 OVERHEAD = 1  # the wrist centre is behind the axis of A1
 ELBOW = 2  # A3 at or above its stretched angle
 FLIPPED = 4  # A5 not positive
@@ -57,7 +57,7 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
     """All joint vectors within range that reach the flange pose, branch by branch.
 
     Raises ARM-001 when the wrist centre is out of reach; ARM-002 when A1, A4 and A6 or the bend of the elbow
-    are not defined in a branch that the ranges allow; ARM-003 when no branch fits the joint ranges.
+    are undefined in a branch within the ranges; ARM-003 when no branch fits the joint ranges.
     """
     found: list[Solution] = []
     singular: Singular | None = None
@@ -89,9 +89,9 @@ def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:
 
 
 def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector) -> JointVector:
-    """The one solution in `branch` whose turns lie nearest to `near`; for use along a path.
+    """The one solution in `branch` with the turns nearest to `near`; for use along a path.
 
-    Raises ARM-001, ARM-002 or ARM-003 as `solutions` does, for this branch alone.
+    Raises ARM-001, ARM-002 or ARM-003 like `solutions`, for this branch alone.
     """
     try:
         shoulder = _shoulder(arm, pose, bool(branch & OVERHEAD))
@@ -111,7 +111,7 @@ def solve_branch(arm: Dimensions, pose: Pose, branch: Branch, near: JointVector)
 
 class _Shoulder(NamedTuple):
     A1: float
-    elevation: float  # of the wrist centre seen from A2, measured as A2 is
+    elevation: float  # of the wrist centre seen from A2, measured like A2
     inner: float  # angle at A2 between upper arm and wrist centre, not negative
     bend: float  # angle of A3 away from stretched, not negative
 
@@ -171,7 +171,7 @@ def _wrist(pose: Pose, first: tuple[float, float, float], flipped: bool) -> tupl
     r = pose.rotation
     c1, s1 = cos(A1), sin(A1)
     c23, s23 = cos(A2 + A3), sin(A2 + A3)
-    # Components of the flange's axes along the forearm (x), the elbow's axis (y) and across (z).
+    # Components of the flange's axes along the forearm (x), along the elbow's axis (y) and across (z).
     ahead = c1 * r[2] - s1 * r[5]
     zx = c23 * ahead - s23 * r[8]
     zy = s1 * r[2] + c1 * r[5]

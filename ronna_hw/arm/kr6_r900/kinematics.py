@@ -77,7 +77,7 @@ class Kr6R900:
         )
 
     def wrist_bend_rad(self, joints_rad: JointVector) -> float:
-        """|A5|, which stays below half a turn."""
+        """|A5|, which is below half a turn."""
         return abs(joints_rad[4])
 
     def wrist_turn_rad(self, joints_rad: JointVector) -> float:
@@ -95,5 +95,5 @@ _ARMS = {variant: Kr6R900(dimensions) for variant, dimensions in DIMENSIONS.item
 
 
 def kr6_r900(variant: ArmVariant | str = ArmVariant.SIXX) -> Kr6R900:
-    """The arm of a variant; a name that is none raises ValueError."""
+    """The arm of a variant; an unknown name raises ValueError."""
     return _ARMS[ArmVariant(variant)]

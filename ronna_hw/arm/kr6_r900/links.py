@@ -1,4 +1,4 @@
-"""Chain and link bodies of the KR 6 R900, and where the bodies are, written out for the real-time loop."""
+"""Chain and link bodies of the KR 6 R900, and the bodies' positions, written out for the real-time loop."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.arm.links import COLUMN_NAME, ArmPart, Chain, Joint, Link, Segment
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.readings import JointVector, Vector3
 
-FOREARM_SHARE = 0.65  # of the way from elbow to wrist centre: behind it the drives, before it the slim wrist
+FOREARM_SHARE = 0.65  # of the distance from elbow to wrist centre: drives behind, slim wrist in front
 UPPER_ARM, FOREARM, WRIST, HAND = "upper arm", "forearm", "wrist", "hand"
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 MINUS_X, MINUS_Z = (-1.0, 0.0, 0.0), (0.0, 0.0, -1.0)
@@ -66,7 +66,7 @@ def link_segments(arm: Dimensions, joints_rad: JointVector) -> tuple[list[Segmen
 
 
 def levers_mm(arm: Dimensions, tool_points_mm: Sequence[Vector3]) -> JointVector:
-    """How far any point of links and tool (flange frame) moves at most, per radian of each axis."""
+    """Bound on the motion of any point of links and tool (flange frame), per radian of each axis."""
     about_wrist = max((hypot(x, y, z + arm.flange_mm) for x, y, z in tool_points_mm), default=0.0)
     about_wrist = max(about_wrist, arm.flange_mm)
     about_A6 = max((hypot(x, y) for x, y, _ in tool_points_mm), default=0.0)

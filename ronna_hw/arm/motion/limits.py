@@ -1,4 +1,4 @@
-"""Working limits of the arm: a small, fixed share of what it could do."""
+"""Working limits of the arm: a small, fixed share of its capabilities."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.devices.readings import JointVector
 
-WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed one lost packet stays a small step for the controller
+WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed, one lost packet is a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
 RANGE_MARGIN_RAD = math.radians(0.5)  # a controller's software limits may be tighter than the model's
 ACCELERATION_RAMP_S = 0.08  # time from none to full acceleration: sets the jerk
@@ -18,13 +18,13 @@ WORKING_LINE_SPEED_MM_S = 100.0  # below half of reduced speed, 250 mm/s
 WORKING_LINE_ACCELERATION_MM_S2 = 400.0
 WORKING_ROTATION_RAD_S = math.radians(30.0)
 WORKING_ROTATION_RAD_S2 = math.radians(120.0)
-REDUCED_SPEED_MM_S = 250.0  # of anything that moves, with a person beside the arm (ISO 10218-1)
+REDUCED_SPEED_MM_S = 250.0  # limit for anything that moves while a person is next to the arm (ISO 10218-1)
 REDUCED_SPEED_FRACTION = 0.10  # of the full axis speed
 
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits that every planned motion keeps: per joint, and of the tool centre point on a line."""
+    """Limits that every planned motion respects: per joint, and for the tool centre point on a line."""
 
     speed_rad_s: JointVector
     acceleration_rad_s2: JointVector
@@ -34,13 +34,13 @@ class MotionLimits:
     rotation_rad_s: float = WORKING_ROTATION_RAD_S
     rotation_rad_s2: float = WORKING_ROTATION_RAD_S2
     ramp_s: float = ACCELERATION_RAMP_S
-    body_speed_mm_s: float = math.inf  # of any body that moves: the operating mode's, at every fraction
-    range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis's range
+    body_speed_mm_s: float = math.inf  # for any moving body: the operating mode's limit, at every fraction
+    range_margin_rad: float = RANGE_MARGIN_RAD  # kept from both ends of each axis' range
 
     def ranges(self, arm: JointRanges, start_rad: Sequence[float]) -> tuple[JointVector, JointVector]:
-        """Lowest and highest angles (rad) of a motion: the axes' ranges less the margin.
+        """Lowest and highest angles (rad) of a motion: the axes' ranges minus the margin.
 
-        An axis that stands nearer to an end already may stay there or leave.
+        An axis that is already closer to an end may stay there or move away.
         """
         margin = self.range_margin_rad
         lower = _vector(
@@ -63,7 +63,7 @@ class MotionLimits:
         )
 
     def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:
-        """The same with a person at the arm: 250 mm/s and a tenth of the full axis speed."""
+        """The same for a person at the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
             speed_rad_s=_vector(

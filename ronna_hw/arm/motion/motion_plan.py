@@ -1,4 +1,4 @@
-"""The plan of a motion as a device is given it: frames checked once, its speed applied, then plain floats."""
+"""The plan of a motion as passed to a device: frames checked once, its speed applied, then plain floats."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ def plan_motion(
 ) -> MotionPlan:
     """Plan a motion from `start_rad` at its fraction of the limits.
 
-    Raises FRM-001 for a line between other frames, ARM-006 for an invalid fraction, and what
-    `plan_joint_move` and `plan_line` raise.
+    Raises FRM-001 for a line between other frames, ARM-006 for an invalid fraction, and the errors of
+    `plan_joint_move` and `plan_line`.
     """
     slowed = limits.slowed(motion.speed_fraction)
     if isinstance(motion, JointMove):

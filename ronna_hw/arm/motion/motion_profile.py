@@ -1,6 +1,6 @@
 """Jerk-limited motion profiles over time: a typed wrapper of ruckig that avoids its traps.
 
-Ruckig takes lists of any length and fails later, raises its own exceptions, extrapolates before the start,
+Ruckig accepts lists of any length and fails later, raises its own exceptions, extrapolates before the start,
 and calls a network service when given waypoints. Here lengths are fixed, errors are ours, times are clamped
 and there are no waypoints.
 """
@@ -18,7 +18,7 @@ Values = Sequence[float]
 
 
 class State(NamedTuple):
-    """Position, velocity and acceleration: one value per axis in each."""
+    """Position, velocity and acceleration: one value per axis each."""
 
     position: list[float]
     velocity: list[float]
@@ -73,9 +73,9 @@ class MotionProfiler:
         self._slower.target_acceleration = [0.0] * axes
 
     def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
-        """All axes to rest at `target` at the same time, from any state. Raises ARM-006.
+        """All axes to rest at `target` simultaneously, from any state. Raises ARM-006.
 
-        The profile may swing beyond start and target when it starts in motion.
+        The profile may overshoot start and target if it starts in motion.
         """
         self._check(target)
         self._move.target_position = list(target)

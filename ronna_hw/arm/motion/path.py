@@ -16,7 +16,7 @@ class Path(Protocol):
     """From the start of a motion to its target."""
 
     def joints(self, s: float, near: JointVector) -> JointVector:
-        """Joint angles at `s`, 0..1; among whole turns the ones nearest to `near`."""
+        """Joint angles at `s`, 0..1, with the whole turns nearest to `near`."""
         ...
 
 

@@ -16,18 +16,18 @@ from ronna_hw.devices.readings import JointVector, Vector3
 
 SAMPLE_MM = 0.5  # spacing of the checks along a line
 SAMPLE_RAD = radians(0.2)
-SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may turn a little faster
+SAMPLED_SHARE = 0.999  # of the joints' limits on a line: between two samples they may move slightly faster
 LEAST_SAMPLES = 16  # enough for the second differences of a short line
-LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; any slower is too close to a singularity
-PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is for stops that know only set-points
+LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
+PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
 
 
 @dataclass(frozen=True)
 class MotionPlan:
-    """A checked motion in plain numbers: what travels to the real-time loop. `target` None: a joint move.
+    """A checked motion in plain numbers, as passed to the real-time loop. `target` None: a joint move.
 
-    `speed_steps`, when there are any, say where along the path it must be slower than `limits`.
+    `speed_steps`, if any, say where along the path it must be slower than `limits`.
     """
 
     start_rad: JointVector
@@ -50,7 +50,7 @@ class MotionPlan:
 
 
 def require_in_range(arm: JointRanges, joints_rad: JointVector) -> None:
-    """Raise ARM-003 naming the first axis that is out of its range, ARM-006 when a value is no number."""
+    """Raise ARM-003 naming the first axis out of range, ARM-006 for a value that is not a number."""
     _require_within(arm, (arm.lower_rad, arm.upper_rad), joints_rad)
 
 
@@ -79,8 +79,8 @@ def plan_joint_move(
 ) -> MotionPlan:
     """All joints straight to the target, together. Raises ARM-003 when an end is out of range.
 
-    A straight line between two vectors within the ranges, which form a box, stays within them. The target
-    keeps the limits' margin from their ends.
+    The ranges form a box, so a straight line between two vectors within them stays inside. The target keeps
+    the limits' margin from their ends.
     """
     require_in_range(arm, start_rad)
     _require_within(arm, limits.ranges(arm, start_rad), target_rad)
@@ -97,8 +97,8 @@ def plan_line(
 ) -> MotionPlan:
     """A straight line of the tool centre point to the flange pose `target`, in the branch of the start.
 
-    The line is slowed as a whole so that every joint keeps its speed, acceleration and jerk. Raises ARM-001,
-    ARM-002, ARM-003 when a point of it has no solution, ARM-005 when it would have to be slower than
+    The whole line is slowed so that every joint respects its speed, acceleration and jerk limits. Raises
+    ARM-001, ARM-002, ARM-003 if any point of it has no solution, ARM-005 when it would have to be slower than
     a twentieth of the requested line speed.
     """
     require_in_range(kinematics, start_rad)
@@ -128,7 +128,7 @@ def plan_line(
 
 
 def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:
-    """Limits of s for joints that go `travel` rad over s = 0..1, so that each keeps its own."""
+    """Limits of s for joints that travel `travel` rad over s = 0..1, so that each respects its own."""
     longest = [max(r, STANDSTILL_RAD) for r in travel]
     return PathLimits(
         min(v / r for v, r in zip(limits.speed_rad_s, longest, strict=True)),
@@ -147,13 +147,13 @@ def _cartesian(line: LinePath, limits: MotionLimits) -> PathLimits:
 def _slowed_for_joints(
     points: list[JointVector], count: int, asked: PathLimits, limits: MotionLimits
 ) -> PathLimits:
-    """The limits of s, slowed in time by one factor until every joint keeps its speed, acceleration and jerk.
+    """The limits of s, slowed by one factor until every joint respects its speed, acceleration and jerk.
 
-    With the derivatives q1, q2, q3 of a joint by s (from differences) and s moving at most with v, a, j, its
-    speed is at most |q1| v, its acceleration |q1| a + |q2| v², its jerk |q1| j + 3 |q2| v a + |q3| v³.
-    Slowing time by k divides these by k, k² and k³.
+    With derivatives q1, q2, q3 of a joint by s (from differences) and limits v, a, j of s, its speed is at
+    most |q1| v, its acceleration |q1| a + |q2| v², its jerk |q1| j + 3 |q2| v a + |q3| v³. Slowing time by k
+    divides these by k, k² and k³.
     """
-    import numpy as np  # the real-time process, which plans no line, does without
+    import numpy as np  # the real-time process, which plans no line, does not need it
 
     v, a, j = asked
     angles = np.array(points)  # (samples, axes)
@@ -161,7 +161,7 @@ def _slowed_for_joints(
     second = np.diff(first, axis=0) * count
     third = np.abs(np.diff(second, axis=0) * count)
     first, second = np.abs(first), np.abs(second)
-    # The largest of each derivative beside a place, so that nothing falls between two samples.
+    # The largest of each derivative around a point, so that nothing is missed between two samples.
     q1 = np.maximum(np.maximum(first[:-2], first[1:-1]), first[2:])
     q2 = np.maximum(second[:-1], second[1:])
     speed = (q1 * v / (SAMPLED_SHARE * np.array(limits.speed_rad_s))).max()

@@ -1,7 +1,7 @@
-"""The path parameter over time: from 0 to 1, jerk-limited, within the speed allowed at each place.
+"""The path parameter over time: from 0 to 1, jerk-limited, within the speed allowed at each point.
 
-A path may be slower in places (`SpeedStep`): near the head, or where joints turn fast. A lower speed is
-reached before its place begins; a higher one is taken up when its place has begun.
+A path may be slower in places (`SpeedStep`): near the head, or where joints move fast. A lower speed is
+reached before its section begins; acceleration to a higher one starts once its section has begun.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfile, MotionProfiler, State
 
-MOST_STEPS = 12  # of a path; the block that carries a plan to the real-time process has room for so many
-ROUNDING = 1e-9  # relative: a speed reached by braking is exact only up to the last digits
+MOST_STEPS = 12  # per path; the block that carries a plan to the real-time process has room for this many
+ROUNDING = 1e-9  # relative: a speed reached by braking is exact only to the last digits
 
 
 class PathLimits(NamedTuple):
-    """Largest first, second and third derivative of the path parameter, per s, s², s³."""
+    """Largest first, second and third derivatives of the path parameter, per s, s², s³."""
 
     velocity: float
     acceleration: float
@@ -24,28 +24,28 @@ class PathLimits(NamedTuple):
 
 
 class SpeedStep(NamedTuple):
-    """From `start` (0..1) on, until the next step, the path parameter goes at most at `velocity` per s."""
+    """From `start` (0..1) until the next step, the path parameter's speed is at most `velocity` per s."""
 
     start: float
     velocity: float
 
 
 class StopPrediction(NamedTuple):
-    """Where a stop that begins now would end: after how long, and at which path parameter."""
+    """Where a stop that begins now would end: its duration and final path parameter."""
 
     duration_s: float
     parameter: float
 
 
 class _Course(NamedTuple):
-    """A profile under way: the speed it keeps to, and whether it leads to the end or to a lower speed."""
+    """A profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
 
     profile: MotionProfile
     velocity: float
     to_end: bool
 
     def at(self, time_s: float) -> State:
-        """The state at a time; after a braking it goes on at the lower speed."""
+        """The state at a time; after braking it continues at the lower speed."""
         if self.to_end:
             return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.at(time_s)
         return State(*self.profile.raw.at_time(time_s))
@@ -55,18 +55,18 @@ class PathProgress:
     """The parameter's set-points, one per cycle, each paired with the first one of a stop."""
 
     def __init__(self, limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> None:
-        """Raises ARM-006 when the limits admit no profile."""
+        """`steps` are the slower sections. Raises ARM-006 if the limits permit no profile."""
         self._limits = limits
         self._steps = steps or (SpeedStep(0.0, limits.velocity),)
         self._cycle_s = cycle_s
         self._fraction = 1.0
         self._profiler = MotionProfiler(1)
         self.state = self._before = State.resting([0.0])
-        self._ceiling: SpeedStep | None = None  # the slower step ahead that is being braked for
+        self._ceiling: SpeedStep | None = None  # the slower step ahead, while braking for it
         self._course = self._planned(self._speed_at(0.0))
         self._time_s = 0.0
-        self._halt: MotionProfile | None = None  # the stop under way
-        self._next: tuple[State, _Course, float] | None = None  # go, its course, and the time on it
+        self._halt: MotionProfile | None = None  # the stop in progress
+        self._next: tuple[State, _Course, float] | None = None  # go state, its course, and the time on it
         self._next_halt: tuple[State, MotionProfile] | None = None
 
     @property
@@ -82,7 +82,7 @@ class PathProgress:
         return self._course.to_end and self._time_s >= self._course.profile.duration_s
 
     def prepare(self) -> tuple[State, State]:
-        """The next states to go on and to stop. The same object twice while stopping."""
+        """The next states for going on and for stopping; the same object twice while stopping."""
         if self._halt is not None:
             go = self._halt.at(self._time_s + self._cycle_s)
             self._next = (go, self._course, self._time_s + self._cycle_s)
@@ -114,7 +114,7 @@ class PathProgress:
             self._next = self._next_halt = None
 
     def predicted_stop(self) -> StopPrediction:
-        """What the stop would be that begins with the next point, or the rest of the one under way."""
+        """The stop that would begin with the next point, or the rest of the one in progress."""
         profile, gone_s = self._halt, self._time_s
         if profile is None:
             profile, gone_s = self._stop_from(self.state), 0.0
@@ -139,7 +139,7 @@ class PathProgress:
             self._course = self._planned(self._speed_at(self.state.position[0]))
 
     def _choose(self) -> State:
-        """The fastest next state from which every slower step ahead, and the end, can still be met."""
+        """The fastest next state from which every slower step ahead, and the end, can still be reached."""
         velocity = self._speed_at(self.state.position[0])
         if self._ceiling is not None:
             velocity = min(velocity, self._ceiling.velocity * self._fraction)
@@ -156,9 +156,9 @@ class PathProgress:
             self._ceiling, velocity = missed, missed.velocity * self._fraction
 
     def _towards(self, velocity: float) -> tuple[_Course, float]:
-        """To the end at a speed, or first down to it: the course, and the time of the next point on it.
+        """Towards the end at a speed, or first down to it: the course, and the time of the next point on it.
 
-        Where the end is too near to slow down first, the present course stays.
+        If the end is too close to slow down first, the present course is kept.
         """
         if _peak(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
             return self._planned(velocity), self._cycle_s
@@ -171,7 +171,7 @@ class PathProgress:
         return braking, self._cycle_s
 
     def _missed_ahead(self, go: State, velocity: float) -> SpeedStep | None:
-        """The slowest step ahead that could no longer be met if `go` were used, or None."""
+        """The slowest step ahead that could no longer be respected after `go`, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
         for step in self._steps:
@@ -194,7 +194,7 @@ class PathProgress:
         ahead = 2.0 * v * self._cycle_s  # the decision is made once per cycle
         if s + ahead >= start:
             return False
-        # A cheap bound first: the whole fall to rest at the present peak.
+        # A cheap bound first: the whole braking from the present peak to rest.
         acceleration, jerk = self._limits.acceleration, self._limits.jerk
         fall_s = max(peak / acceleration + acceleration / jerk, 2.0 * sqrt(peak / jerk)) + max(a, 0.0) / jerk
         if s + peak * fall_s + ahead < start:
@@ -227,13 +227,13 @@ class PathProgress:
 
 
 def _peak(state: State, jerk: float) -> float:
-    """The speed that is reached at least before an acceleration is taken back."""
+    """Lower bound of the speed reached before an acceleration is reduced to zero."""
     (v,), (a,) = state.velocity, state.acceleration
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
 
 
 def duration_s(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: float) -> float:
-    """How long a path takes from rest to rest, by stepping through it."""
+    """Duration of a path from rest to rest, computed by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     cycles = 0
     while not progress.finished:

@@ -1,7 +1,7 @@
 """Set-points cycle by cycle. Each preparation yields the next point and the first point of a stop.
 
-The caller sends one of the two and says which: `take_go` or `take_stop`. So at the moment of sending nothing
-is left to compute, and a stop is never a jump.
+The caller sends one of the two and reports which: `take_go` or `take_stop`. So at the moment of sending there
+is nothing left to compute, and a stop is never a jump.
 """
 
 from __future__ import annotations
@@ -16,18 +16,18 @@ from ronna_hw.arm.motion.progress import PathLimits, PathProgress, SpeedStep
 from ronna_hw.arm.motion.stopping import halt
 from ronna_hw.devices.readings import JointVector
 
-LONGER_TOGETHER = 2.0  # a stop that keeps its course may take so many times as long; planned ones need 1.2
+LONGER_TOGETHER = 2.0  # a stop that stays on course may take this many times as long; planned ones need 1.2
 
 
 class Prepared(NamedTuple):
-    """The two set-points the next reply may carry."""
+    """The two set-points that the next reply may carry."""
 
     go_rad: JointVector
     stop_rad: JointVector
 
 
 class PathMotion:
-    """Follows a path from rest to rest; a stop and a change of speed stay on the path."""
+    """Follows a path from rest to rest; stops and speed changes stay on the path."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class PathMotion:
         cycle_s: float,
         steps: tuple[SpeedStep, ...] = (),
     ) -> None:
-        """`steps` say where the path must be slower. Raises ARM-006 when no profile exists."""
+        """`steps` are the slower sections of the path. Raises ARM-006 when no profile exists."""
         self._path = path
         self._along = PathProgress(limits, steps, cycle_s)
         self._joints = start_rad
@@ -86,7 +86,7 @@ class PathMotion:
     def restart_from_rest(self, *, one_back: bool = False) -> None:
         """The arm was brought to rest elsewhere, at the last point: continue from there at speed zero.
 
-        With `one_back` it rests at the point before the last one.
+        With `one_back` it is at rest at the point before the last one.
         """
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
@@ -96,10 +96,10 @@ class PathMotion:
 
 
 class StopMotion:
-    """To rest from any state, without trusting a path: straight on along the present course.
+    """Comes to rest from any state without relying on a path: onwards along the present course.
 
-    Where the joints cannot brake together in reasonable time, which no planned motion causes, each brakes
-    by itself.
+    If the joints cannot brake together in reasonable time, which never follows from a planned motion, each
+    brakes independently.
     """
 
     def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
@@ -118,7 +118,7 @@ class StopMotion:
         return self._time_s >= self._profile.duration_s
 
     def predicted_stop(self) -> tuple[float, JointVector]:
-        """Duration in s that is left, and the joints it will rest at."""
+        """Remaining duration in s, and the joints at rest."""
         duration_s = self._profile.duration_s
         return max(duration_s - self._time_s, 0.0), self._at(duration_s)
 
@@ -138,7 +138,8 @@ class StopMotion:
 def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
     """State of motion at the last of four set-points, newest first: that of the cubic through them.
 
-    The third difference counts: without it an acceleration is a cycle old, and a stop gains too much speed.
+    The third difference matters: without it the acceleration is one cycle old, and a stop
+    gains too much speed.
     """
     velocity, acceleration = [], []
     for one, two, three, four in zip(*history_rad, strict=True):
@@ -151,7 +152,7 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
 
 
 def joint_bounds(limits: MotionLimits) -> Bounds:
-    """Limits of the joints as bounds of a profile of all axes."""
+    """Limits of the joints as bounds of a profile for all axes."""
     return Bounds(list(limits.speed_rad_s), list(limits.acceleration_rad_s2), list(limits.jerk_rad_s3))
 
 

@@ -1,7 +1,7 @@
 """Where along a path the arm must slow down: near the head, and in some operating modes.
 
 The result is a few steps of the path parameter's speed. The generator follows them; the monitor does not know
-them and measures for itself.
+them and measures independently.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
 
 Array = NDArray[np.float64]
 
-SHARE_OF_CAP = 0.97  # of a cap that planning uses; the rest covers its sampling
-ALIKE = 0.95  # neighbouring speeds within this ratio become one step
+SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its sampling
+ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
 
 
 def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
-    """The plan with its speed steps: nothing that moves exceeds the cap where it is."""
+    """The plan with its speed steps, so that nothing that moves exceeds the cap at its position."""
     allowed = np.minimum(allowed_speed(path), plan.limits.velocity)
     places = np.linspace(0.0, 1.0, MOST_STEPS + 1)
     begins, ends = path.parameters[:-1], path.parameters[1:]
@@ -38,10 +38,10 @@ def with_speed_steps(plan: MotionPlan, path: SweptPath) -> MotionPlan:
 
 
 def allowed_speed(path: SweptPath) -> Array:
-    """Largest speed of the path parameter in every interval of a swept path, (n - 1), per s."""
+    """Largest speed of the path parameter in each interval of a swept path, (n - 1), per s."""
     moved = motion_mm(path.swept).max(axis=1)
     rates = moved / np.diff(path.parameters)
-    # Within an interval the rate may be larger than on its average: its neighbours tell by how much.
+    # Within an interval the rate may exceed its average; the neighbours show by how much.
     padded = np.concatenate([rates[:1], rates, rates[-1:]])
     rates = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     to_head = path.swept.to_head_mm

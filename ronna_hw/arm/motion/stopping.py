@@ -1,8 +1,8 @@
-"""Comes to rest without trusting a path: straight on along the course of the last set-points.
+"""Comes to rest without relying on a path: onwards along the course of the last set-points.
 
 Joints that brake independently turn the tool off its course and can even speed it up. So they brake together:
-the arm continues along the parabola through its last set-points while the speed along it falls. A path within
-the limits of its joints is left only by the third order of the stopping distance.
+the arm continues along the parabola through its last set-points while its speed decreases. It leaves a path
+within the joint limits only in third order of the stopping distance.
 
 With the direction u, the speed v and the acceleration split into a tangential part a and a normal one, the
 parabola is q(l) = q0 + u l + k l^2 / 2 with k = normal / v^2, and
@@ -21,20 +21,20 @@ from ronna_hw.arm.motion.motion_profile import Bounds, MotionProfile, MotionProf
 from ronna_hw.devices.readings import JointVector
 
 RESTING_RAD_S = 1e-9  # anything slower has no direction
-SHARE = 0.99  # of acceleration and jerk: a state estimated from set-points is not exact; more than plans use
-SPEED_MARGIN = 1.05  # over the limits, for the rounding of a state taken from set-points
-BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: more leaves less jerk
+SHARE = 0.99  # of acceleration and jerk, above what plans use: a state estimated from set-points is not exact
+SPEED_MARGIN = 1.05  # over the limits, for rounding of a state derived from set-points
+BRAKING_SHARES = (1.0, 0.8, 0.6, 0.4, 0.2, 0.1)  # of the largest deceleration: a larger one leaves less jerk
 
 
 class Parabola(NamedTuple):
-    """A way through joint space over its length in rad: `at` 0 it is where the arm is."""
+    """A path through joint space parameterised by its length in rad; at 0 it is the arm's position."""
 
     origin_rad: Sequence[float]
     direction: Sequence[float]
     bend_per_rad: Sequence[float]
 
     def at(self, length_rad: float) -> JointVector:
-        """The joints so far along."""
+        """The joints at this length along it."""
         half = 0.5 * length_rad * length_rad
         a, b, c, d, e, f = (
             q + u * length_rad + k * half
@@ -44,7 +44,7 @@ class Parabola(NamedTuple):
 
 
 class Halt(NamedTuple):
-    """A way and the profile of one axis along it, from the present speed to rest."""
+    """A path, and a one-axis profile along it from the present speed to rest."""
 
     way: Parabola
     profile: MotionProfile
@@ -55,10 +55,10 @@ class Halt(NamedTuple):
 
 
 def halt(start: State, limits: MotionLimits) -> Halt | None:
-    """The stop along the present course, as short as the limits of the joints allow.
+    """The stop along the present course, as short as the joint limits allow.
 
-    None where the arm has no direction, where its bend alone takes what the limits allow, or where a joint
-    would become too fast before the acceleration is taken back. Motions within the limits do none of this.
+    None if the arm has no direction, if its curvature alone uses up the limits, or if a joint would become
+    too fast before the acceleration is reduced. Motions within the limits do none of this.
     """
     speed = hypot(*start.velocity)
     if not speed > RESTING_RAD_S:
@@ -82,7 +82,7 @@ def halt(start: State, limits: MotionLimits) -> Halt | None:
 def _braking(
     direction: Sequence[float], bend: Sequence[float], speed: float, limits: MotionLimits
 ) -> Bounds | None:
-    """Deceleration and jerk along a way with which every joint keeps its own, for the shortest stop."""
+    """Deceleration and jerk along a path that respect every joint's limits, for the shortest stop."""
     most = min(
         (SHARE * limits.acceleration_rad_s2[i] - abs(bend[i]) * speed * speed) / abs(direction[i])
         for i in range(len(direction))
@@ -102,7 +102,7 @@ def _braking(
         )
         if jerk <= 0.0:
             continue
-        # The deceleration is not reached in a short stop.
+        # A short stop does not reach full deceleration.
         reached = min(deceleration, (speed * jerk) ** 0.5)
         duration_s = speed / reached + reached / jerk
         if found is None or duration_s < found[0]:

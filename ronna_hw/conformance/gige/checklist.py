@@ -49,7 +49,7 @@ _LINES: dict[int, str] = {
     39: "user set Default restores the power-on values",
     40: "killing any client at any moment never needs a restart",
 }
-# What a line asks beyond its cases, and where that is tested.
+# Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {
     14: "other clients' commands: covered by G15, where another client keeps polling",
     27: "the wrap-around needs 65,535 images: tests/unit/sim_basler/test_camera_stream.py",

@@ -1,4 +1,4 @@
-"""Cases for a camera's control channel: broadcast discovery, several writes, privileges, heartbeat."""
+"""Cases for a camera's control channel: broadcast discovery, multiple writes, privileges, heartbeat."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ronna_hw.wire.gige_vision import (
 BROADCAST = "255.255.255.255"
 FOUND_LIMIT_S = 2.0
 BEATS, BEAT_S = 8, 0.2  # three times the shortest heartbeat time-out
-HEARTBEAT_SLACK = 0.1  # of the set time, plus a busy computer's
+HEARTBEAT_SLACK = 0.1  # of the set time, plus a margin for a busy computer
 BUSY_S = 0.4
 POLL_S = 0.02
 
@@ -41,7 +41,7 @@ def broadcast_discovery(dut: DeviceUnderTest) -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller:
             caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
             caller.settimeout(FOUND_LIMIT_S)
-            caller.bind((camera.local_address, 0))  # the network card of the camera
+            caller.bind((camera.local_address, 0))  # the camera's network interface
             try:
                 caller.sendto(question, (BROADCAST, GVCP_PORT))
                 while camera.address not in found:

@@ -1,4 +1,4 @@
-"""Features of a camera by name, where the description leads to one fixed register.
+"""Features of a camera by name, if the description maps them to one fixed register.
 
 Independent of any driver, and much smaller: nodes with formulas are not supported.
 """
@@ -27,7 +27,7 @@ class GigeFeatures:
 
     @cached_property
     def description(self) -> Element:
-        """The camera's description, plain or zipped XML; raises Nonconformity when it is neither."""
+        """The camera's description, plain or zipped XML; raises Nonconformity if it is neither."""
         block = self._link.memory(Bootstrap.FIRST_URL, TEXT_BYTES[Bootstrap.FIRST_URL])
         url = block.split(b"\0", 1)[0].decode("ascii", errors="replace")
         if not url.startswith(URL_LOCAL):
@@ -72,11 +72,11 @@ class GigeFeatures:
         return int.from_bytes(data, "big")
 
     def whole(self, name: str) -> int:
-        """Value of a whole-numbered feature."""
+        """Value of an integer feature."""
         return int(self.get(name))
 
     def limit(self, name: str, which: str) -> int:
-        """`Min`, `Max` or `Inc` of a feature as it is now."""
+        """Present `Min`, `Max` or `Inc` of a feature."""
         node = self._node(name)
         if (own := _text(node, which)) is not None:
             return int(float(own))
@@ -114,7 +114,7 @@ class GigeFeatures:
     def addresses(self) -> list[int]:
         """Every fixed register address in the description.
 
-        Nodes on the port of an event are skipped: their addresses are offsets in a message.
+        Nodes on an event's port are skipped: their addresses are offsets in a message.
         """
         events = {name for name, node in self.nodes.items() if _text(node, "EventID") is not None}
         return [

@@ -1,6 +1,6 @@
 """A plain GVCP client of a camera that bypasses every driver.
 
-It decodes answers by itself, from the protocol's reference, so that a driver's misreading cannot hide.
+It decodes answers independently, following the protocol reference, so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from ronna_hw.wire.gige_vision import (
 
 ANSWER_LIMIT_S = 0.5
 TRIES = 3  # a datagram may be lost
-SILENCE_S = 0.15  # without a datagram for so long there is no answer
+SILENCE_S = 0.15  # after this long without a datagram there is no answer
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class GigeLink:
         raise AssertionError("check has raised")
 
     def silent_after(self, datagram: bytes) -> bool:
-        """Send a datagram; True when nothing comes back."""
+        """Send a datagram; True if nothing comes back."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -102,7 +102,7 @@ class GigeLink:
         return self.exchange(GvcpCommand.WRITEMEM, struct.pack(">I", address) + data).status
 
     def repeat_last(self) -> bool:
-        """Send the last command again, as a client does when an answer is lost; True when answered."""
+        """Send the last command again, like a client after a lost answer; True if answered."""
         self._socket.send(self._last)
         return self._answer(self._request_id) is not None
 
@@ -114,12 +114,12 @@ class GigeLink:
 
     @property
     def local_address(self) -> str:
-        """The host's address towards the camera."""
+        """The host's own address on the route to the camera."""
         return str(self._socket.getsockname()[0])
 
     @staticmethod
     def expect(answer: Answer, status: GevStatus, what: str) -> None:
-        """Raise Nonconformity unless the answer has that status."""
+        """Raise Nonconformity unless the answer has this status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
     def _answer(self, request_id: int) -> Answer | None:
@@ -148,7 +148,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 @contextmanager
 def controlled(link: GigeLink) -> Iterator[GigeLink]:
-    """Control of a camera, given up after the block."""
+    """Control of a camera, released after the block."""
     GigeLink.expect(Answer(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link

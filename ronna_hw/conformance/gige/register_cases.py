@@ -1,7 +1,7 @@
 """Cases for the registers of a GigE Vision camera, bypassing the driver.
 
-The number of a case is G and a line of the protocol's checklist. Every case runs on each camera
-and leaves it without a controller.
+The number of a case is G and a line of the protocol's checklist. Every case runs on each camera and
+leaves it uncontrolled.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ case = CASES.case
 
 @runtime_checkable
 class TellsBlockIds(StereoPair, Protocol):
-    """A pair that shows the block ids of its last images."""
+    """A pair that reports the block ids of its last images."""
 
     @property
     def block_ids(self) -> tuple[int | None, int | None]:
-        """Left and right; None for an image that did not come."""
+        """Left and right; None for a missing image."""
         ...
 
 

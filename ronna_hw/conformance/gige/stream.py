@@ -1,4 +1,4 @@
-"""A camera's stream, packet by packet, without any resends of its own."""
+"""A camera's stream, packet by packet, without resends."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ronna_hw.conformance.gige.link import GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
 FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly
-SILENCE_S = 0.3  # a stream without a packet for so long is silent
+SILENCE_S = 0.3  # a stream without packets for this long is silent
 WIDTH_PX, HEIGHT_PX = 256, 64
 PACKET_BYTES = 1500
 BUFFER_BYTES = 4 << 20
@@ -48,7 +48,7 @@ class Leader:
 
 
 class GigeStream:
-    """A socket to which the camera streams."""
+    """A socket that receives a camera's stream."""
 
     def __init__(self, link: GigeLink) -> None:
         self.link = link
@@ -64,7 +64,7 @@ class GigeStream:
         self.close()
 
     def latched(self) -> int:
-        """The camera's tick counter now."""
+        """The camera's present tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
@@ -107,7 +107,7 @@ class GigeStream:
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
-        """The next packet, or None when none comes."""
+        """The next packet, or None if none arrives."""
         data = self.datagram(limit_s)
         if data is None:
             return None
@@ -124,7 +124,7 @@ class GigeStream:
             return None
 
     def frame(self) -> list[Packet]:
-        """All packets up to the next trailer; raises Nonconformity when none comes."""
+        """All packets up to the next trailer; raises Nonconformity if none arrives."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
@@ -135,11 +135,11 @@ class GigeStream:
         return found
 
     def silent(self) -> bool:
-        """True when no packet comes for `SILENCE_S`."""
+        """Whether no packet arrives for `SILENCE_S`."""
         return self.datagram(SILENCE_S) is None
 
     def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """The packets until none comes for so long; raises Nonconformity when they do not end."""
+        """The packets until none arrives for this long; raises Nonconformity if they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -168,7 +168,7 @@ def decode_leader(packet: Packet) -> Leader:
 
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
-    """The stream of a controlled camera with small frames; the camera is left with power-on settings."""
+    """The stream of a controlled camera with small frames; leaves the camera with power-on settings."""
     with controlled(link):
         stream = GigeStream(link)
         try:

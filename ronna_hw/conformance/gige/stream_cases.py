@@ -41,7 +41,7 @@ TEST_LIMIT_S = 1.0
 GONE = (GevStatus.PACKET_UNAVAILABLE, GevStatus.PACKET_REMOVED)
 TRIGGERS = 5
 LONG_EXPOSURE_US = 250_000.0  # longer than the trigger commands take
-LATE_S = 1.5  # time limit for an image of such an exposure
+LATE_S = 1.5  # time limit for an image with such an exposure
 DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 CASES = CaseList()
@@ -100,7 +100,7 @@ def release_ends_the_stream(dut: DeviceUnderTest) -> None:
             camera.write(Bootstrap.CCP, CCP_OPEN)
             stream.last_packets()
             check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
-            camera.write(Bootstrap.CCP, 2)  # which the end of the block expects
+            camera.write(Bootstrap.CCP, 2)  # expected by the end of the block
 
 
 @case("G26", "leader, payload and trailer have ids 0, 1 to n, n+1; only the last payload is short")
@@ -232,7 +232,7 @@ def stop_ends_the_stream(dut: DeviceUnderTest) -> None:
         started(stream).frame()
         stream.features.execute("AcquisitionStop")
         stopped = stream.latched()
-        # an image exposed before the stop may still be on its way
+        # an image exposed before the stop may still arrive
         begun = [decode_leader(packet).ticks for packet in stream.last_packets() if packet.kind == LEADER]
         late = [ticks for ticks in begun if ticks > stopped]
         check(not late, f"no image that starts after the stop at {stopped}", late)

@@ -71,7 +71,7 @@ _ELSEWHERE: dict[int, str] = {
     43: "simulator only: tests/unit/sim_kuka/faults/test_link_faults.py, tests/system/kuka_sim",
     44: "the suite cannot open the guard: tests/unit/kuka_rsi",
 }
-# What a line asks beyond its cases, and where that is tested.
+# Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {
     16: "HOLDON 0 needs a dedicated context: tests/unit/sim_kuka",
     17: "needs --allow destructive; the second counting mode: tests/unit/sim_kuka",
@@ -80,7 +80,7 @@ _REMARKS: dict[int, str] = {
     30: "needs --allow destructive: the controller ends the run as well",
 }
 
-# Generic cases, and cases of another line, that check a line too.
+# Generic cases, and cases of another line, that also check a line.
 _ALSO: dict[int, tuple[str, ...]] = {
     3: ("L11",),  # its tap only receives what is sent to the tap's port
     6: ("K04",),

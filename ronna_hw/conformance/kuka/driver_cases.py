@@ -1,7 +1,7 @@
 """Cases for the driver of a KUKA controller, seen by a tap between the two.
 
 The number of a case is L and a line of the protocol's checklist. The stream is tapped, and telegrams may be
-held back, as by a stalled computer; nothing is changed or invented.
+delayed, as by a stalled computer; nothing is modified or invented.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.registry import make_device
 from ronna_hw.wire.kuka_context import load_context
 
-TAPPED_PORT = 1  # of the loopback endpoints of this process; the simulated controller sends to 0
+TAPPED_PORT = 1  # of this process' loopback endpoints; the simulated controller sends to 0
 CYCLES = 100
-WINDOWS = 3  # of so many cycles
+WINDOWS = 3  # of this many cycles
 HELD = 5  # telegrams that arrive at once after a stall
 LIMIT_S = 10.0
-SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file says otherwise
-SILENCE_SLACK_S = 1.5  # for a busy computer; both are below the silence that EKI may keep
+SILENCE_LIMIT_S = 0.25  # of the driver in host time, unless the theatre file sets another
+SILENCE_SLACK_S = 1.5  # for a busy computer; both together are below the allowed silence of EKI
 GATHERED_S = 0.05
 LARGEST_STEP_SHARE = 0.25  # of the step at full axis speed; a controller may treat a larger one as a fault
 
@@ -90,14 +90,14 @@ def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
 def one_reply_each(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         streaming(dut, arm)
-        # On a busy computer telegrams come in bunches, and only the newest is answered.
+        # On a busy computer telegrams arrive in bursts, and only the newest is answered.
         unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
         _stall(tap)
         late = tap.traffic()
         replies = _stamps(late.replies)
         answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
-        # A later scheduled telegram may have come so soon that it was the newest.
+        # A later scheduled telegram may have arrived so soon that it was the newest.
         newest = _stamps(late.telegrams[HELD - 1 :])
         check(any(stamp in replies for stamp in newest), "an answer to the newest telegram")
         check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
@@ -158,7 +158,7 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
         tapped(dut, eki_project=line.endpoint) as (arm, tap),
     ):
         streaming(dut, arm)
-        line.silence()  # or the controller itself would report the end of the run
+        line.silence()  # otherwise the controller itself would report the end of the run
         tap.hold()
         limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
         noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
@@ -242,7 +242,7 @@ def connection_is_lost(dut: DeviceUnderTest) -> None:
 
 
 def _stall(tap: RsiTap) -> None:
-    """Hold `HELD` telegrams back, pass them on at once, and wait until more are answered."""
+    """Hold back `HELD` telegrams, pass them on at once, and wait until more are answered."""
     tap.hold()
     check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
     tap.release()
@@ -250,7 +250,7 @@ def _stall(tap: RsiTap) -> None:
 
 
 def _exchanges(tap: RsiTap) -> Traffic:
-    """What passes while at least `CYCLES` replies come."""
+    """The traffic during at least `CYCLES` replies."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
     return tap.traffic()
 

@@ -1,6 +1,7 @@
 """A plain EKI client of a KUKA controller that bypasses every driver.
 
-It decodes elements by itself, from the protocol's reference, so that a driver's misreading cannot hide.
+It decodes elements independently, following the protocol reference, so that a driver's
+misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ _ELEMENT = re.compile(rb"<([A-Za-z]\w*)\b[^>]*>.*?</\1>", re.DOTALL)
 
 
 class EkiLine:
-    """One client of one channel. `between` keeps the bytes between elements."""
+    """One client of one channel. `between` stores the bytes between elements."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
@@ -47,11 +48,11 @@ class EkiLine:
         self._socket = self._connected()
 
     def send(self, data: bytes) -> None:
-        """Bytes as they are."""
+        """Send bytes as they are."""
         self._socket.sendall(data)
 
     def command(self, name: str, **attributes: object) -> str:
-        """Send a command of our channel; returns the identifier that its answers carry."""
+        """Send a command of our channel; returns the identifier in its answers."""
         self._number += 1
         identifier = str(self._number)
         self.send(command(identifier, name, **attributes))
@@ -66,7 +67,7 @@ class EkiLine:
         return self.answer("State", self.command("STATUS"))
 
     def answer(self, tag: str, identifier: str) -> ElementTree.Element:
-        """The element with this tag and identifier; raises Nonconformity when it does not come in time."""
+        """The element with this tag and identifier; raises Nonconformity if it does not arrive in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
             while (raw := self._cut_off()) is None:
@@ -85,7 +86,7 @@ class EkiLine:
                 return root
 
     def closed_by_controller(self, limit_s: float = ANSWER_LIMIT_S) -> bool:
-        """True when the controller closes the connection in time."""
+        """Whether the controller closes the connection in time."""
         until_s = time.monotonic() + limit_s
         while (left_s := until_s - time.monotonic()) > 0:
             self._socket.settimeout(left_s)

@@ -19,9 +19,9 @@ from ronna_hw.conformance.kuka.eki_client import EkiLine
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.kuka_context import RsiContext, context_hash, load_context
 
-FIRST_LIMIT_S = 4.0  # from RSI_START to the first telegram; a real controller computes its way in first
+FIRST_LIMIT_S = 4.0  # from RSI_START to the first telegram; a real controller first computes its approach
 NEXT_LIMIT_S = 1.0  # between two telegrams; a busy computer may stall
-SILENT_S = 0.3  # a stream without a telegram for so long has ended
+SILENT_S = 0.3  # a stream without telegrams for this long has ended
 END_LIMIT_S = 4.0
 MOST_BYTES = 65536
 AXES = ("A1", "A2", "A3", "A4", "A5", "A6")
@@ -73,20 +73,20 @@ class RsiLine:
     context: RsiContext
 
     def next(self, limit_s: float = NEXT_LIMIT_S) -> Telegram:
-        """The next telegram; raises Nonconformity when none comes."""
+        """The next telegram; raises Nonconformity if none arrives."""
         telegram = self._receive(limit_s)
         check(telegram is not None, f"a telegram within {limit_s:g} s", "nothing")
         assert telegram is not None
         return telegram
 
     def next_if_any(self, limit_s: float = SILENT_S) -> Telegram | None:
-        """The next telegram, or None when the stream has ended."""
+        """The next telegram, or None if the stream has ended."""
         return self._receive(limit_s)
 
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
     ) -> None:
-        """The right reply to a telegram."""
+        """The correct reply to a telegram."""
         self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
 
     def send(self, telegram: Telegram, reply: bytes) -> None:
@@ -101,7 +101,7 @@ class RsiLine:
         stop: bool = False,
         sentype: str | None = None,
     ) -> bytes:
-        """A reply with the elements that the controller's context wires; corrections in deg."""
+        """A reply with the elements wired in the controller's context; corrections in deg."""
         body = ""
         if (tag := self.context.wired_tag("STOP", "In1")) is not None:
             body += f"<{tag}>{int(stop)}</{tag}>"
@@ -117,7 +117,7 @@ class RsiLine:
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
     def cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
-        """Answer that many telegrams; returns them."""
+        """Answer this many telegrams; returns them."""
         telegrams = []
         for _ in range(count):
             telegrams.append(self.next())
@@ -125,7 +125,7 @@ class RsiLine:
         return telegrams
 
     def until_silent(self, limit_s: float = END_LIMIT_S, *, answered: bool = True) -> list[Telegram]:
-        """Wait for the end of the stream; returns the telegrams that still came."""
+        """Wait for the end of the stream; returns the telegrams that still arrived."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + limit_s
         while (telegram := self.next_if_any()) is not None:
@@ -155,7 +155,7 @@ def eki_line(dut: DeviceUnderTest) -> Iterator[EkiLine]:
 
 @contextmanager
 def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.socket]]:
-    """A controller that is ready to start its program, and the socket to which it will stream."""
+    """A controller ready to start its program, and the socket it will stream to."""
     where = parse_endpoint(_endpoint(dut, "rsi")).require("udp")
     with eki_line(dut) as eki, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((where.host, where.port))
@@ -175,7 +175,7 @@ def idle_controller(dut: DeviceUnderTest) -> Iterator[tuple[EkiLine, socket.sock
 
 @contextmanager
 def stream(dut: DeviceUnderTest, prepare: Callable[[socket.socket], None] | None = None) -> Iterator[RsiLine]:
-    """A freshly started stream, which is ended after the block."""
+    """A freshly started stream, ended after the block."""
     with idle_controller(dut) as (eki, ours):
         if prepare is not None:
             prepare(ours)

@@ -29,13 +29,13 @@ from ronna_hw.conformance.kuka.rsi_client import (
 
 PERIODS = 1000
 PERIOD_TOLERANCE = 0.01
-FEW = 20  # cycles, where a handful is enough
+FEW = 20  # cycles, when a handful is enough
 MISSED = 4  # replies omitted: far below any Timeout
 SETTLING = 250  # cycles until the arm has followed a small correction, one second at 4 ms
 TURN_DEG = 0.05
-FOLLOWED_DEG = 0.01  # of a small turn; backlash and repeatability stay below
+FOLLOWED_DEG = 0.01  # for a small turn; backlash and repeatability are smaller
 STANDS_STILL_DEG = 0.001
-FRAME_TOLERANCE = 0.001  # mm or deg, beside what the wire rounds
+FRAME_TOLERANCE = 0.001  # mm or deg, in addition to rounding on the wire
 LONGEST_END = 12  # telegrams after a Stop: two cycles and the end of RSI
 
 _TEXT = r"<(\w+)>[^<>\s]*</\1>"
@@ -48,7 +48,7 @@ case = CASES.case
 
 
 def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
-    """True for a telegram that a position-counting parser reads correctly."""
+    """Whether a position-counting parser reads the telegram correctly."""
     return _WHOLE.fullmatch(raw) is not None
 
 
@@ -229,7 +229,7 @@ def pose_agrees_with_axes(dut: DeviceUnderTest) -> None:
     apart_mm, turned_deg = flange.distance_mm(pose), math.degrees(flange.angle_rad(pose))
     if apart_mm > 1.0:
         raise NotShown("a tool is active, and its frame is unknown")
-    rounding = 10.0**-line.context.ethernet.precision * 20  # a digit of an axis, at a metre's reach
+    rounding = 10.0**-line.context.ethernet.precision * 20  # one digit of an axis, at a reach of one metre
     check(apart_mm < FRAME_TOLERANCE + rounding, "the position of the flange", f"{apart_mm:.4f} mm off")
     check(
         turned_deg < FRAME_TOLERANCE + rounding, "the orientation of the flange", f"{turned_deg:.4f} deg off"
@@ -260,7 +260,7 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
 
 
 def _turned(line: RsiLine) -> tuple[float, dict[str, float]]:
-    """Turn A6 a little, in even steps; returns its angle before, and the correction that holds it there."""
+    """Turn A6 slightly, in even steps; returns its previous angle, and the correction that holds it there."""
     telegrams: list[Telegram] = line.cycles(FEW)
     base = telegrams[-1].values("AIPos")["A6"]
     for share in range(1, FEW + 1):

@@ -1,6 +1,6 @@
-"""A tap between a KUKA controller and its driver: sees every telegram and reply, and can hold telegrams back.
+"""A tap between a KUKA controller and its driver: sees every telegram and reply, and can hold back telegrams.
 
-It changes and invents nothing; a stalled computer or network holds telegrams back too.
+It modifies and invents nothing; a stalled computer or network also delays telegrams.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ LOOPBACK = "127.0.0.1"
 
 @dataclass
 class Traffic:
-    """What has passed, in order: telegrams as the driver got them, and its replies."""
+    """The traffic in order: telegrams as received by the driver, and its replies."""
 
     telegrams: list[bytes] = field(default_factory=list)
     replies: list[bytes] = field(default_factory=list)
 
 
 class RsiTap:
-    """Listens where the controller sends, and passes on to where the driver listens."""
+    """Listens where the controller sends, and forwards to where the driver listens."""
 
     def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
         self._driver = (driver.host, driver.port)
@@ -47,27 +47,27 @@ class RsiTap:
         self._thread = threading.Thread(target=self._serve, name="RSI tap", daemon=True)
 
     def traffic(self) -> Traffic:
-        """What has passed since the last call."""
+        """The traffic since the last call."""
         with self._lock:
             passed, self._passed = self._passed, Traffic()
         return passed
 
     @property
     def replies(self) -> int:
-        """How many replies have passed since the last `traffic`."""
+        """Number of replies since the last `traffic`."""
         return len(self._passed.replies)
 
     @property
     def holds(self) -> int:
-        """How many telegrams are held back."""
+        """Number of telegrams held back."""
         return len(self._held)
 
     def hold(self) -> None:
-        """Hold the controller's telegrams back."""
+        """Hold back the controller's telegrams."""
         self._holding = True
 
     def release(self) -> None:
-        """Pass on everything held back at once, in order."""
+        """Forward everything held back at once, in order."""
         with self._lock:
             held, self._held = self._held, []
             self._holding = False
@@ -76,7 +76,7 @@ class RsiTap:
                 self._inside.sendto(telegram, self._driver)
 
     def discard(self) -> None:
-        """Drop what was held back, and pass telegrams on again."""
+        """Drop what was held back, and forward telegrams again."""
         with self._lock:
             self._held.clear()
             self._holding = False
@@ -128,7 +128,7 @@ class PiecewiseLine(DisturbedLine):
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
-        self.asked: list[bytes] = []  # what the driver has sent, read by read
+        self.asked: list[bytes] = []  # data from the driver, read by read
 
     def _from_driver(self, data: bytes) -> None:
         self.asked.append(data)
@@ -140,7 +140,7 @@ class PiecewiseLine(DisturbedLine):
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
-    """True as soon as `condition()` is; False when the time is over."""
+    """True as soon as `condition()` is; False when time is up."""
     until_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > until_s:

@@ -20,7 +20,7 @@ OPTION_STRAYS = 0x1000
 
 @dataclass(frozen=True)
 class HandleSeen:
-    """One handle: `pose` is q0 qx qy qz tx ty tz error, None when missing."""
+    """One handle: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
 
     handle: str
     status: HandleStatus
@@ -30,15 +30,15 @@ class HandleSeen:
 
     @property
     def outside(self) -> bool:
-        """True when the unit reports the tool out of its volume."""
+        """Whether the unit reports the tool outside its volume."""
         return bool(self.port_status & PortStatus.OUT_OF_VOLUME)
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One whole reply; `strays_at` is the offset of the first stray's position in the body.
+    """One complete reply; `strays_at` is the offset of the first stray's position in the body.
 
-    `strays_outside` holds the flags with the low bit of each byte first, as most clients read them,
+    `strays_outside` are the flags with the low bit of each byte first, as most clients read them,
     `strays_outside_mirrored` with the high bit first: the order is undocumented.
     """
 
@@ -56,7 +56,7 @@ class Seen:
 
 
 def read_body(body: bytes, options: int) -> Seen:
-    """Decode a body with option 0001; raises Nonconformity when its length is wrong."""
+    """Decode a body with option 0001; raises Nonconformity if its length is wrong."""
     try:
         return _read_body(body, options)
     except (struct.error, IndexError) as error:
@@ -100,7 +100,7 @@ def _read_body(body: bytes, options: int) -> Seen:
 
 
 def placed(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
-    """Markers of a tool in the tracker's frame, for a pose with scalar-first quaternion."""
+    """Markers of a tool in the tracker frame, for a pose with a scalar-first quaternion."""
     q0, qx, qy, qz, tx, ty, tz, _ = pose
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     q0, qx, qy, qz = q0 / norm, qx / norm, qy / norm, qz / norm

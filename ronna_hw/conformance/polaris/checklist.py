@@ -59,7 +59,7 @@ _LINES: dict[int, str] = {
     49: "S: DSTART and DSTOP work in their modes",
     50: "S: every fault can be switched on at run time without touching the link",
 }
-# Generic cases that check a line too.
+# Generic cases that also check a line.
 _ALSO: dict[int, tuple[str, ...]] = {
     11: ("T18",),
     12: ("T20",),
@@ -76,7 +76,7 @@ _ELSEWHERE: dict[int, str] = {
     "the simulator with both packages, each in its own process",
     50: "simulator only: tests/unit/sim_polaris, tests/system/test_live_faults.py",
 }
-# What a line asks beyond its cases, and where that is tested.
+# Requirements of a line beyond its cases, and where they are tested.
 _REMARKS: dict[int, str] = {
     1: "power-up cannot be triggered over the line; needs --allow destructive",
     9: "needs --allow destructive: the unit is reset first",

@@ -7,7 +7,7 @@ import struct
 from ronna_hw.conformance.polaris.bx_reply import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
-# A real four-sphere rigid body, part 8700339, with the numbers of the manufacturer's file.
+# A real four-sphere rigid body, part 8700339, with the numbers from the manufacturer's file.
 PUBLISHED_PART = b"8700339"
 PUBLISHED_MAKER = b"NDI"
 PUBLISHED_SERIAL = 0x34801403  # sequence 3 of 2005-01-06
@@ -31,7 +31,7 @@ def markers_of(block: bytes) -> tuple[Vector3, ...]:
 def shifted(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
     """The same tool with another origin: every marker moves by `shift_mm` in the tool frame.
 
-    It has a part number of its own, so that a simulated unit does not know where its spheres really are.
+    It has its own part number, so that a simulated unit does not know where its spheres really are.
     """
     changed = bytearray(block)
     number = slice(layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_OFFSET + layout.PART_NUMBER_BYTES)

@@ -1,4 +1,4 @@
-"""Checklist lines 11 to 16 and 37 to 41: what the driver does, seen by a tap on its line."""
+"""Checklist lines 11 to 16 and 37 to 41: the driver's behaviour, seen by a tap on its line."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ case = CASES.case
 
 
 def reading_command(tap: PolarisTap) -> str:
-    """BX or TX: the command by which this driver reads frames."""
+    """BX or TX: the command that this driver uses to read frames."""
     return "BX" if tap.count("BX:") else "TX"
 
 

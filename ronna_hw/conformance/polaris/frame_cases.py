@@ -18,7 +18,7 @@ from ronna_hw.conformance.polaris.suite import NEEDS, WITH_TOOL, definition, see
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
-FRAME_RATE_TOLERANCE_FRAMES = 4  # a busy computer requests a little late
+FRAME_RATE_TOLERANCE_FRAMES = 4  # a busy computer requests slightly late
 QUICK_REQUESTS = 40
 COUNTS_REQUESTS = (
     "every request returns the next frame immediately, however long the pause before it: the unit does not "
@@ -27,7 +27,7 @@ COUNTS_REQUESTS = (
 POSITION_TOLERANCE_MM = 0.0051  # half of the last digit of TX
 QUATERNION_TOLERANCE = 5.1e-5
 NORM_TOLERANCE = 1e-3
-NOTHING_MORE_S = 0.1  # a reply has ended when the line has been quiet for so long
+NOTHING_MORE_S = 0.1  # a reply has ended once the line has been quiet for this long
 SAME_FRAME_TRIES = 20
 TX_POSE = re.compile(r"(?:[+-][0-9]{5}){4}(?:[+-][0-9]{6}){3}[+-][0-9]{5}")
 TX_INFORMATION_CHARACTERS = 22
@@ -40,7 +40,7 @@ case = CASES.case
 
 @contextmanager
 def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[PolarisLink]:
-    """A unit that tracks one tool: the first of the driver, or that of another definition."""
+    """A unit that tracks one tool: the driver's first, or that of another definition."""
     block = block or definition(dut)
     with idle_unit(dut) as unit:
         unit.load(block)
@@ -245,7 +245,7 @@ def frame_number(unit: PolarisLink) -> int:
 
 
 def _counts_requests(unit: PolarisLink) -> bool:
-    """True when many quick requests each return the next frame, faster than 60 per second.
+    """Whether many quick requests each return the next frame, faster than 60 per second.
 
     After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay
     each reply until the next.

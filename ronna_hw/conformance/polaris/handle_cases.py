@@ -11,7 +11,7 @@ from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 
 NOT_A_WHOLE_BLOCK = (0x02, 0x03, 0x07)
-NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # undocumented which
+NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # which one is undocumented
 
 CASES = CaseList()
 case = CASES.case
@@ -61,7 +61,7 @@ def wrong_checksum(dut: DeviceUnderTest) -> None:
         handle = unit.request_handle()
         for address in range(0, len(block), 64):
             chunk = bytes(block[address : address + 64]).ljust(64, b"\0")
-            unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is understood too
+            unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is also understood
         unit.refused(f"PINIT:{handle}", 0x13, 0x40, 0x41)
 
 

@@ -17,7 +17,7 @@ from ronna_hw.conformance.polaris.link import (
 from ronna_hw.conformance.polaris.suite import NEEDS, SERIAL
 from ronna_hw.wire.polaris import DEFAULT_BAUD, REPLY_RESET
 
-QUICK_INIT_S = 0.15  # slower, and a client that probes for 200 ms sends a break
+QUICK_INIT_S = 0.15  # if slower, a client that probes for 200 ms sends a break
 INIT_LIMIT_S = 4.0  # the unit's own
 INITS = 5
 RESET_SETTLING_S = 0.2

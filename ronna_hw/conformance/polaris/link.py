@@ -1,6 +1,6 @@
 """A plain client of an NDI Polaris unit that bypasses every driver.
 
-It decodes replies by itself, from the protocol's reference, so that a driver's misreading cannot hide.
+It decodes replies independently, following the protocol reference, so that a driver's misreading cannot hide.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class PolarisLink:
     line: socket.socket | SerialLine
 
     def ask(self, command: str | bytes) -> str:
-        """The text of the ASCII reply to a command, sent with a CRC when it is text, as it is when bytes."""
+        """The text of the ASCII reply to a command: text is sent with a CRC, bytes as they are."""
         self.send(command)
         return self.text()
 
@@ -126,7 +126,7 @@ class PolarisLink:
         return body
 
     def rest(self, quiet_s: float = QUIET_S) -> bytes:
-        """Everything that comes before the line has been quiet for `quiet_s`."""
+        """Everything that arrives before the line has been quiet for `quiet_s`."""
         heard = b""
         while select.select([self.line], [], [], quiet_s)[0]:
             if not (data := self.line.recv(65536)):
@@ -155,7 +155,7 @@ class PolarisLink:
         return handle
 
     def write(self, handle: str, definition: bytes) -> None:
-        """Write a definition into the memory of a handle."""
+        """Write a definition into a handle's memory."""
         for address in range(0, len(definition), PVWR_BLOCK_BYTES):
             block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
             self.okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
@@ -174,7 +174,7 @@ class PolarisLink:
     def clean_up(self) -> None:
         """Stop tracking and free every handle, so that the next case finds the unit idle."""
         self.rest()
-        self.ask("TSTOP:")  # refused when nothing is tracked
+        self.ask("TSTOP:")  # refused if not tracking
         for handle in self.handles():
             self.ask(f"PHF:{handle}")
 
@@ -196,7 +196,7 @@ class PolarisLink:
             yield
         finally:
             self.rest()
-            self.ask("TSTOP:")  # refused when nothing is tracked
+            self.ask("TSTOP:")  # refused if not tracking
             self.go_to(COMM_DEFAULT_ARGUMENT, DEFAULT_BAUD)
 
     @property
@@ -224,7 +224,7 @@ def is_error(text: str) -> bool:
 
 @contextmanager
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
-    """A plain client of the unit under test, which is as its last client left it."""
+    """A plain client of the unit under test, in the state in which its last client left it."""
     dut.release()
     line = _open(dut.endpoint)
     try:

@@ -1,6 +1,6 @@
-"""What the cases about a Polaris unit and its driver share: needs, the tool they load, one frame by BX.
+"""What the cases for a Polaris unit and its driver share: needs, the tool they load, one frame by BX.
 
-A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter where a line has
+A case's number is P (the unit) or D (its driver) and a line of the checklist, with a letter if a line has
 several cases. Every case leaves the unit initialised, idle and without tools.
 """
 
@@ -24,7 +24,7 @@ SERIAL = (*NEEDS, SERIAL_LINE)
 
 @runtime_checkable
 class HoldsDefinitions(Protocol):
-    """A tracker that shows which tool definitions it loads."""
+    """A tracker that reports which tool definitions it loads."""
 
     @property
     def definition_blocks(self) -> dict[str, bytes]:
@@ -34,11 +34,11 @@ class HoldsDefinitions(Protocol):
 
 @runtime_checkable
 class TellsBaud(Protocol):
-    """A tracker that shows the rate of its serial line."""
+    """A tracker that reports the rate of its serial line."""
 
     @property
     def baud(self) -> int | None:
-        """Present rate; None when the line is not serial."""
+        """Present rate; None if the line is not serial."""
         ...
 
 

@@ -11,13 +11,13 @@ from ronna_hw.conformance.disturbed_line import DisturbedLine
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_CRC_BYTES, BX_HEADER_BYTES, BX_START, CR, crc16
 
-Change = Callable[[bytes], bytes]  # a whole reply -> what the driver gets instead
+Change = Callable[[bytes], bytes]  # a complete reply -> what the driver gets instead
 _BX_START = struct.pack("<H", BX_START)
 _u16 = struct.Struct("<H")
 
 
 class PolarisTap(DisturbedLine):
-    """`commands` holds what the driver sent, as `NAME:argument`; `replies` the last reply to each command."""
+    """`commands` are the driver's, as `NAME:argument`; `replies` the last reply to each command."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
@@ -30,12 +30,12 @@ class PolarisTap(DisturbedLine):
         self._reply = b""
 
     def change(self, name: str, change: Change, delay_s: float = 0.0) -> None:
-        """Change, and delay, the next reply to this command, once; may be called ahead."""
+        """Change and delay the next reply to this command, once; may be called in advance."""
         with self._lock:
             self._changes.append((name, change, delay_s))
 
     def answer(self, name: str, text: str) -> None:
-        """Replace the next reply to this command by a text with a right CRC; the unit still executes it."""
+        """Replace the next reply to this command by a text with a valid CRC; the unit still executes it."""
         self.change(name, lambda _reply: text_reply(text))
 
     def count(self, beginning: str) -> int:
@@ -64,14 +64,14 @@ class PolarisTap(DisturbedLine):
             if wanted is None:
                 return super()._disturbed(data)
             if not whole:
-                return []  # held until it can be changed as a whole
+                return []  # held until it is complete and can be changed
             self._changes.remove(wanted)
         _, change, delay_s = wanted
         return [(delay_s, change(self._reply))]
 
 
 def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
-    """A tap between the driver and the unit; give its endpoint to `make`."""
+    """A tap between the driver and the unit; pass its endpoint to `make`."""
     dut.release()
     return PolarisTap(dut.endpoint)
 
@@ -82,12 +82,12 @@ def text_reply(text: str) -> bytes:
 
 
 def body_of(reply: bytes) -> bytes:
-    """The body of a whole binary reply."""
+    """The body of a complete binary reply."""
     return reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
 
 
 def with_body(body: bytes) -> bytes:
-    """A binary reply with this body and right CRCs."""
+    """A binary reply with this body and valid CRCs."""
     header = _BX_START + _u16.pack(len(body))
     return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))
 

@@ -20,7 +20,7 @@ from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
 BEYOND_MM = 130.0  # beyond the volume's side but still in view; more than half a tool
-LOOKS = 20  # frames to look at where one proves little
+LOOKS = 20  # frames to check when one proves little
 EDGE_MM = 3.0  # closer to a face, noise decides
 READ_ONLY = "Features.Firmware.Version=0"
 
@@ -135,7 +135,7 @@ def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVol
 
 
 def _places(volume: MeasuringVolume) -> list[Vector3]:
-    """Points in the middle, and just inside and outside each face before and behind the knee."""
+    """Points at the centre, and just inside and outside each face in front of and behind the knee."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm
     places: list[Vector3] = [(0.0, 0.0, middle_mm)]
@@ -147,10 +147,10 @@ def _places(volume: MeasuringVolume) -> list[Vector3]:
 
 
 def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vector3, ...]:
-    """Load a tool whose origin is chosen so that its markers surround a point in the tracker's frame.
+    """Load a tool whose origin is chosen so that its markers surround a point in the tracker frame.
 
-    A simulated unit puts the origin at the tool's fixed place; a real one finds the spheres where they are,
-    so the cases check that place. Leaves the unit tracking; returns the markers of the definition.
+    A simulated unit places the origin at the tool's fixed place; a real one finds the spheres where they are,
+    so the cases check that position. Leaves the unit tracking; returns the markers of the definition.
     """
     handle = unit.load(shifted(block))
     unit.okay("TSTART:80")
@@ -164,7 +164,7 @@ def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vecto
         target - sum(axis) / len(axis)
         for target, axis in zip(target_mm, zip(*markers, strict=True), strict=True)
     ]
-    # the same way in the tool's own frame: the conjugate rotation
+    # the same direction in the tool's own frame: the conjugate rotation
     back = (pose[0], -pose[1], -pose[2], -pose[3], 0.0, 0.0, 0.0, 0.0)
     moved = shifted(block, placed(((way[0], way[1], way[2]),), back)[0])
     unit.load(moved)

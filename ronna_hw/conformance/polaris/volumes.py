@@ -1,4 +1,4 @@
-"""The measuring volumes as the unit describes them, and the clearance of a point."""
+"""The measuring volumes as described by the unit, and the clearance of a point."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from ronna_hw.conformance.polaris.link import PolarisLink
 from ronna_hw.wire.polaris import PARAMETER_SELECTED_VOLUME, SFLIST_VOLUME_CHARACTERS
 
 _RECORD = re.compile(r"([0-9A-F])((?:[+-][0-9]{6}){10}).*", re.DOTALL)
-# As two real units describe them: far, knee and near z, half extents y and x at the knee, slopes of
-# |y| before and behind it, of |x|, caps of |y| and |x|.
+# As described by two real units: far, knee and near z, half extents y and x at the knee, slopes of |y| in
+# front of and behind it, of |x|, caps of |y| and |x|.
 SPECTRA_VOLUMES = (
     (-240000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, 999999, 999999),
     (-300000, -153200, -95000, 57200, 39800, 56946, 24303, 29773, 999999, 73500),
@@ -39,7 +39,7 @@ class MeasuringVolume:
 
     @property
     def middle_mm(self) -> float:
-        """A depth z well inside: that of the knee, or the middle where the knee is at a face."""
+        """A depth z well inside: that of the knee, or the midpoint if the knee is at a face."""
         far_mm, near_mm = self.depths_mm
         return self.knee_mm if far_mm < self.knee_mm < near_mm else (far_mm + near_mm) / 2
 
@@ -76,7 +76,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
 
 
 def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
-    """The selected volume; the first when the unit does not say which."""
+    """The selected volume; the first if the unit does not report it."""
     volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()
     return volumes[int(value)] if value.isdecimal() and int(value) < len(volumes) else volumes[0]
