@@ -20,8 +20,8 @@ from console.sessions import Sessions
 from console.web.page import add_page
 from ronna_hw.command_line.viewers_address import ViewersAddress
 
-AFTER_CLOSED_S = 2.0  # host time for the pages to show the end of a case
-AFTER_LOST_S = 60.0  # host time in which the last picture of a case that broke off can be looked at
+AFTER_CLOSED_S = 2.0  # host time for which pages show the end of a case
+AFTER_LOST_S = 60.0  # host time for which the last state of a case that broke off stays visible
 Work = Callable[[], Coroutine[Any, Any, None]]
 
 
@@ -48,9 +48,9 @@ def serve_hub(
     ready: Callable[[dict[str, str]], None],
     viewers: ViewersAddress | None = None,
 ) -> None:
-    """Serve a case until `work` is done, or without it until the process is ended. Raises CON-001.
+    """Serve a case until `work` is done, or without it until the process ends. Raises CON-001.
 
-    `viewers` look on from other computers, at a port of their own.
+    `viewers` watch from other computers, through a separate port.
     """
     serve_pages(lambda app: _add_case(app, hub), port, work, ready, viewers)
 
@@ -63,7 +63,7 @@ def serve_pages(
     viewers: ViewersAddress | None = None,
     largest_body_bytes: int = LARGEST_BODY_BYTES,
 ) -> None:
-    """Serve what `add` adds to an application, behind the guard, as `serve_hub`. Raises CON-001."""
+    """Serve what `add` adds to an application, behind the guard, like `serve_hub`. Raises CON-001."""
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()

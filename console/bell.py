@@ -18,7 +18,7 @@ class Bell:
         return event
 
     def unsubscribe(self, event: asyncio.Event) -> None:
-        """Nobody waits for it any more."""
+        """Remove the subscription."""
         self._waiting.discard(event)
 
     def tell(self) -> None:

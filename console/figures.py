@@ -1,4 +1,4 @@
-"""Measurements and pictures of a run, read again whenever a result is added or superseded."""
+"""Measurements and images of a run, re-read whenever a result is added or superseded."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ronna_hw.errors import RonnaError
 
 
 def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> CaseFigures | None:
-    """Without what had not been measured yet at the moment of a view, or was measured again since.
+    """Exclude what had not been measured at the moment of a view, or was measured again since.
 
-    `latest` is the view that the figures are of.
+    `latest` is the view that the figures belong to.
     """
     if figures is None:
         return None
@@ -55,7 +55,7 @@ def as_of(figures: CaseFigures | None, view: CaseView, latest: CaseView) -> Case
 
 
 class Figures:
-    """The latest of them; a thread reads in the background."""
+    """The latest figures; a background thread reads them."""
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
@@ -63,12 +63,12 @@ class Figures:
         self._reading = False
         self.latest: CaseFigures | None = None
         self.count = 0  # how often they were read
-        self.heads = 0  # how often the surface of the head was made
+        self.heads = 0  # how often the surface of the head was built
         self._head = b""
         self._tried = False
 
     def key(self, view: CaseView) -> object:
-        """Changes when they do; has them read again when a result is new."""
+        """Changes when they do; triggers re-reading when there is a new result."""
         if view.results != self._read_for and not self._reading:
             self._reading = True
             self._task = asyncio.get_running_loop().create_task(self._read(view.results))
@@ -91,13 +91,13 @@ class Figures:
             return
         try:
             self._head = await asyncio.to_thread(head_stl, series)
-        except (OSError, ValueError, RonnaError):  # the step that imports the CT says what is wrong with it
+        except (OSError, ValueError, RonnaError):  # the step that imports the CT reports the reason
             return
         self.heads += 1
         self._hub.tell()
 
     def add_routes(self, app: Any) -> None:
-        """Serve the pictures, by the names that are known and no other."""
+        """Serve the images, by known names only."""
 
         async def head(_request: Request) -> Response:
             return Response(self._head, media_type="model/stl") if self._head else PlainTextResponse("", 404)

@@ -1,7 +1,7 @@
-"""Stands before everything that the console serves, and refuses first.
+"""Guards everything that the console serves, and refuses first.
 
-A loopback address is no authentication: other users and every page in the same browser reach it. Whoever
-comes needs the right Host, the right Origin where something may change, and a session that a token opened.
+A loopback address is no authentication: other users and every page in the same browser can reach it. A
+request needs the right Host, the right Origin if it may change something, and a session opened with a token.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ App = Callable[[Scope, Receive, Send], Awaitable[None]]
 MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
 LARGEST_BODY_BYTES = 65_536
 MOST_FIELDS = 8  # of a query
-SESSION = "ronna.session"  # where the session of a request stands in its scope
+SESSION = "ronna.session"  # key of a request's session in its scope
 READING = ("GET", "HEAD")
 SOCKET_PATH = "/_nicegui_ws/"
 HEADERS = {
-    # The page library assembles its page by inline scripts and compiles its templates: both must be allowed.
+    # The page library builds its page from inline scripts and compiles its templates: both must be allowed.
     "content-security-policy": "default-src 'none'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; "
     "style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:; font-src 'self' data:; "
     "connect-src 'self'; worker-src 'self' blob:; base-uri 'none'; form-action 'none'; "
@@ -43,7 +43,7 @@ HEADERS = {
 
 
 class Guard:
-    """An ASGI application around another one."""
+    """An ASGI application that wraps another one."""
 
     def __init__(
         self, app: App, sessions: Sessions, port: int, largest_body_bytes: int = LARGEST_BODY_BYTES
@@ -52,15 +52,15 @@ class Guard:
         self._sessions = sessions
         self._largest_body_bytes = largest_body_bytes
         self._hosts = {f"127.0.0.1:{port}", f"localhost:{port}"}
-        self._cookie = f"ronna_console_{port}"  # browsers do not keep ports apart
+        self._cookie = f"ronna_console_{port}"  # browsers do not separate ports
         self._scheme = "http"
         self._roles = frozenset(Role)
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
     def for_viewers(self, host: str) -> Guard:
-        """The same application for viewers at other computers, by TLS: the key of operators opens nothing.
+        """The same application for viewers on other computers, over TLS: the operator's key is not accepted.
 
-        Its clients count among those of this guard.
+        Its clients count towards the limits of this guard.
         """
         other = copy.copy(self)
         other._hosts, other._scheme, other._roles = {host}, "https", frozenset({Role.VIEWER})
@@ -118,7 +118,7 @@ class Guard:
         allowed = host in self._hosts and headers.get("origin") == f"{self._scheme}://{host}"
         if not allowed or session is None or self.clients[session.role] >= MOST_CLIENTS[session.role]:
             await receive()
-            await send({"type": "websocket.close", "code": 1008})  # before it is accepted: an answer of 403
+            await send({"type": "websocket.close", "code": 1008})  # before acceptance: answered with 403
             return
         scope[SESSION] = session
         self.clients[session.role] += 1
@@ -139,7 +139,7 @@ class Guard:
 
 
 def _headers(scope: Scope) -> dict[str, str]:
-    """By name in lower case; of a header that comes twice none counts."""
+    """By lower-case name; a duplicated header is ignored."""
     found: dict[str, str] = {}
     twice = set()
     for name, value in scope["headers"]:
@@ -158,7 +158,7 @@ def _token(scope: Scope) -> str | None:
 
 
 def _bounded(receive: Receive, left: int) -> Receive:
-    """A body that goes beyond its bound ends as if its sender had gone."""
+    """A body that exceeds its limit ends as if its sender had disconnected."""
 
     async def bounded() -> Message:
         nonlocal left

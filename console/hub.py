@@ -19,8 +19,8 @@ from console.sessions import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
 from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
 
-UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are told five times a second
-SILENT_S = 1.0  # host time without a line from the engine, which sends one each quarter of a second
+UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are reported five times a second
+SILENT_S = 1.0  # host time without a line from the engine, which sends one every quarter of a second
 REPLY_S = 3.0  # host time
 NO_REPLY = "no reply from the engine; the order may still be carried out"
 NOT_RUNNING = "this case is not running: read-only"
@@ -29,7 +29,7 @@ SendOrder = Callable[[AnyOrder], Awaitable[None]]
 
 
 class Hub(Bell):
-    """Holds the view; pages subscribe with an event that is set when it changes."""
+    """Keeps the view; pages subscribe with an event that is set when it changes."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -38,28 +38,28 @@ class Hub(Bell):
         self.ended = False  # the engine has closed its end
         self.live = False  # fed by a running engine
         self.review: RecordedCase | None = None  # of a case that this console does not operate
-        self.seated = ""  # session that sits in the operator's seat
-        self.broken_off = ""  # why nothing more can be read of a case that is looked at
-        self.pair = b""  # PNG of what the stereo head saw last
-        self.pairs = 0  # how many of them have come
+        self.seated = ""  # session in the operator's seat
+        self.broken_off = ""  # why nothing more can be read of a case under review
+        self.pair = b""  # PNG of the stereo head's last pair
+        self.pairs = 0  # number of pairs received
         self._paired_s = 0.0
         self._now_s = now_s
         self._heard_s = now_s()
-        self._seen_s: dict[str, float] = {}  # host time at which each device was last told of
+        self._seen_s: dict[str, float] = {}  # host time at which each device was last reported
         self._send: SendOrder | None = None
         self._replies: dict[str, asyncio.Future[str]] = {}
 
-    # What holds
+    # State
 
     def take(self, event: Event) -> None:
-        """Let an event change the view."""
+        """Apply an event to the view."""
         match event.what:
             case Pose(arm=device) | DeviceAge(device=device):
                 self._seen_s[device] = self._now_s()
         self.show(fold(self.view, event))
 
     def show(self, view: CaseView) -> None:
-        """Show another view: of the next moment, or of one that was looked for."""
+        """Show another view: the next moment, or one that was selected."""
         if self.view.seat is not None and view.seat is None:
             self.seated = ""
         self.view = view
@@ -67,7 +67,7 @@ class Hub(Bell):
 
     @property
     def aged(self) -> CaseView:
-        """The view; what it says of a device that the engine tells nothing new of grows old by host time."""
+        """The view; the readings of devices without news from the engine age by host time."""
         view = self.view
         unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
         old_s = {name: age_s for name, age_s in unseen_s.items() if age_s > UNSEEN_S}
@@ -88,12 +88,12 @@ class Hub(Bell):
 
     @property
     def silent_s(self) -> float:
-        """Host time since the engine was last heard of, where it ought to be heard; else 0."""
+        """Host time since the engine was last heard from, while it should be; else 0."""
         return self._now_s() - self._heard_s if self.live else 0.0
 
     @property
     def frozen(self) -> str:
-        """Why what is shown does not move; empty while it does."""
+        """Why the display is frozen; empty if it is not."""
         if self.broken_off:
             return f"{self.broken_off} The data shown is out of date."
         if self.view.outcome:
@@ -108,7 +108,7 @@ class Hub(Bell):
         return ""
 
     def end(self) -> None:
-        """The engine will say nothing more."""
+        """The engine has ended."""
         self.ended = True
         for reply in self._replies.values():
             if not reply.done():
@@ -116,25 +116,25 @@ class Hub(Bell):
         self.tell()
 
     def break_off(self, why: str) -> None:
-        """Nothing more can be read; `why` says so with a code and what to do."""
+        """Nothing more can be read; `why` explains it with a code and what to do."""
         self.broken_off = why
         self.tell()
 
     def take_pair(self, picture: bytes) -> None:
-        """Take in what the stereo head sees."""
+        """Store the stereo head's latest images."""
         self.pair, self._paired_s = picture, self._now_s()
         self.pairs += 1
         self.tell()
 
     @property
     def pair_age_s(self) -> float:
-        """Host time since the last of them came."""
+        """Host time since the last pair arrived."""
         return self._now_s() - self._paired_s
 
     # Orders
 
     def connect(self, send: SendOrder) -> None:
-        """From now on orders go this way."""
+        """Route orders this way from now on."""
         self._send = send
         self.live = True
         self.heard()
@@ -146,9 +146,9 @@ class Hub(Bell):
             waiting.set_result(reply.refused)
 
     async def order(self, session: Session, content: dict[str, Any]) -> str:
-        """Give an order in the name of a session; returns why it is refused, or nothing.
+        """Give an order on behalf of a session; returns why it is refused, or an empty text.
 
-        Raises ValueError for what is no order.
+        Raises ValueError if it is not an order.
         """
         order = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
         if session.role is not Role.OPERATOR:

@@ -17,7 +17,8 @@ SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of
 
 def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> socket.socket:
     """A listening socket; port 0 is any free one. Raises CON-001."""
-    # By its protocol the loop knows it for TCP, and lets no answer wait 40 ms for the one before to be heard.
+    # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
+    # an answer for 40 ms.
     listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -30,16 +31,16 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
 
 
 def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """The server behind which everything is guarded; that of `viewers` speaks TLS."""
+    """The server with everything behind the guard; that of `viewers` uses TLS."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
         uvicorn.Config(
             guard,
             log_config=None,
-            access_log=False,  # an address may hold a key
+            access_log=False,  # an address may contain a key
             lifespan="on" if viewers is None else "off",  # the pages start once
             ws_max_size=SOCKET_BYTES,
-            ws_per_message_deflate=False,  # nothing is far away
+            ws_per_message_deflate=False,  # all clients are near
             timeout_graceful_shutdown=1,
             server_header=False,
             **tls,  # type: ignore[arg-type]  # files by name, as uvicorn takes them

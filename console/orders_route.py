@@ -1,4 +1,4 @@
-"""`GET /state` and `POST /orders`: what the page's buttons do, for scripts; the same checks and words."""
+"""`GET /state` and `POST /orders`: the page's buttons for scripts, with the same checks and messages."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from ronna_hw.errors import RonnaError
 
 
 def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> None:
-    """Serve until the command is ended. Raises CON-001, CON-002, PRO-018."""
+    """Serve until the command ends. Raises CON-001, CON-002, PRO-018."""
     try:
         followed = FollowedRun(folder)
     except RonnaError as error:
@@ -43,7 +43,7 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
             try:
                 for events in batches:
                     loop.call_soon_threadsafe(take, list(events))
-            except (RonnaError, OSError) as error:  # what is written meanwhile; what was read before stands
+            except (RonnaError, OSError) as error:  # still being written; what was read before stays valid
                 words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
                 loop.call_soon_threadsafe(hub.break_off, words)
             recorded.over = True

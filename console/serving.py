@@ -1,6 +1,6 @@
 """`python -m console.serving --feed N RUN`: the console's process, started by the command that runs a case.
 
-It ends by itself when the engine closes its end, and shows for a while what held then.
+It exits when the engine closes its end, after showing the final state for a while.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def main() -> None:
-    """Serve one run; arguments are those that the command line gives."""
+    """Serve one run; arguments are those given by the command line."""
     parser = argparse.ArgumentParser()
     parser.add_argument("folder", type=Path)
     parser.add_argument("--feed", type=int, required=True)

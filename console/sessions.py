@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 
 TOKEN_BYTES = 32
-MOST_SESSIONS = 64  # of a role; its oldest makes room
+MOST_SESSIONS = 64  # per role; the oldest is dropped for a new one
 ORDERS_PER_SECOND = 10
 
 
@@ -23,7 +23,7 @@ class Role(StrEnum):
 
 @dataclass
 class Session:
-    """One browser. `identifier` may be told and recorded; what its cookie holds may not."""
+    """One browser. `identifier` may be shown and recorded; the content of its cookie may not."""
 
     role: Role
     identifier: str
@@ -45,10 +45,10 @@ class Sessions:
         self.now_s = now_s
         self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
-        self._sessions: dict[str, Session] = {}  # by cookie, the oldest first
+        self._sessions: dict[str, Session] = {}  # by cookie, oldest first
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
-        """The cookie of a new session for a token; None for one that is none of ours, or not of `allowed`."""
+        """The cookie of a new session for a token; None if it is not one of ours, or not in `allowed`."""
         roles = {self.operator_token: Role.OPERATOR, self.viewer_token: Role.VIEWER}
         given = token.encode()
         role = None

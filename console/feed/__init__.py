@@ -1,1 +1,1 @@
-"""From events to what is shown: one pure fold, fed by the engine's socket or by the file of a run."""
+"""From events to the displayed state: one pure fold, fed by the engine's socket or by a run's file."""

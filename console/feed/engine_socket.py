@@ -12,7 +12,7 @@ from console.hub import Hub
 from procedures.engine.events import Event
 from procedures.engine.orders import AnyOrder, Reply
 
-LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, a picture some 100,000
+LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
 PAIR = b'{"pair":"'
 
 
@@ -30,7 +30,7 @@ async def follow_engine(descriptor: int, hub: Hub) -> None:
             hub.heard()
             _take(hub, line)
     except (OSError, ValueError):
-        pass  # a line that is none of ours: better none than a wrong one
+        pass  # not one of our lines: skip it rather than guess
     finally:
         hub.end()
         writer.close()

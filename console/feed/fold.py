@@ -1,4 +1,4 @@
-"""`fold`: the state after an event from the state before it. Pure."""
+"""`fold`: the new state from an event and the previous state. Pure."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
 
 
 def fold(view: CaseView, event: Event) -> CaseView:
-    """The view after one event more."""
+    """The view after one more event."""
     changed = replace(
         view,
         number=event.number,
@@ -112,7 +112,7 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
 
 
 def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
-    """What kept a step from being done, and what a fault left to be done there, is past once it is done."""
+    """Mark notices as settled once their step is done, including what a fault left to be done there."""
     return tuple(
         replace(one, settled=True) if one.step == step and one.kind != "finding" else one for one in notices
     )
@@ -150,7 +150,7 @@ def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     changes: dict[str, Any] = {
         "journal": (*view.journal, f"{line.get('sequence')} {entry} {about}".rstrip())[-JOURNAL_KEPT:]
     }
-    if entry in BEGINNINGS:  # of a session: what the last one left open is over
+    if entry in BEGINNINGS:  # of a session: anything the last one left open is over
         changes |= {
             "outcome": "",
             "running": "",

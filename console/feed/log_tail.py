@@ -1,4 +1,4 @@
-"""The end of a run's log, read again when it has grown."""
+"""The end of a run's log, re-read when it has grown."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from pathlib import Path
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.log_output import LOG_FILE
 
-TAIL_BYTES = 16_384  # some eighty lines
-HEADS = ("timestamp", "level", "event")  # shown in front of what else a line says
+TAIL_BYTES = 16_384  # about eighty lines
+HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
 class LogTail:
@@ -20,7 +20,7 @@ class LogTail:
         self._lines: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
-        """Its last lines as text, the oldest first; none where there is no log."""
+        """The last lines as text, oldest first; empty if there is no log."""
         try:
             size = self._path.stat().st_size
             if size != self._size:
@@ -34,12 +34,12 @@ class LogTail:
             file.seek(max(0, size - TAIL_BYTES))
             content = file.read(TAIL_BYTES)
         first, *rest = content.split(b"\n")
-        whole = rest[:-1] if size > TAIL_BYTES else [first, *rest[:-1]]  # the first may begin in the middle
+        whole = rest[:-1] if size > TAIL_BYTES else [first, *rest[:-1]]  # the first may be incomplete
         return tuple(text for line in whole if (text := _as_text(line)))
 
 
 def _as_text(line: bytes) -> str:
-    """`10:21:05 info step begins: part engine, step ct_import`; empty for a line that is none."""
+    """`10:21:05 info step begins: part engine, step ct_import`; empty for a line that is not a log line."""
     try:
         content = parse_json(line)
         time, level, event = (str(content.pop(name, "")) for name in HEADS)

@@ -21,7 +21,7 @@ __all__ = ["CaseView", "DeviceRow", "Evidence", "Notice", "StepRow", "StoodPose"
 
 @dataclass(frozen=True)
 class StepRow:
-    """A step in the order of the case, and what came of it."""
+    """A step in the order of the case, and its outcome."""
 
     step: str
     title: str
@@ -37,13 +37,13 @@ class DeviceRow:
     """A device as it was last seen."""
 
     seen: DeviceState
-    age_s: float | None = None  # of its newest reading, theatre time
+    age_s: float | None = None  # of its latest reading, theatre time
     validity: str = ""  # of that reading
 
 
 @dataclass(frozen=True)
 class StoodPose:
-    """Where an arm was, and when that was said, in the theatre's time."""
+    """Where an arm was, and when that was reported, in theatre time."""
 
     pose: Pose
     said_s: float
@@ -51,20 +51,20 @@ class StoodPose:
 
 @dataclass(frozen=True)
 class Notice:
-    """A fault, a refusal or a finding: what happened, and what to do; `settled` when the step has passed."""
+    """A fault, a refusal or a finding: what happened, and what to do; `settled` once the step has passed."""
 
     kind: str
     theatre_time_s: float
     what: str
     advice: str = ""
     code: str = ""
-    step: str = ""  # in which it happened
+    step: str = ""  # the step it happened in
     settled: bool = False
 
 
 @dataclass(frozen=True)
 class CaseView:
-    """The case after event `number`; `fact` is the last one that is no signal."""
+    """The case after event `number`; `fact` is the last one that is not a signal."""
 
     number: int = 0
     fact: int = 0
@@ -72,7 +72,7 @@ class CaseView:
     host_time: str = ""
     run: str = ""
     theatre: str = ""
-    banner: str | None = None  # None: not said yet; empty: hardware
+    banner: str | None = None  # None: not reported yet; empty: hardware
     strategy: str = ""
     state: str = "opening"
     reason: str = ""
@@ -91,18 +91,18 @@ class CaseView:
     pose: StoodPose | None = None
     notices: tuple[Notice, ...] = ()
     journal: tuple[str, ...] = ()
-    results: int = 0  # how many results have come to stand, or fallen
-    outcome: str = ""  # of a run that was closed
+    results: int = 0  # number of results added or superseded so far
+    outcome: str = ""  # of a closed run
 
     @property
     def mode(self) -> str:
-        """Operating mode of the controller, as it last said."""
+        """Operating mode of the controller, as last reported."""
         said = (fact for row in self.devices.values() for fact in row.seen.says)
         return next((fact.found for fact in said if fact.name == "operating mode"), "")
 
     @property
     def upcoming(self) -> str:
-        """The step that comes next, as far as the events tell."""
+        """The next step, as far as the events show."""
         if self.waiting is not None:
             return self.waiting.upcoming or ""
         return next((row.step for row in self.steps if row.state != "done" and row.step != self.running), "")

@@ -1,1 +1,1 @@
-"""The parts of the page, one module each: HTML made from a view, and the few controls."""
+"""The parts of the page, one module each: HTML generated from a view, and the few controls."""

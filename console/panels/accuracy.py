@@ -1,4 +1,4 @@
-"""Accuracy before it is needed: the predicted error at each target with its budget, and the two-way table."""
+"""The predicted error at each target with its budget, before it is needed, and the two-way table."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether
 
 
 def accuracy(figures: CaseFigures | None) -> str:
-    """The tables of the standing registrations."""
+    """The tables of the valid registrations."""
     if figures is None or not figures.predictions:
         return tag("p", "No registration yet.", class_="dim")
     rows = "".join(

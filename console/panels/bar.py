@@ -9,7 +9,7 @@ OPENING, HARDWARE = "OPENING", "HARDWARE: A REAL ROBOT MOVES"
 
 
 def banner(view: CaseView) -> str:
-    """Simulated or hardware; never to be confused."""
+    """Simulated or hardware; they must never be confused."""
     if view.banner is None:
         return tag("div", OPENING, class_="banner opening")
     if view.banner:
@@ -26,7 +26,7 @@ def case_line(view: CaseView) -> str:
 
 
 def clock(view: CaseView, beat: int) -> str:
-    """The theatre's time, with a number that changes while the page is kept fresh."""
+    """Theatre time, with a number that changes while the page is updated."""
     return tag(
         "div",
         tag("span", f"{view.theatre_time_s:.1f} s", class_="num") + '<div class="dim">theatre time</div>',

@@ -7,7 +7,7 @@ from itertools import groupby
 from console.feed.view import CaseView, StepRow
 from console.panels.html import tag, text
 
-MARKS = {  # a sign for each state, so that nothing is said by colour alone
+MARKS = {  # a symbol per state, so that nothing is conveyed by colour alone
     "done": ("✓", "done", "ok"),
     "begun": ("▶", "now", "now"),
     "failed": ("✗", "failed", "bad"),
@@ -19,7 +19,7 @@ MARKS = {  # a sign for each state, so that nothing is said by colour alone
 
 
 def chart(view: CaseView) -> str:
-    """The steps by phase; a phase that is done is folded while another is not."""
+    """The steps by phase; a finished phase is collapsed while another is not finished."""
     finished = all(row.state == "done" for row in view.steps)
     latest = next((row for row in reversed(view.steps) if row.state == "done"), None)
     phases = []
@@ -34,7 +34,7 @@ def chart(view: CaseView) -> str:
 
 
 def chart_key(view: CaseView) -> object:
-    """What the chart shows."""
+    """Changes when the chart does."""
     return (
         view.steps,
         view.running,

@@ -1,4 +1,4 @@
-"""The devices: state, newest reading, what they say of themselves, faults; the health of the robot link."""
+"""The devices: state, latest reading, their own reports, faults; the health of the robot link."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from console.panels.html import table_of, tag, text
 OLD_S = 2.0  # theatre time after which a reading is shown as old
 SIGNS = {"fault": ("✗", "bad"), "active": ("●", "ok"), "hold": ("■", "warn"), "closed": ("○", "dim")}
 HEAD = ("device", "state", "reading", "says", "fault")
-WHOLE = ("", "ok")  # validities that need no word
+WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def devices(view: CaseView) -> str:
-    """A row for each device."""
+    """One row per device."""
     if not view.devices:
         return tag("p", "No device connected yet.", class_="dim")
     head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
@@ -21,7 +21,7 @@ def devices(view: CaseView) -> str:
 
 
 def devices_key(view: CaseView) -> object:
-    """What the table shows."""
+    """Changes when the table does."""
     return tuple((name, row.seen, _age(row)) for name, row in view.devices.items()), view.link
 
 
@@ -43,7 +43,7 @@ def _row(name: str, row: DeviceRow) -> str:
 
 
 def _says(row: DeviceRow) -> str:
-    """What keeps a case from going on stands out; the rest is listed beside it."""
+    """What keeps a case from continuing is highlighted; the rest is listed next to it."""
     told = [
         f"{text(fact.name)} {text(fact.found)}"
         if fact.ready

@@ -38,5 +38,5 @@ def table_of(head: str, body: str, caption: str = "") -> str:
 
 
 def evidence_table(evidence: Evidence) -> str:
-    """A table that a question is decided by."""
+    """A table as evidence for a question."""
     return table(evidence.head, evidence.rows, evidence.title)

@@ -11,7 +11,7 @@ from console.feed.view import CaseView
 
 
 class MomentPanel:
-    """At its end it follows what goes on."""
+    """At the end of its range it follows the live case."""
 
     def __init__(self, recorded: RecordedCase, changed: Callable[[], None]) -> None:
         self._recorded = recorded
@@ -24,7 +24,7 @@ class MomentPanel:
             self._text = ui.label("").classes("num")
 
     def view(self, latest: CaseView) -> CaseView:
-        """What held at the moment that is chosen."""
+        """The view at the selected moment."""
         count, chosen = len(self._recorded), int(self._slider.value)
         if self._slider.props["max"] != count:
             at_end = chosen >= self._slider.props["max"]

@@ -1,4 +1,4 @@
-"""Faults, refusals and findings, newest first: what happened and what to do; and the end of the journal."""
+"""Faults, refusals and findings, newest first, with what to do; and the end of the journal."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _notice(notice: Notice) -> str:
 
 
 def problems(figures: CaseFigures | None) -> str:
-    """What of a run's folder is cut, changed or of another version, and what to do."""
+    """What in a run folder is truncated, changed or of another version, and what to do."""
     if figures is None or not figures.problems:
         return ""
     first, *more = figures.problems

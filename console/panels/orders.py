@@ -12,7 +12,7 @@ from console.panels.bar import seat_line
 from console.panels.question import HeldButton
 
 Give = Callable[[dict[str, Any]], Awaitable[None]]
-AT_PAUSE = "pause"  # topic of the question that is answered to go on: no button here does
+AT_PAUSE = "pause"  # topic of the question answered by Resume: no button here answers it
 NOT_EMERGENCY = (
     "Stop motion makes the driver bring the arm to rest. "
     "It is not an emergency stop: for that, press the red button."
@@ -20,7 +20,7 @@ NOT_EMERGENCY = (
 
 
 class SeatPanel:
-    """Who operates; to take the seat a name is given and a button pressed."""
+    """The operator: taking the seat requires a name and a button press."""
 
     def __init__(self, give: Give, *, may_operate: bool) -> None:
         self._give = give
@@ -71,7 +71,7 @@ class OrderPanel:
         self._build("")
 
     def _build(self, upcoming: str) -> None:
-        """New buttons for what is shown now: a late click on the old ones is for nothing that stands."""
+        """New buttons for the present state: a late click on the old ones has no effect."""
         self._quoted = upcoming
 
         async def order_next() -> None:
@@ -92,7 +92,7 @@ class OrderPanel:
             self._resume = self._button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable what can be asked now; its buttons quote what they were shown with."""
+        """Enable what is possible now; each button's order quotes the state it was shown with."""
         paused = view.question is not None and view.question.topic == AT_PAUSE
         waits = view.waiting is not None and bool(view.upcoming) and view.question is None
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
@@ -132,7 +132,7 @@ class OrderPanel:
 
 
 def stop_button(give: Give) -> None:
-    """Always in sight, always enabled for operators."""
+    """Always visible, always enabled for operators."""
 
     async def stop() -> None:
         await give({"kind": "stop"})

@@ -1,4 +1,4 @@
-"""What the stereo head sees, the pairs that were measured, and the planned ways in the CT."""
+"""The stereo head's view, the measured pairs, and the planned trajectories in the CT."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from console.panels.html import tag, text
 from procedures.reporting.case_figures import PLAN_PICTURE, CaseFigures
 
 MOST = 4
-OLD_S = 2.0  # host time after which a live picture is no longer what the head sees
+OLD_S = 2.0  # host time after which a live image no longer shows the head's view
 
 
 def live_pair(hub: Hub) -> str:
-    """The pair that was taken last, with the outlines that were found in it."""
+    """The last pair, with the outlines found in it."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
@@ -26,13 +26,13 @@ def live_pair(hub: Hub) -> str:
 
 
 def live_key(hub: Hub) -> object:
-    """What is shown of it."""
+    """Changes when it does."""
     age_s = hub.pair_age_s
     return hub.pairs, int(age_s) if age_s > OLD_S else 0
 
 
 def pictures(figures: CaseFigures | None) -> str:
-    """The stereo pairs that were measured, with the outlines found in them, newest first."""
+    """The measured stereo pairs with the outlines found in them, newest first."""
     names = figures.pictures[-MOST:][::-1] if figures else ()
     if not names:
         return tag("p", "No stereo picture yet.", class_="dim")
@@ -47,7 +47,7 @@ def _picture(name: str) -> str:
 
 
 def cuts(view: CaseView, figures: CaseFigures | None) -> str:
-    """Three planes through each target; that of the step at hand is open."""
+    """Three planes through each target; those of the current step are open."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
     at_hand = (view.running or view.upcoming).partition(":")[2]
@@ -57,7 +57,7 @@ def cuts(view: CaseView, figures: CaseFigures | None) -> str:
 
 
 def cuts_key(view: CaseView) -> object:
-    """What of the view they depend on."""
+    """The part of the view that they depend on."""
     return (view.running or view.upcoming).partition(":")[2]
 
 
@@ -68,7 +68,7 @@ def _cut(way: str, name: str, *, is_open: bool) -> str:
 
 
 def course(figures: CaseFigures | None) -> str:
-    """Where the theatre's time went, as in the report."""
+    """Where theatre time was spent, as in the report."""
     if figures is None or not figures.course:
         return tag("p", "Shown for the latest state only.", class_="dim")
     return tag("div", figures.course, class_="paper")

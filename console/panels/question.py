@@ -1,7 +1,7 @@
-"""The open question, docked: what is asked, the evidence for it, and the answers.
+"""The open question, docked: what is asked, the evidence, and the answers.
 
-An answer that moves the arm, or lets it go by a result, is held for a second, and counts only when the panel
-has been there for a moment: neither a slip nor Enter gives it.
+An answer that moves the arm, or releases it on a result, must be held for a second, and counts only once the
+panel has been visible for a moment: neither a slip nor Enter triggers it.
 """
 
 from __future__ import annotations
@@ -20,21 +20,21 @@ from procedures.engine.events import Questioned
 from procedures.engine.events.shown import shown_digest
 from ronna_hw.text.typed_number import typed_number
 
-HOLD_S = 1.0  # host time for which an answer is held
-ARMED_S = 0.7  # host time from its appearing until it can be given
-DIGEST_SHOWN = 12  # characters; the whole one is in the journal
+HOLD_S = 1.0  # host time for which an answer must be held
+ARMED_S = 0.7  # host time after appearing before it can be given
+DIGEST_SHOWN = 12  # characters; the journal has all of them
 
 Give = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class HeldButton:
-    """A button that acts when it has been held by pointer or space bar for a second."""
+    """A button that acts after being held by pointer or space bar for a second."""
 
     def __init__(self, label: str, act: Callable[[], Awaitable[None]], tell: Callable[[str], None]) -> None:
         self._act = act
         self._tell = tell
         self._appeared_s = time.monotonic()
-        self._down_ms: float | None = None  # by the browser's clock: how long it was held, not told
+        self._down_ms: float | None = None  # by the browser's clock: the hold time is measured, not reported
         self.button = ui.button(label, color=None).classes("held").props("no-caps unelevated")
         self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
         self.button.on("pointerdown", self._down, args=["timeStamp"])
@@ -52,7 +52,7 @@ class HeldButton:
         down_ms, self._down_ms = self._down_ms, None
         if down_ms is None:
             return
-        if not _moment_ms(event) - down_ms >= 1000.0 * HOLD_S:  # also of what is no number
+        if not _moment_ms(event) - down_ms >= 1000.0 * HOLD_S:  # also rejects NaN
             self._tell("Hold the button for one second.")
             return
         await self._act()
@@ -70,7 +70,7 @@ class HeldButton:
 
 
 def _moment_ms(event: Any) -> float:
-    """When it happened, by the browser's clock; NaN where that is not told."""
+    """Time of the event by the browser's clock; NaN if not reported."""
     moment = event.args.get("timeStamp")
     return float(moment) if isinstance(moment, int | float) else math.nan
 

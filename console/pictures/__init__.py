@@ -1,1 +1,1 @@
-"""Pictures made from the CT: the surface of the head."""
+"""Images made from the CT: the surface of the head."""

@@ -1,4 +1,4 @@
-"""Flat pictures through a CT, along the patient's axes or along a trajectory."""
+"""Flat images through a CT, along the patient's axes or along a trajectory."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from procedures.strategies.trajectory import Point
 
 Array = NDArray[np.float64]
 
-SIZE_PX = 400  # of a picture, which is square
-UNSCANNED_HU = -32768  # no CT has it
-UNSCANNED_GREY = 40  # not the black of air
-ALIGNED = 1e-6  # of a voxel for each pixel: below it a picture stays in one slice
-PNG_LEVEL = 0  # the network is this computer, and to pack a picture takes longer than all else
+SIZE_PX = 400  # of an image, which is square
+UNSCANNED_HU = -32768  # no CT has this value
+UNSCANNED_GREY = 40  # unlike the black of air
+ALIGNED = 1e-6  # of a voxel per pixel: below this an image stays in one slice
+PNG_LEVEL = 0  # the network is this computer, and compression takes longer than everything else
 
 WINDOWS_HU = {
     "spheres": (-1000.0, 600.0),
@@ -31,7 +31,7 @@ WINDOWS_HU = {
 
 
 class Plane(StrEnum):
-    """Along which a picture is cut."""
+    """Plane of an image."""
 
     AXIAL = "axial"
     CORONAL = "coronal"
@@ -39,7 +39,7 @@ class Plane(StrEnum):
     ALONG = "along"
 
 
-# To the right and downwards in the picture, LPS: as seen from the feet, from the front, from the left.
+# To the right and down in the image, LPS: as seen from the feet, from the front, from the left.
 DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
     Plane.AXIAL: ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
     Plane.CORONAL: ((1.0, 0.0, 0.0), (0.0, 0.0, -1.0)),
@@ -49,7 +49,7 @@ DIRECTIONS: dict[Plane, tuple[Point, Point]] = {
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Pose of a picture: its centre, its directions to the right and down, LPS; `step_mm` per pixel."""
+    """Pose of an image: its centre, its directions to the right and down, LPS; `step_mm` per pixel."""
 
     middle_mm: Array
     right: Array
@@ -58,17 +58,17 @@ class Cut:
 
     @cached_property
     def normal(self) -> Array:
-        """Into the picture."""
+        """Into the image."""
         return np.asarray(np.cross(self.right, self.down))
 
     def to_patient_mm(self, x_px: float, y_px: float) -> Point:
-        """The place of a point of the picture; (0, 0) is the corner of its first pixel."""
+        """The position of a point in the image; (0, 0) is the corner of its first pixel."""
         half = SIZE_PX / 2.0
         place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
         return point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
-        """Image position of a point, px, and its distance behind the picture, mm."""
+        """Image position of a point, px, and its distance behind the image, mm."""
         away = np.asarray(place_mm, dtype=float) - self.middle_mm
         half = SIZE_PX / 2.0
         return (
@@ -85,7 +85,7 @@ def point(place: ArrayLike) -> Point:
 
 
 def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
-    """The picture, black at the lower end of the window and white at the upper."""
+    """The image, black at the lower end of the window and white at the upper."""
     low, high = window_hu
     hu = cut_hu(volume, cut)
     grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
@@ -95,7 +95,7 @@ def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
 
 
 def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """HU of every pixel (rows, columns), interpolated in its slice; along a trajectory between slices too."""
+    """HU of every pixel (rows, columns), interpolated within a slice; along a trajectory also between."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
     per_px = (

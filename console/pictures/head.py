@@ -12,17 +12,17 @@ from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 
-GRID_MM = 3.0  # finer is not seen beside the arm
-SMOOTHING_VOXELS = 0.8  # else the blocks are seen as terraces
-SKIN_HU = -480.0  # half way between air and skin
-METRES = 0.001  # per millimetre: what the scene is built in
+GRID_MM = 3.0  # finer detail is not visible next to the arm
+SMOOTHING_VOXELS = 0.8  # otherwise the blocks show as terraces
+SKIN_HU = -480.0  # halfway between air and skin
+METRES = 0.001  # per millimetre: the unit of the scene
 STL_HEAD_BYTES = 80
 FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "<u2")])
 Array = NDArray[np.float64]
 
 
 def series_of(run: Path) -> Path | None:
-    """The folder of a run's CT series: its own, or the one that it was asked to use."""
+    """The folder of a run's CT series: its own, or the one it was asked to use."""
     own = run / "case" / "ct"
     if own.is_dir():
         return own
@@ -34,14 +34,14 @@ def series_of(run: Path) -> Path | None:
 
 
 def head_stl(series: Path) -> bytes:
-    """Binary STL in CT coordinates, metres. Raises what reading a series raises, CT-022 without a head."""
+    """Binary STL in CT coordinates, metres. Raises the errors of reading a series, CT-022 without a head."""
     return stl(*head_surface(read_series(series)))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
-    """Corners (n, 3) mm LPS and triangles (m, 3) of the largest body denser than air, its hollows filled.
+    """Corners (n, 3) mm LPS and triangles (m, 3) of the largest body denser than air, with hollows filled.
 
-    Raises ValueError where there is none.
+    Raises ValueError if there is none.
     """
     from scipy import ndimage
     from skimage.measure import marching_cubes
@@ -54,15 +54,15 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
         raise ValueError("the CT contains only air")
     largest = labels == 1 + int(np.bincount(labels.ravel())[1:].argmax())
     solid = ndimage.binary_fill_holes(largest)
-    smooth[solid & ~largest] = 0.0  # a hollow inside
-    smooth[~ndimage.binary_dilation(solid)] = -1000.0  # whatever else is in the picture
+    smooth[solid & ~largest] = 0.0  # an internal hollow
+    smooth[~ndimage.binary_dilation(solid)] = -1000.0  # anything else in the image
     corners, triangles, _, _ = marching_cubes(smooth, SKIN_HU)
     middle = (factor - 1) / 2.0  # of a block, in voxels
     return volume.geometry.to_patient_mm((corners - 1.0) * factor + middle), triangles.astype(np.int64)
 
 
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
-    """Means over whole blocks, slab by slab: a whole volume in floats would not be small."""
+    """Means over whole blocks, slab by slab: a whole volume of floats would be large."""
     counts = np.array(voxels.shape) // factor
     a, b, c = (int(one) for one in factor)
     slices, rows, columns = (int(one) for one in counts)

@@ -1,1 +1,1 @@
-"""The planner: a CT in slices, the spheres in it, and trajectories that are drawn, judged and saved."""
+"""The planner: a CT in slices, its spheres, and trajectories that are drawn, judged and saved."""

@@ -27,7 +27,7 @@ USUAL_MARGIN_MM = 3.0  # to a vessel
 
 
 def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> Draft:
-    """With a stroke from `start_mm`, or with its first point, on the structure of that name; PLAN-002."""
+    """With a stroke from `start_mm`, or its first point, on the structure with that name; raises PLAN-002."""
     steps = 1 if start_mm is None else max(1, math.ceil(math.dist(start_mm, place_mm) / STEP_MM))
     points = np.linspace(place_mm if start_mm is None else start_mm, place_mm, steps + 1)[1:]
     known, within_mm, margin_mm = draft.structure(name), 0.0, USUAL_MARGIN_MM
@@ -39,7 +39,7 @@ def drawn(draft: Draft, name: str, place_mm: Point, start_mm: Point | None) -> D
 
 
 def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: VoxelGeometry) -> Draft:
-    """With a new structure out of a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
+    """With a new structure from a file of points. Raises PLAN-002, PLAN-006, PLAN-028."""
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_told():
@@ -49,7 +49,7 @@ def imported(draft: Draft, name: str, content: bytes, file_name: str, geometry: 
 
 
 def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
-    """Keeping away from it by as much. Raises PLAN-002."""
+    """With this margin to a structure. Raises PLAN-002."""
     known = draft.structure(name)
     if known is None:
         return draft
@@ -60,7 +60,7 @@ def with_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
 
 
 def free_name(draft: Draft) -> str:
-    """For one more structure."""
+    """A name for one more structure."""
     return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
 
 

@@ -1,4 +1,4 @@
-"""One plan for all pages: the CT, the current draft, its assessment, and the file it is saved in."""
+"""One plan for all pages: the CT, the current draft, its assessment, and its file."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
 
-KEEPING_S = 0.3  # host time between two writings of what is not saved
-AGAIN_S = 0.5  # host time between two looks at whether the plan is free by now
+KEEPING_S = 0.3  # host time between writes of unsaved changes
+AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
 
 class PlanDesk(Bell):
-    """Holds one draft. Every change is announced; background threads check it again."""
+    """Keeps one draft. Every change is announced; background threads check it again."""
 
     def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
         super().__init__()
@@ -51,10 +51,10 @@ class PlanDesk(Bell):
         self.candidates: Sequence[Candidate] = ()
         self.searching = True
         self.head = b""
-        self.problem: RonnaError | None = None  # why the file is left as it is
-        self.notice: RonnaError | None = None  # of the CT or the plan, to be read before anything else
-        self.not_kept: RonnaError | None = None  # why a crash would lose what is not saved
-        self._markers: tuple[Marker, ...] = ()  # that were found
+        self.problem: RonnaError | None = None  # why the file is left unchanged
+        self.notice: RonnaError | None = None  # of the CT or the plan, to be read first
+        self.not_kept: RonnaError | None = None  # why a crash would lose unsaved changes
+        self._markers: tuple[Marker, ...] = ()  # those that were found
         self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
         self._lock = PlannerLock(plan)
@@ -67,14 +67,14 @@ class PlanDesk(Bell):
     @property
     def read_only(self) -> RonnaError | None:
         """Why nothing can be changed."""
-        if self._begun and not self._saving.locked():  # our own save is no case
+        if self._begun and not self._saving.locked():  # our own save is not a case
             return self._hindrance()
         return None if self._begun else self._waits_for
 
     def begin(self) -> bool:
-        """Whether the plan is this desk's to change; what others saved, or did not save, is taken up then.
+        """Whether this desk may change the plan; if so, what others saved, or left unsaved, is adopted.
 
-        False while a case or another planner has it; to be asked again then.
+        False while a case or another planner has it; call again later.
         """
         if not self._begun:
             self._waits_for = self._hindrance()
@@ -88,7 +88,7 @@ class PlanDesk(Bell):
         return True
 
     def close(self) -> Path | None:
-        """Leave the plan to the next planner; the file in which is kept what was not saved, if anything."""
+        """Leave the plan to the next planner; returns the file with unsaved changes, if any."""
         kept = self.keep()
         self._lock.leave()
         return kept
@@ -119,11 +119,11 @@ class PlanDesk(Bell):
     def _is_as_read(self) -> bool:
         try:
             return _digest(self.file) == self._on_disk
-        except OSError:  # reading it says what is wrong
+        except OSError:  # reading it reports what is wrong
             return False
 
     def _opened(self) -> Draft | None:
-        """The draft of the plan file, if there is one that can be used."""
+        """The draft of the plan file, if there is a usable one."""
         try:
             self._on_disk = _digest(self.file)
             if not self._on_disk:
@@ -145,7 +145,7 @@ class PlanDesk(Bell):
         return Draft.of(plan)
 
     def _take_up(self) -> None:
-        """Go on with what was drawn and not saved when the planner ended."""
+        """Continue with what was drawn but not saved when the planner ended."""
         try:
             drawn = self._unsaved.take_up(self._on_disk, self.draft)
         except UnsavedChanges as aside:
@@ -203,7 +203,7 @@ class PlanDesk(Bell):
             f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
             for number, one in enumerate(draft.markers, start=1)
         )
-        with replaced_plan(self.file):  # a case that began since wins
+        with replaced_plan(self.file):  # a case that has begun since wins
             if self._is_of_others():
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",
@@ -227,19 +227,19 @@ class PlanDesk(Bell):
         return self.history.now
 
     def change(self, draft: Draft, *, goes_on: bool = False) -> None:
-        """Take a change of the draft; see `History.change`. Refused while it can only be looked at."""
+        """Apply a change to the draft; see `History.change`. Refused while it is read-only."""
         if self.read_only is None:
             self.history.change(draft, goes_on=goes_on)
         self.altered()
 
     def undo(self) -> None:
-        """Take the last change back. Refused while the draft can only be looked at."""
+        """Undo the last change. Refused while the draft is read-only."""
         if self.read_only is None:
             self.history.undo()
         self.altered()
 
     def redo(self) -> None:
-        """Make it again; as `undo`."""
+        """Redo it; as for `undo`."""
         if self.read_only is None:
             self.history.redo()
         self.altered()
@@ -251,7 +251,7 @@ class PlanDesk(Bell):
         self.tell()
 
     async def add_marker(self, place_mm: Point) -> None:
-        """Measure the sphere at a place, and count it as a marker. Raises CT-019."""
+        """Measure the sphere at a position, and count it as a marker. Raises CT-019."""
         found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
         (marker,) = found.markers
         for number, one in enumerate(self.draft.markers, start=1):
@@ -260,14 +260,14 @@ class PlanDesk(Bell):
         self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
 
     def reject_marker(self, number: int) -> None:
-        """Count a sphere (from 1) as a marker no longer."""
+        """Stop counting a sphere (from 1) as a marker."""
         left = tuple(one for k, one in enumerate(self.draft.markers, start=1) if k != number)
         self.change(replace(self.draft, markers=left))
 
-    # The work beside the pages
+    # Background work
 
     async def work(self) -> None:
-        """Make the head, look for the spheres, judge and keep the draft whenever it changes; never ends."""
+        """Build the head, find the spheres, judge and store the draft whenever it changes; never ends."""
         await asyncio.gather(self._prepare(), self._judge_all(), self._keep_all(), self._await_the_plan())
 
     async def _await_the_plan(self) -> None:
@@ -280,7 +280,7 @@ class PlanDesk(Bell):
         try:
             self.head = await asyncio.to_thread(lambda: stl(*head_surface(self.volume)))
             self.tell()
-        except ValueError:  # nothing but air: the search for spheres says so
+        except ValueError:  # nothing but air: the search for spheres reports it
             pass
         try:
             found = await asyncio.to_thread(localize, self.volume)
@@ -294,7 +294,7 @@ class PlanDesk(Bell):
         self.altered()
 
     def _found(self, markers: tuple[Marker, ...]) -> None:
-        """Every draft so far gets the spheres: undoing a step does not lose them."""
+        """Every draft so far gets the spheres, so that undo does not lose them."""
         self._markers = markers
         count = len(markers)
         is_new = not self._on_disk and FEWEST_MARKERS <= count <= MOST_MARKERS
@@ -327,7 +327,7 @@ class PlanDesk(Bell):
 
 
 def _digest(path: Path) -> str:
-    """Of a file; empty where there is none. Raises OSError."""
+    """Of a file; empty if there is none. Raises OSError."""
     try:
         return hashlib.sha256(path.read_bytes()).hexdigest()
     except FileNotFoundError:
@@ -335,7 +335,7 @@ def _digest(path: Path) -> str:
 
 
 def _kept_by_a_run(plan: Path) -> PlanInUse | None:
-    """Whatever is written in the folder of a run counts as tampered with."""
+    """Anything written in a run folder would count as tampering."""
     run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
     if run is None:
         return None

@@ -1,4 +1,4 @@
-"""A plan as far as it is drawn: what may still be missing in it, each change a new value, and undo."""
+"""A plan as far as it is drawn: it may be incomplete; each change is a new value; undo."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MOST_STEPS_BACK = 200
 
 @dataclass(frozen=True)
 class Way:
-    """One trajectory, LPS; an end that has not been chosen yet is None."""
+    """One trajectory, LPS; an end not chosen yet is None."""
 
     identifier: str
     entry_mm: Point | None = None
@@ -30,7 +30,7 @@ class Way:
 
     @property
     def ends(self) -> tuple[Point, Point] | None:
-        """Entry and target, when both are chosen."""
+        """Entry and target, if both are chosen."""
         if self.entry_mm is None or self.target_mm is None:
             return None
         return self.entry_mm, self.target_mm
@@ -43,7 +43,7 @@ class Way:
 
 @dataclass(frozen=True)
 class Draft:
-    """What `plan.toml` will say, and the spheres that count as markers."""
+    """The future content of `plan.toml`, and the spheres that count as markers."""
 
     patient_orientation: str
     implanted: int
@@ -51,14 +51,14 @@ class Draft:
     template_mm: tuple[Point, ...] | None = None
     tool: str = "guide"
     standoff_mm: float = USUAL_STANDOFF_MM
-    instrument_length_mm: float | None = None  # nobody but its packing says it
+    instrument_length_mm: float | None = None  # only stated on its packaging
     ways: tuple[Way, ...] = (Way("T1"),)
     structures: tuple[Structure, ...] = ()
     markers: tuple[Marker, ...] = ()
 
     @classmethod
     def of(cls, plan: Plan) -> Draft:
-        """Of a plan that was read; its spheres are those that the CT will show."""
+        """From a plan that was read; its spheres are those the CT will show."""
         return cls(
             patient_orientation=plan.patient_orientation.value,
             implanted=plan.implanted,
@@ -72,14 +72,14 @@ class Draft:
         )
 
     def way(self, identifier: str) -> Way:
-        """The trajectory of that name; raises KeyError."""
+        """The trajectory with that name; raises KeyError."""
         for one in self.ways:
             if one.identifier == identifier:
                 return one
         raise KeyError(identifier)
 
     def with_way(self, identifier: str, way: Way) -> Draft:
-        """With another trajectory in the place of one."""
+        """With one trajectory replaced."""
         return replace(self, ways=tuple(way if one.identifier == identifier else one for one in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
@@ -94,11 +94,11 @@ class Draft:
         return replace(self, ways=left or (Way("T1"),))
 
     def structure(self, name: str) -> Structure | None:
-        """The structure of that name, if there is one."""
+        """The structure with that name, if there is one."""
         return next((one for one in self.structures if one.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
-        """With a structure, in the place of the one of its name."""
+        """With a structure, replacing the one with its name."""
         if self.structure(structure.name) is None:
             return replace(self, structures=(*self.structures, structure))
         return replace(
@@ -107,11 +107,11 @@ class Draft:
         )
 
     def without_structure(self, name: str) -> Draft:
-        """Without the structure of that name."""
+        """Without the structure with that name."""
         return replace(self, structures=tuple(one for one in self.structures if one.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
-        """As a plan file has it, with the trajectories whose ends are both chosen."""
+        """As in a plan file, with the trajectories whose ends are both chosen."""
         content: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "series_instance_uid": series_instance_uid,
@@ -154,7 +154,7 @@ class History:
         self.now = draft
 
     def change(self, draft: Draft, *, goes_on: bool = False) -> None:
-        """Take a change. One that `goes_on`, as while something is dragged, is undone with the one before."""
+        """Apply a change. One that `goes_on`, as during a drag, is undone together with the one before."""
         if draft == self.now:
             return
         if not goes_on or not self._past:
@@ -163,19 +163,19 @@ class History:
         self.now = draft
 
     def undo(self) -> None:
-        """Take back the last change."""
+        """Undo the last change."""
         if self._past:
             self._future.append(self.now)
             self.now = self._past.pop()
 
     def redo(self) -> None:
-        """Make it again."""
+        """Redo it."""
         if self._future:
             self._past.append(self.now)
             self.now = self._future.pop()
 
     def replace_all(self, by: Callable[[Draft], Draft]) -> None:
-        """Let every draft have what was not known before."""
+        """Apply new knowledge to every draft in the history."""
         self._past = [by(one) for one in self._past]
         self._future = [by(one) for one in self._future]
         self.now = by(self.now)
@@ -187,11 +187,11 @@ class History:
 
     @property
     def can_redo(self) -> bool:
-        """Whether anything was taken back."""
+        """Whether anything was undone."""
         return bool(self._future)
 
 
-# The number as people type it: a comma or a point before the decimals.
+# A number as typed: a comma or a point before the decimals.
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)")
 
 
@@ -205,10 +205,10 @@ def typed_number(words: str) -> float:
 
 @dataclass(frozen=True)
 class Axis:
-    """Direction from the target out to the entry, in degrees: what is typed where a ring and arc are used.
+    """Direction from the target out to the entry, in degrees, as used with a ring and arc.
 
-    `azimuth_deg` in the axial plane, 0 to the patient's left, 90 to the back; `elevation_deg` above it, up to
-    the crown.
+    `azimuth_deg` in the axial plane, 0 to the patient's left, 90 to the back; `elevation_deg` above
+    it, up to the crown.
     """
 
     azimuth_deg: float

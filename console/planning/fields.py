@@ -25,7 +25,7 @@ class NumberField:
         self._field.on("keydown.enter", self._typed)
 
     def show(self, value: float | None) -> None:
-        """Show what holds now; what is being typed stays as long as nothing else changes."""
+        """Show the present value; text being typed stays as long as nothing else changes."""
         words = "" if value is None else f"{value:.{self._decimals}f}"
         if words != self._shown:
             self._shown = words
@@ -33,7 +33,7 @@ class NumberField:
             self._field.props(remove="error error-message")
 
     def enable(self, enabled: bool) -> None:
-        """Whether it can be typed into."""
+        """Enable or disable typing."""
         self._field.set_enabled(enabled)
 
     def _typed(self) -> None:
@@ -48,4 +48,4 @@ class NumberField:
         self._field.props(remove="error error-message")
         self._shown = words
         self._take(value)
-        self._field.update()  # what was shown before may still be on its way, and would come to stand there
+        self._field.update()  # the previous value may still be on its way, and would overwrite this one

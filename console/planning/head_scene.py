@@ -22,7 +22,7 @@ from console.scene.theatre_scene import (
 )
 from procedures.strategies.trajectory import Point
 
-OUTSIDE_MM = 40.0  # how far a trajectory is drawn outside the entry
+OUTSIDE_MM = 40.0  # length of a trajectory drawn outside the entry
 ARM_OF_CROSS_MM = 130.0
 POINT_MM = 2.0  # of a structure
 VIEWS: dict[str, Point] = {"front": (0.0, -1.0, 0.25), "left": (1.0, -0.1, 0.25), "above": (0.0, -0.05, 1.0)}
@@ -30,7 +30,7 @@ AWAY_MM = 480.0
 
 
 class HeadScene:
-    """Built once for a page; in CT coordinates, metres."""
+    """Built once per page; in CT coordinates, metres."""
 
     def __init__(self, desk: PlanDesk, look: Look, *, low: bool) -> None:
         self._desk, self._look, self._low = desk, look, low

@@ -1,6 +1,6 @@
-"""What can be said of a draft: mistakes, reach, clearance, and the error to expect at each target.
+"""Judges a draft: mistakes, reach, clearance, and the expected error at each target.
 
-Twice: at once without clearance, and then as `ronna-plan check` judges it.
+Twice: immediately without clearance, and then like `ronna-plan check`.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from ronna_hw.errors import RonnaError
 
 @dataclass(frozen=True)
 class Expected:
-    """The error to expect at one target; the squares of the shares add up to that of `rms_mm`."""
+    """The expected error at one target; the squares of the shares add up to that of `rms_mm`."""
 
     rms_mm: float
-    limit_mm: float  # that holds it with 95 %
+    limit_mm: float  # contains it with 95 %
     shares_mm: tuple[tuple[str, float], ...]
-    with_arm: bool  # else of the markers alone
+    with_arm: bool  # otherwise from the markers alone
 
 
 @dataclass(frozen=True)
 class Judged:
-    """Of one draft. `thorough` is that of `ronna-plan check`; before it clearance is not known."""
+    """For one draft. `thorough` means judged like `ronna-plan check`; before that clearance is unknown."""
 
     draft: Draft
     thorough: bool = False
@@ -48,20 +48,20 @@ class Judged:
     warnings: tuple[str, ...] = ()
     expected: dict[str, Expected] = field(default_factory=dict)
     reached: tuple[str, ...] = ()  # in words, by the arm
-    angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is straight
+    angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is perpendicular
     distances: tuple[StructureDistance, ...] = ()
     arm_known: bool = False
-    complete: bool = False  # there is a trajectory with both ends, so that there is something to judge
+    complete: bool = False  # at least one trajectory has both ends, so there is something to judge
 
 
 def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judged:
-    """Judge the trajectories whose ends are chosen. Never raises for what is wrong with a draft."""
+    """Judge the trajectories whose ends are chosen. Never raises for problems of a draft."""
     judged = Judged(draft, thorough=thorough or theatre is None, arm_known=theatre is not None)
     if not any(one.ends for one in draft.ways):
         return judged
     judged = replace(judged, complete=True)
     missing: tuple[RonnaError, ...] = ()
-    if draft.instrument_length_mm is None:  # all else can be judged with whatever length
+    if draft.instrument_length_mm is None:  # everything else can be judged with any length
         missing = (
             PlanMistakes("the instrument length is missing", action="Enter it as printed on the packaging."),
         )
@@ -145,7 +145,7 @@ def _expected(
             else:
                 predicted = predicted_by_markers(markers_mm, covariances_mm2, one.target_mm)
                 found[one.id] = _told(predicted, with_arm=False)
-        except (RonnaError, np.linalg.LinAlgError):  # markers on a line; the check says so
+        except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue
     return found
 
@@ -156,7 +156,7 @@ def _told(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
 
 
 def _in_words(check: PlanCheck) -> tuple[str, ...]:
-    """What a check of the arm found, where it passed."""
+    """What a check of the arm found, if it passed."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]

@@ -1,4 +1,4 @@
-"""The view of one page: crosshair, zoom, CT window, and the rotation of the picture along a trajectory."""
+"""The view of one page: crosshair, zoom, CT window, and rotation of the image along a trajectory."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from procedures.strategies.trajectory import Point
 Array = NDArray[np.float64]
 
 ZOOMS = (1.0, 1.5, 2.0, 3.0, 4.5, 7.0)
-TURN_DEG = 5.0  # of the picture along a trajectory, by one step of the wheel
+TURN_DEG = 5.0  # of the image along a trajectory, per step of the wheel
 
 
 @dataclass
 class Look:
-    """Of one page. Every picture goes through the crosshair but that along a trajectory."""
+    """For one page. Every image passes through the crosshair except the one along a trajectory."""
 
     geometry: VoxelGeometry
     place_mm: Point = (0.0, 0.0, 0.0)
     zoom: int = 0  # step of ZOOMS
-    focus_mm: Point = (0.0, 0.0, 0.0)  # where a magnified picture has its middle
+    focus_mm: Point = (0.0, 0.0, 0.0)  # centre of a magnified image
     window: str = next(iter(WINDOWS_HU))
     turn_deg: float = 0.0
-    way: str = "T1"  # that is worked on
+    way: str = "T1"  # the one being edited
     _bounds: tuple[Array, Array] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -40,11 +40,11 @@ class Look:
 
     @property
     def step_mm(self) -> float:
-        """Of a pixel: without zoom the whole scan fits in."""
+        """Size of a pixel: without zoom the whole scan fits."""
         return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
 
     def cut(self, plane: Plane, way: Way | None) -> Cut | None:
-        """The picture of a plane; None along a trajectory that is not complete."""
+        """The image of a plane; None along an incomplete trajectory."""
         if plane is Plane.ALONG:
             return None if way is None or way.ends is None else self._along(*way.ends)
         right, down = (np.array(one) for one in DIRECTIONS[plane])
@@ -71,7 +71,7 @@ class Look:
         self.place_mm = point(np.clip(place_mm, low, high))
 
     def scroll(self, plane: Plane, steps: int) -> None:
-        """Go on by so many slices."""
+        """Scroll by this many slices."""
         if plane is Plane.ALONG:
             self.turn_deg = (self.turn_deg + TURN_DEG * steps) % 360.0
             return
@@ -81,14 +81,14 @@ class Look:
         self.go_to(point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
 
     def move(self, plane: Plane, right: int, down: int) -> None:
-        """Move the crosshair in a picture, by pixels of it."""
+        """Move the crosshair within an image, by its pixels."""
         if plane is Plane.ALONG:
             return
         across, downwards = (np.array(one) for one in DIRECTIONS[plane])
         self.go_to(point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
-        """In or out, about the crosshair; the whole scan again when all the way out."""
+        """In or out, about the crosshair; the whole scan again when fully zoomed out."""
         self.zoom = min(max(self.zoom + steps, 0), len(ZOOMS) - 1)
         low, high = self._bounds
         self.focus_mm = self.place_mm if self.zoom else point((low + high) / 2.0)

@@ -1,4 +1,4 @@
-"""The spheres that count as markers, the places that do not and why, and what the plan says of them."""
+"""The spheres that count as markers, rejected candidates with reasons, and the plan's remarks on them."""
 
 from __future__ import annotations
 

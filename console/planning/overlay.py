@@ -1,4 +1,4 @@
-"""What is drawn over a picture: crosshair, spheres, trajectories and the sides of the patient."""
+"""What is drawn over an image: crosshair, spheres, trajectories and the patient's sides."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from procedures.strategies.trajectory import Point
 
 CROSS, SPHERE, CHOSEN, OTHER = "#35c8ff", "#ffa64d", "#ff5fa2", "#d8a6ff"
 AVOIDED = "#ff4d4d"
-POINT_WITHIN_MM = 1.5  # of the picture: points of a structure that are drawn in it
-NEAR_MM = 3.0  # of the picture: an end that lies nearer is drawn full, one farther off faint
+POINT_WITHIN_MM = 1.5  # from the image: points of a structure that are drawn in it
+NEAR_MM = 3.0  # from the image: a closer end is drawn opaque, one farther off faint
 SPHERE_RADIUS_MM = 5.75
-GAP_PX = 9.0  # the crosshair leaves free what it points at
-HANDLE_PX = 9.0  # within which an end is taken hold of
+GAP_PX = 9.0  # left free by the crosshair around its centre
+HANDLE_PX = 9.0  # within which an end can be grasped
 FONT = "bold 13px system-ui,sans-serif"
-LEAST_SHARE = 0.35  # of a direction along a picture's edge, to be named there
+LEAST_SHARE = 0.35  # of a direction along an image's edge, to be labelled there
 LETTERS = (("R", "L"), ("A", "P"), ("I", "S"))
 
 
 def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
-    """SVG in the picture's pixels."""
+    """SVG in the image's pixels."""
     parts = [*_sides(cut), *_cross(cut, place_mm)]
     parts += [_avoided(cut, np.array(one.points_mm)) for one in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):
@@ -37,7 +37,7 @@ def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
 
 
 def grasped(cut: Cut, way: Way, x_px: float, y_px: float) -> str:
-    """Which end of a trajectory is at a point of the picture: `entry`, `target`, or neither, empty."""
+    """Which end of a trajectory is at a point of the image: `entry`, `target`, or neither, empty."""
     best, name = HANDLE_PX, ""
     for end, place in (("target", way.target_mm), ("entry", way.entry_mm)):
         if place is not None:
@@ -69,7 +69,7 @@ def _sphere(cut: Cut, centre_mm: NDArray[np.float64], name: str) -> Iterable[str
 
 
 def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
-    """The points near the picture, in one path: a thousand elements would not be scrolled."""
+    """The points near the image, in one path: a thousand elements would not scroll."""
     away = points_mm - cut.middle_mm
     near = away[np.abs(away @ cut.normal) < POINT_WITHIN_MM]
     places = SIZE_PX / 2.0 + np.stack([near @ cut.right, near @ cut.down], axis=1) / cut.step_mm
@@ -107,7 +107,7 @@ def _sides(cut: Cut) -> Iterable[str]:
 
 
 def side(direction: NDArray[np.float64]) -> str:
-    """Letters of the patient's sides towards which a direction leads, the nearest first."""
+    """Letters of the patient's sides that a direction leads to, nearest first."""
     order = sorted(range(3), key=lambda axis: -abs(direction[axis]))
     return "".join(
         LETTERS[axis][int(direction[axis] > 0)] for axis in order if abs(direction[axis]) > LEAST_SHARE

@@ -1,4 +1,4 @@
-"""The planner's page: its places, what a click in them does, and the loop that keeps them fresh."""
+"""The planner's page: its parts, what a click in them does, and the update loop."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ from procedures.planning.plan.model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 
-TITLE = "RONNA planner"  # of every patient alike
+TITLE = "RONNA planner"  # the same for every patient
 BEAT_S = 0.4  # host time between two updates when nothing happens
-RECONNECT_S = 30.0  # a page that a busy computer holds up keeps where it looks
+RECONNECT_S = 30.0  # a page delayed by a busy computer keeps its view
 LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
 DOES = {
     LOOK: "move the crosshair",
@@ -59,7 +59,7 @@ def add_planner(app: FastAPI, desk: PlanDesk) -> None:
 
 
 class PlannerPage:
-    """One open page of one session. Viewers look at the same draft and change nothing."""
+    """One open page of one session. Viewers see the same draft but cannot change it."""
 
     def __init__(self, desk: PlanDesk, session: Session, *, low: bool) -> None:
         self._desk, self._low = desk, low
@@ -69,7 +69,7 @@ class PlannerPage:
         self._looked_event = asyncio.Event()
 
     def build(self) -> None:
-        """Make the places and begin to fill them."""
+        """Create the parts and start filling them."""
         desk, look = self._desk, self._look
         with ui.element("header").classes("head"):
             ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
@@ -146,7 +146,7 @@ class PlannerPage:
         button = ui.button(words, on_click=act, color=None).classes("plain")
         return button.props(f"no-caps unelevated data-do={name}")
 
-    # What a person does
+    # User actions
 
     async def _clicked(self, place_mm: Point) -> None:
         mode = str(self._mode.value)
@@ -205,9 +205,9 @@ class PlannerPage:
         self._looked()
 
     def _looked(self) -> None:
-        """Show at once where this page looks now; the others are not concerned.
+        """Show at once where this page looks now; other pages are not affected.
 
-        The scene follows at the next beat: drawn by the processor it would hold up a scroll.
+        The scene follows at the next beat: rendered in software it would delay scrolling.
         """
         draft = self._desk.draft
         for one in self._slices:
@@ -222,7 +222,7 @@ class PlannerPage:
     def _say(self, problem: RonnaError | None) -> None:
         self._words.set_content("" if problem is None else _told(problem))
 
-    # What is shown
+    # Display
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
         while True:

@@ -1,4 +1,4 @@
-"""Where further markers would help the targets: proposed on request, shown, never taken over."""
+"""Proposes where further markers would help the targets: on request, shown, never adopted automatically."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from procedures.planning.markers.sites import ProposedMarkers, propose_markers
 from procedures.strategies.trajectory import Point, Trajectory
 from ronna_hw.errors import RonnaError
 
-MARKER_ERROR_MM = 0.1  # of each marker, 3-D rms, as `ronna-plan markers` takes it
+MARKER_ERROR_MM = 0.1  # per marker, 3-D rms, as in `ronna-plan markers`
 COUNTS = (3, 4, 5, 6, 7, 8)
 USUAL_COUNT = 5
 
 
 class ProposalPanel:
-    """As `ronna-plan markers` proposes them; of use before the markers are implanted."""
+    """As proposed by `ronna-plan markers`; useful before the markers are implanted."""
 
     def __init__(self, desk: PlanDesk, go: Callable[[Point], None]) -> None:
         self._desk, self._go = desk, go

@@ -1,4 +1,4 @@
-"""What the planner was asked to open, as the command line hands it over."""
+"""What the planner was asked to open, as passed on by the command line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ SixNumbers = tuple[float, float, float, float, float, float]
 
 
 class PlannerRequest(BaseModel):
-    """A CT, the plan on it, and the arm that is to follow it, where one is known."""
+    """A CT, the plan on it, and the arm that should follow it, if known."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

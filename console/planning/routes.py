@@ -1,4 +1,4 @@
-"""The pictures of the planner: cuts through the CT, and the surface of the head."""
+"""The planner's images: cuts through the CT, and the surface of the head."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from console.planning.desk import PlanDesk
 
 FARTHEST_MM = 10_000.0
 LEAST_STEP_MM, MOST_STEP_MM = 0.001, 100.0
-UNIT = 1e-3  # of the length of a direction, and of the right angle between two
+UNIT = 1e-3  # tolerance on the length of a direction, and on the right angle between two
 
 
 def add_pictures(app: Any, desk: PlanDesk) -> None:
-    """Serve the pictures of a plan's CT; nothing in an address tells whose it is."""
+    """Serve the images of a plan's CT; no address reveals whose it is."""
 
     async def cut(request: Request) -> Response:
         try:
@@ -37,7 +37,7 @@ def add_pictures(app: Any, desk: PlanDesk) -> None:
 
 
 def _read(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
-    """Raises KeyError, ValueError for what is no picture."""
+    """Raises KeyError, ValueError for an invalid request."""
     middle, right, down = (_three(given[name]) for name in "mrd")
     step_mm = float(given["s"])
     square = abs(right @ down) < UNIT and all(abs(np.linalg.norm(one) - 1.0) < UNIT for one in (right, down))

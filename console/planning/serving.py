@@ -1,4 +1,4 @@
-"""`python -m console.planning.serving REQUEST`: what `ronna-plan open` becomes, until Ctrl-C."""
+"""`python -m console.planning.serving REQUEST`: what `ronna-plan open` turns into, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import typer
 
 from ronna_hw.command_line import console
 
-FORM_BYTES = 10_000  # around a file that is imported
+FORM_BYTES = 10_000  # in addition to an imported file
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 

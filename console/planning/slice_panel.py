@@ -1,4 +1,4 @@
-"""One picture through the CT: scrolled, clicked, and an end of a trajectory dragged in it."""
+"""One image through the CT: scrolled, clicked, with draggable trajectory ends."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ WHEEL_S = 0.02  # host time between two steps of the wheel that are sent
 KEYS = {"PageUp": -1, "PageDown": 1}
 ARROWS = {"ArrowLeft": (-1, 0), "ArrowRight": (1, 0), "ArrowUp": (0, -1), "ArrowDown": (0, 1)}
 FAST = 10  # pixels, with Shift
-# Moves of the mouse are sent while a button is held only, keys only when they mean something here.
+# Mouse moves are sent only while a button is held, keys only if they have a meaning here.
 MOUSE_JS = "(e) => { if (e.mouse_event_type !== 'mousemove' || e.buttons) emit(e); }"
 KEYS_JS = (
     "(e) => { if (/^(Page(Up|Down)|Arrow(Left|Right|Up|Down)|[-+=et])$/.test(e.key) && !e.ctrlKey)"
@@ -38,7 +38,7 @@ STROKE = "stroke"  # what is dragged while a structure is drawn
 
 
 class SlicePanel:
-    """`act` is told the place of a click, `drag` which end is dragged where and whether it has just begun."""
+    """`act` gets the position of a click; `drag` which end is dragged where, and whether it just began."""
 
     def __init__(
         self,
@@ -145,7 +145,7 @@ class SlicePanel:
             self._dragged = ""
 
     def _in_depth(self, cut: Cut, x: float, y: float) -> Point:
-        """Where the end comes to lie: dragged in the picture, as deep behind it as it was."""
+        """New position of the end: dragged within the image, at its previous depth behind it."""
         if self._dragged == STROKE:
             return cut.to_patient_mm(x, y)
         assert self._draft is not None

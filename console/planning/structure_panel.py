@@ -1,4 +1,4 @@
-"""Structures that the trajectories avoid: drawn in the pictures or imported, and how near each comes."""
+"""Structures that the trajectories avoid: drawn in the images or imported, and how close each comes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from procedures.planning.head.structures import Structure, StructureDistance
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 
-PICK_JS = "() => getElement({number}).$refs.qRef.pickFiles()"  # only a click of a person opens the dialog
+PICK_JS = "() => getElement({number}).$refs.qRef.pickFiles()"  # only a person's click opens the dialog
 Say = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Strokes and files go to the structure named in the field."""
+    """Strokes and files are added to the structure named in the field."""
 
     def __init__(
         self, desk: PlanDesk, look: Look, go: Callable[[Point], None], say: Say, *, may_edit: bool
@@ -53,7 +53,7 @@ class StructurePanel:
             button.on("click", js_handler=PICK_JS.format(number=upload.id))
 
     def draw(self, place_mm: Point, *, goes_on: bool) -> None:
-        """A stroke in a picture begins, or goes on."""
+        """A stroke in an image begins, or continues."""
         start_mm = self._last_mm if goes_on else None
         self._last_mm = place_mm
         self._change(lambda draft: drawn(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
@@ -91,7 +91,7 @@ class StructurePanel:
         )
 
     def _look_at(self, name: str) -> None:
-        """Where the trajectory that is worked on comes nearest to it; without one its first point."""
+        """Go where the current trajectory comes closest to it; without one, to its first point."""
         near = {one.trajectory: one for one in self._desk.judged.distances if one.structure == name}
         structure = self._desk.draft.structure(name)
         if self._look.way in near:
@@ -128,7 +128,7 @@ class StructurePanel:
 
 
 def _table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
-    """A row for each structure, a column for each trajectory."""
+    """One row per structure, one column per trajectory."""
     known = {(one.structure, one.trajectory): one for one in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(

@@ -15,11 +15,11 @@ from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.records import write_whole
 
-LARGEST_BYTES = 1_000_000  # as many structures as a plan takes need a fifth
+LARGEST_BYTES = 1_000_000  # the maximum number of structures in a plan needs a fifth
 
 
 class _Kept(BaseModel):
-    """A draft without its spheres, which are found again, and what it was drawn upon."""
+    """A draft without its spheres, which are found again, and what it was based on."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -42,25 +42,25 @@ class UnsavedFile:
     def __init__(self, plan: Path, series_instance_uid: str) -> None:
         self.path = plan.with_name(f"{plan.name}.unsaved")
         self._series = series_instance_uid
-        self._is_ours = False  # written or taken up here
+        self._is_ours = False  # written or adopted here
 
     def keep(self, draft: Draft, plan_sha256: str) -> None:
-        """Keep a draft that changes the plan file of that digest. Raises OSError."""
+        """Store a draft that changes the plan file with that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
         kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
         write_whole(self.path, kept.model_dump_json(indent=1).encode())
         self._is_ours = True
 
     def forget(self) -> None:
-        """Nothing of ours is unsaved."""
+        """We have no unsaved changes."""
         if self._is_ours:
             self.path.unlink(missing_ok=True)
         self._is_ours = False
 
     def take_up(self, plan_sha256: str, draft: Draft) -> Draft | None:
-        """The draft that was kept, with the spheres of `draft`; None without one.
+        """The stored draft, with the spheres of `draft`; None without one.
 
-        Raises PLAN-029 for one of another plan or CT, or that cannot be read; it is put aside.
+        Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
         """
         if not self.path.exists():
             return None

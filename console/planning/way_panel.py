@@ -1,4 +1,4 @@
-"""The trajectories: which one is worked on, its ends by numbers, its axis by two angles and a depth."""
+"""The trajectories: which one is edited, its ends as numbers, its axis as two angles and a depth."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ENDS = (("entry", "Entry"), ("target", "Target"))
 
 
 class WayPanel:
-    """Numbers are LPS mm and degrees; each change is one step that can be undone."""
+    """Numbers are LPS mm and degrees; each change is one undo step."""
 
     def __init__(self, desk: PlanDesk, look: Look, looked: Callable[[], None], *, may_edit: bool) -> None:
         self._desk, self._look, self._looked, self._may_edit = desk, look, looked, may_edit
@@ -71,7 +71,7 @@ class WayPanel:
         self._fields["margin"].show(way.margin_mm)
 
     def place(self, end: str, place_mm: Point, *, goes_on: bool = False) -> None:
-        """Put an end of the trajectory that is worked on somewhere."""
+        """Move an end of the current trajectory."""
         way = self._way
         way = replace(way, entry_mm=place_mm) if end == "entry" else replace(way, target_mm=place_mm)
         self._change(way, goes_on=goes_on)

@@ -1,1 +1,1 @@
-"""The theatre in three dimensions, posed here: the page multiplies nothing out."""
+"""The theatre in three dimensions, posed here: the page does no kinematics."""

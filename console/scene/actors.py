@@ -9,11 +9,11 @@ from console.scene.bodies import METRES, Point, Rows, upright
 from procedures.engine.events import Body
 
 ROUND = 16  # segments around a capsule
-Call = list[Any]  # of a method of the scene, with its arguments
+Call = list[Any]  # to a method of the scene, with its arguments
 
 
 class Capsule:
-    """A body between two points; its length never changes, so that only its pose is sent."""
+    """A body between two points; its length never changes, so only its pose is sent."""
 
     def __init__(self, scene: Any, body: Body, start: Point, end: Point, colour: str, opacity: float) -> None:
         length, radius = math.dist(start, end) * METRES, body.radius_mm * METRES
@@ -27,11 +27,11 @@ class Capsule:
         self.place(start, end)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """Remember its pose; returns the calls that place it on an open page."""
+        """Store its pose; returns the calls that place it on an open page."""
         return placed(self.group, start, upright(start, end))
 
     def delete(self) -> None:
-        """Take it away."""
+        """Remove it."""
         self.group.delete()
 
 
@@ -47,7 +47,7 @@ class Rod:
         self.group.visible(False)
 
     def place(self, start: Point, end: Point) -> list[Call]:
-        """As `Capsule.place`."""
+        """Like `Capsule.place`."""
         length = max(math.dist(start, end) * METRES, 1e-6)
         self.group.sx, self.group.sy, self.group.sz = 1.0, 1.0, length
         self.group.visible_ = True
@@ -56,7 +56,7 @@ class Rod:
 
 
 def placed(thing: Any, at_mm: Point, rotation: Rows) -> list[Call]:
-    """Remember a pose, for pages that are opened later, and say what puts it there on one that is open."""
+    """Store a pose for pages opened later, and return the calls that apply it on an open one."""
     thing.x, thing.y, thing.z = (value * METRES for value in at_mm)
     thing.R = rotation
     return [["move", thing.id, thing.x, thing.y, thing.z], ["rotate", thing.id, rotation]]

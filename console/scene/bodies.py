@@ -1,4 +1,4 @@
-"""Positions of the capsules, and the closest of the pairs that are checked."""
+"""Positions of the capsules, and the closest of the checked pairs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.arm.clearance.capsule import segment_distance_mm
 Point = tuple[float, float, float]
 Rows = list[list[float]]
 METRES = 0.001  # per millimetre
-CLOSE_MM = 500.0  # farther apart nobody wants to know it
+CLOSE_MM = 500.0  # farther apart it is of no interest
 
 
 @dataclass(frozen=True)
@@ -44,9 +44,9 @@ def upright(start: Point, end: Point) -> Rows:
 
 
 def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
-    """Of all pairs that the arm's motion is checked for; None when nothing is near."""
+    """Among all pairs checked for the arm's motion; None if nothing is near."""
     if len(pose.bodies_mm) != len(bodies.moving):
-        return None  # of an arm with other tools: the bodies of one moment, the pose of another
+        return None  # of an arm with other tools: bodies and pose are from different moments
     moving = [ends(one) for one in pose.bodies_mm]
     fixed = [ends(one.ends_mm) for one in bodies.fixed]
     best: Closest | None = None
@@ -62,9 +62,9 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
 
 
 def _closest_points(a: Point, b: Point, c: Point, d: Point) -> tuple[Point, Point]:
-    """On both axes, found by narrowing: exact enough to draw a line between them."""
+    """On both axes, found by iteration: accurate enough to draw a line between them."""
     low_s, high_s = 0.0, 1.0
-    for _ in range(40):  # the distance of a point to a segment is convex along the other
+    for _ in range(40):  # the distance from a point to a segment is convex along the other
         third = (high_s - low_s) / 3.0
         one, two = _along(a, b, low_s + third), _along(a, b, high_s - third)
         if segment_distance_mm(one, one, c, d) < segment_distance_mm(two, two, c, d):

@@ -1,4 +1,4 @@
-"""The scene with what belongs to it: views, magnification, clearance in words, the key to the colours."""
+"""The scene with its controls: views, magnification, clearance in words, colour legend."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KEY = (
 
 
 class ScenePanel:
-    """Where the arm is, and what is around it."""
+    """The arm, and its surroundings."""
 
     def __init__(self, *, low: bool) -> None:
         self._figures: CaseFigures | None = None

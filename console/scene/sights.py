@@ -19,12 +19,12 @@ from ronna_hw.frames import Transform
 SIGHT, HIDDEN, VOLUME, FRUSTUM = "#ffb020", "#ff5a4f", "#6f8798", "#42d392"
 SIGHT_OPACITY, VOLUME_OPACITY, FRUSTUM_OPACITY = 0.5, 0.6, 0.9
 HOUSING_RADIUS_MM = 40.0
-LOOK_AGAIN_S = 0.5  # host time between two looks at which lines of sight are hidden
+LOOK_AGAIN_S = 0.5  # host time between checks which lines of sight are blocked
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
 class Sights:
-    """Changes only what has changed."""
+    """Updates only what has changed."""
 
     def __init__(self, scene: Any) -> None:
         self._scene = scene
@@ -55,7 +55,7 @@ class Sights:
 
     @property
     def hidden(self) -> int:
-        """How many spheres one sensor of the tracker, or both, cannot see past the arm."""
+        """How many spheres at least one of the tracker's sensors cannot see past the arm."""
         return len({line[2] for line, hidden in zip(self._lines, self._hidden, strict=True) if hidden})
 
     def _build_tracker(
@@ -118,7 +118,7 @@ class Sights:
 
 
 def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
-    """The edges of a measuring volume, mm in the frame of the tracker."""
+    """The edges of a measuring volume, mm in the tracker frame."""
     if volume is None:
         return []
     rings = [[(x * sx, y * sy, z) for sx, sy in CORNERS] for z, x, y in volume.sections_mm]

@@ -1,4 +1,4 @@
-"""The scene of one page: arm, head, spheres, trajectories, sight, clearance."""
+"""The scene of one page: arm, head, spheres, trajectories, lines of sight, clearance."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from console.scene.sights import Sights
 from procedures.engine.events import Bodies, Pose
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
 
-BACKGROUND = "#26333e"  # dark in both themes: bodies of every colour stand out
+BACKGROUND = "#26333e"  # dark in both themes, so that bodies of every colour stand out
 ARM, TOOL, ROOM, OLD = "#f08a24", "#cfd8dc", "#8296a3", "#8a8f94"
 CT, TRACKER, STEREO = "#58a6ff", "#ffb020", "#42d392"
 SKIN, PATH, NEAR = "#d9b9a3", "#ff5fa2", "#ffffff"
-LINKS = 4  # of the bodies that move the first are the arm's own: drawn in its colour
+LINKS = 4  # the first of the moving bodies are the arm's own: drawn in its colour
 SPHERE_RADIUS_MM = 5.75
-OUTSIDE = 2.5  # how far a trajectory is drawn outside the entry, as a share of its depth
-OLD_S = 0.5  # theatre time after which a pose is greyed
-BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the frame of the tracker
+OUTSIDE = 2.5  # length of a trajectory drawn outside the entry, as a share of its depth
+OLD_S = 0.5  # theatre time after which a pose is greyed out
+BEHIND_TRACKER_MM, AHEAD_MM = (500.0, 0.0, 900.0), (0.0, 0.0, -1600.0)  # in the tracker frame
 FRAMES_PER_S, LOW_FRAMES_PER_S = 20, 4
-HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucent costs much without graphics hardware
+HEAD_OPACITY, LOW_OPACITY = 0.55, 1.0  # translucency is expensive without graphics hardware
 LABEL = "color:#fff;background:rgba(0,0,0,.55);padding:0 4px;border-radius:3px;font:12px sans-serif"
 
 
 class TheatreScene:
-    """Built once for a page; `show` changes only what has changed."""
+    """Built once per page; `show` updates only what has changed."""
 
     def __init__(self, *, low: bool) -> None:
         self._low = low
-        self.magnified = 1  # how many times the instruments' differences from the CT are shown
+        self.magnified = 1  # magnification of the instruments' differences from the CT
         self.scene = ui.scene(
             width=600,
             height=430,
@@ -57,7 +57,7 @@ class TheatreScene:
         self.closest: Closest | None = None
 
     def show(self, view: CaseView, figures: CaseFigures | None, heads: int) -> None:
-        """Show a moment; `heads` counts how often the surface of the head was made."""
+        """Show a moment; `heads` counts how often the surface of the head was built."""
         with self.scene:
             if view.bodies is not self._bodies and view.bodies is not None:
                 self._build_bodies(view.bodies, view.pose.pose if view.pose else None)
@@ -115,7 +115,7 @@ class TheatreScene:
             for child in capsule.group.children:
                 child.material(colour, 1.0)
 
-    # What was measured and planned
+    # Measurements and plan
 
     def _build_marks(self, figures: CaseFigures | None, heads: int) -> None:
         for one in self._marks:
@@ -179,7 +179,7 @@ class TheatreScene:
 
     @property
     def hidden(self) -> int:
-        """As `Sights.hidden`."""
+        """As in `Sights`."""
         return self._sights.hidden
 
     def look_at(self, where: str, figures: CaseFigures | None) -> None:

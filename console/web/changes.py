@@ -1,4 +1,4 @@
-"""Waiting for something to change, but not for ever."""
+"""Waits for something to change, but not for ever."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import contextlib
 
 
 async def changed_within(changed: asyncio.Event, limit_s: float) -> None:
-    """Return when the event is set, or after the limit; the event is clear then.
+    """Return when the event is set, or after the limit; the event is then clear.
 
-    Not by `asyncio.wait_for`: before Python 3.12 it forgets that it was cancelled when the event is set at
-    that moment, and the page of a closed tab would be kept fresh for ever.
+    Not with `asyncio.wait_for`: before Python 3.12 it loses a cancellation if the event is set at that
+    moment, and the page of a closed tab would be updated for ever.
     """
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(limit_s):

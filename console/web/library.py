@@ -1,4 +1,4 @@
-"""The page library as both programs use it: its style, its settings, and the check of its sockets."""
+"""The page library as used by both programs: its style, its settings, and the check of its sockets."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from nicegui import core, ui
 from console.web.sockets import bind_sockets
 
 HERE = Path(__file__).parent
-RECONNECT_S = 10.0  # as long as the seat is kept: a computer that is busy holds up a page for seconds
-RESENT_MESSAGES = 400  # in as long, at the rate of an operator's page; else the page is loaded again
+RECONNECT_S = 10.0  # as long as the seat is kept: a busy computer may delay a page for seconds
+RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; otherwise the page is reloaded
 
 
 def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> None:
-    """Serve the pages that were added by an application. `title` is the same for every patient.
+    """Serve the pages added to an application. `title` is the same for every patient.
 
-    A page that was not heard of for `reconnect_s` of host time is built anew.
+    A page that has not been heard from for `reconnect_s` of host time is rebuilt.
     """
     ui.run_with(
         app,
@@ -36,7 +36,7 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
 
 
 def page_head() -> str:
-    """Style and script that every page begins with."""
+    """Style and script common to all pages."""
     style = (HERE / "style.css").read_text(encoding="utf-8")
     script = (HERE / "fresh.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"

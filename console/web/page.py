@@ -1,4 +1,4 @@
-"""The page: its places, what fills them, and the loop that keeps them fresh."""
+"""The page: its parts, their content, and the update loop."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ from console.web.library import page_head, use_library
 from console.web.sockets import own_page
 from procedures.reporting.case_figures import CaseFigures
 
-TITLE = "RONNA console"  # of every case alike: titles are seen in lists of windows
+TITLE = "RONNA console"  # the same for every case: titles are visible in window lists
 OPERATOR_PERIOD_S = 0.05  # host time between two updates of a page
 VIEWER_PERIOD_S = 0.1
-GATHERING_S = 0.004  # host time: what happens at once is shown at once
+GATHERING_S = 0.004  # host time: simultaneous events are shown together
 BEAT_S = 0.4  # host time between two updates when nothing happens: ages grow
 SLOW_KEYS_S = 0.5  # host time between two updates of what a person reads as numbers
 
@@ -78,7 +78,7 @@ class CasePage:
         return self._hub.seated == self._session.identifier and self._hub.view.seat is not None
 
     def build(self) -> None:
-        """Make the places and begin to fill them."""
+        """Create the parts and start filling them."""
         may_operate = self._session.role is Role.OPERATOR and self._hub.review is None
         with ui.element("header").classes("head"):
             self._add(bar.banner, lambda view: view.banner)
@@ -175,7 +175,7 @@ class CasePage:
         return key
 
     async def _give(self, order: dict[str, Any]) -> None:
-        """Give an order and show what the engine says to it."""
+        """Give an order and show the engine's reply."""
         try:
             refused = await self._hub.order(self._session, order)
         except ValueError:
@@ -189,7 +189,7 @@ class CasePage:
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")
 
     async def _alive(self) -> None:
-        if self._hub.seated == self._session.identifier:  # also before the engine's first event says so
+        if self._hub.seated == self._session.identifier:  # even before the engine's first event says so
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:

@@ -1,7 +1,7 @@
 """Binds messages on a socket to the session that owns its page.
 
-The page library takes a message from any socket for any page whose name it bears. Here a socket speaks for a
-page of its own session only, and what is malformed is dropped.
+The page library accepts a message from any socket for the page named in it. Here a socket may only address
+pages of its own session, and malformed messages are dropped.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from console.guard import SESSION
 
 FROM_PAGES = ("event", "javascript_response", "ack", "log")
 
-_owners: dict[str, str] = {}  # page -> session; the library's own pages are global as well
+_owners: dict[str, str] = {}  # page -> session; the library's own pages are also global
 
 
 def own_page(client: Any, session: str) -> None:
-    """From now on only sockets of that session speak for this page."""
+    """From now on only sockets of that session may address this page."""
     _owners[client.id] = session
     client.on_delete(lambda: _owners.pop(client.id, None))
 
 
 def bind_sockets(sio: Any) -> None:
-    """Put the check before the handlers of the page library."""
+    """Insert the check before the handlers of the page library."""
     handlers = sio.handlers["/"]
     for name in FROM_PAGES:
         sio.on(name, _checked(sio, handlers[name]))
