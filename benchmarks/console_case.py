@@ -1,4 +1,4 @@
-"""What a console with an open page costs the case: time of its steps, turnaround of the robot's link.
+"""Cost of a console with an open page to the case: step times, turnaround of the robot link.
 
 The mini case in real time, with and without: in lock-step a telegram waits for us and has no turnaround.
 """
@@ -25,7 +25,7 @@ MOST_TIMES_LONGER, MOST_TIMES_SLOWER = 1.05, 1.2
 
 
 def measure() -> list[Figure]:
-    """Empty without Chromium: nobody looks on then."""
+    """Empty without Chromium, since there is then no viewer."""
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as place:

@@ -1,8 +1,8 @@
 """Cost of the console's page and latency of events on it, against a bare page of the same library.
 
 The engine is a script; its events are numbered by the microsecond in which they were sent, so that the page
-itself can tell how late it is. Without Chromium the server alone is measured, without pages. Then a case in
-real time, with and without the console.
+itself can measure its delay. Without Chromium only the server is measured, without pages. Then a case in real
+time, with and without the console.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "tests" / "support") not in sys.path:
     sys.path.append(str(ROOT / "tests" / "support"))
 
-# These stand beside the tests, whose folder is on the path only now.
+# These are in the tests' folder, which is on the path only now.
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from scripted_engine import served_console  # noqa: E402
 
 from benchmarks import console_case  # noqa: E402  # it needs what stands beside the tests as well
 
-MEASURED_S = 8.0  # over which the processor's time is counted
-SETTLED_FACTS = 8  # that a page has shown before it counts
+MEASURED_S = 8.0  # over which CPU time is counted
+SETTLED_FACTS = 8  # that a page must have shown before it counts
 READY_S = 30.0
 TABS = (0, 1, 3)
 OURS, BARE = "console", "bare page"
@@ -49,7 +49,7 @@ new MutationObserver(() => {
 
 
 def measure() -> list[Figure]:
-    """Processor share of the server and delay of an event, by open pages."""
+    """CPU share of the server and delay of an event, by number of open pages."""
     figures = []
     with tempfile.TemporaryDirectory() as place:
         began_s = time.monotonic()

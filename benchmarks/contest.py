@@ -1,4 +1,4 @@
-"""Runs contestants in turn, round after round, so that each meets the machine in every mood."""
+"""Runs contestants alternately, round after round, so that all see the same variations of the machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ UTIME_FIELD = 13  # of /proc/PID/stat, after the name; proc(5)
 def contest(
     contestants: Mapping[str, Contestant], rounds: int, *, warm_up: int = WARM_UP_ROUNDS
 ) -> dict[str, list[float]]:
-    """One sample of every contestant per round; the order turns by one from round to round."""
+    """One sample of every contestant per round; the order rotates by one each round."""
     names = list(contestants)
     samples: dict[str, list[float]] = {name: [] for name in names}
     for turn in range(warm_up + rounds):
@@ -30,7 +30,7 @@ def contest(
 
 
 def cpu_of(work: Callable[[], object], repeats: int = 1) -> float:
-    """Processor time of this process per call, seconds, all its threads together."""
+    """CPU time of this process per call, seconds, over all its threads."""
     began = time.process_time()
     for _ in range(repeats):
         work()
@@ -38,7 +38,7 @@ def cpu_of(work: Callable[[], object], repeats: int = 1) -> float:
 
 
 def rate_of(work: Callable[[], object], duration_s: float) -> tuple[float, float]:
-    """Calls per second of wall time over a while, and processor seconds per call."""
+    """Calls per second of wall time over a period, and CPU seconds per call."""
     count = 0
     cpu, began = time.process_time(), time.perf_counter()
     ending = began + duration_s
@@ -50,7 +50,7 @@ def rate_of(work: Callable[[], object], duration_s: float) -> tuple[float, float
 
 
 def family_cpu_s(pid: int) -> float:
-    """The same of a process and all its descendants."""
+    """The same for a process and all its descendants."""
     total = process_cpu_s(pid)
     for task in Path(f"/proc/{pid}/task").iterdir():
         for child in (task / "children").read_text(encoding="ascii").split():
@@ -59,7 +59,7 @@ def family_cpu_s(pid: int) -> float:
 
 
 def process_cpu_s(pid: int) -> float:
-    """Processor time that another process has used so far, seconds, to the tick of the system's clock."""
+    """CPU time used so far by another process, seconds, with the resolution of the system clock's tick."""
     text = Path(f"/proc/{pid}/stat").read_text(encoding="ascii", errors="replace")
     fields = text[text.rindex(")") + 2 :].split()
     user, system = (int(value) for value in fields[UTIME_FIELD - 2 : UTIME_FIELD])

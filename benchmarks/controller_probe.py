@@ -1,6 +1,6 @@
-"""The controller's end of the link, as bare as it can be: sends telegrams at a pace and times the replies.
+"""The controller's end of the link, reduced to a minimum: sends telegrams at a pace and times the replies.
 
-Its arm is where it was told to be, at once, so that a client that moves sees its motion go on.
+Its arm is immediately where it was commanded, so that a moving client sees its motion progress.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TELEGRAM = (
 
 
 def bare_telegram() -> bytes:
-    """A telegram of the usual length."""
+    """A telegram of typical length."""
     return (TELEGRAM % (*START_DEG, FIRST_IPOC)).encode("ascii")
 
 
@@ -46,7 +46,7 @@ class ControllerProbe:
         self._numbers = (0.0,) * 6
         self.turnarounds_s: list[float] = []
         self.unanswered = 0
-        self.moved_deg = 0.0  # way of A1 so far: shows that a moving client really moves
+        self.moved_deg = 0.0  # travel of A1 so far: shows that a moving client really moves
 
     def exchange(self, telegram: bytes) -> bytes:
         """Send and wait for any reply; raises TimeoutError."""
@@ -75,11 +75,11 @@ class ControllerProbe:
         return found
 
     def share(self, share: float) -> float:
-        """Turnaround in seconds below which `share` (0..1) of the telegrams lie."""
+        """Turnaround in seconds that `share` (0..1) of the telegrams stay below."""
         return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._link.close()
 
     def __enter__(self) -> Self:

@@ -1,9 +1,9 @@
-"""Spheres in phantom scans: cost against bare reading, error against the thesis' methods and the bound.
+"""Spheres in phantom scans: cost compared with bare reading, error with the thesis' methods and the bound.
 
-The scans come from `ronna-sim phantom`, of families that the localizer was not tuned on, 512 x 512 x 200
-voxels in the good protocol. The bound is that of a homogeneous ball in white noise, so what posts, film and
-streaks take is above it; the family `bare` has none of them, and beside it stands what the phantom's own
-noise allows. `ronna-campaign localization` is the same on 200 spheres and more.
+The scans come from `ronna-sim phantom`, from families that the localizer was not tuned on, 512 x 512 x 200
+voxels in the good protocol. The bound is that of a homogeneous ball in white noise, so the effect of posts,
+film and streaks comes on top; the family `bare` has none of them, and is also compared with the bound for the
+phantom's own noise. `ronna-campaign localization` is the same on 200 spheres and more.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 Method = Callable[[Volume], Localization]
 
 SEEDS = (1001, 1002)
-MORE_SEEDS = (1001, 1002, 1003, 1004, 1005, 1006)  # 42 spheres tell a ratio to 6 %, 14 to 11 %
+MORE_SEEDS = (1001, 1002, 1003, 1004, 1005, 1006)  # 42 spheres determine a ratio to 6 %, 14 to 11 %
 SAME_SPHERE_MM = 2.0
 KIB_PER_GB = 1e9 / 1024.0
 OURS, BARE_READ, READ, BOUND = "localize", "bare pydicom and stack", "read_series", "Cramér-Rao bound"
@@ -49,7 +49,7 @@ GOAL_CHI2 = (0.7, 1.4)  # of the error over its stated covariance, per degree of
 
 @dataclass(frozen=True)
 class Case:
-    """A family and a protocol, with the 3-D errors to be reached: rms, and that of 95 % of the spheres."""
+    """A family and a protocol, with the 3-D error goals: rms, and that of 95 % of the spheres."""
 
     family: str
     protocol: str
@@ -59,7 +59,7 @@ class Case:
 
     @property
     def bare(self) -> bool:
-        """Are the spheres such as the bound is for? Then the thesis' methods have nothing to add."""
+        """Whether the bound applies to these spheres; the thesis' methods then add nothing."""
         return self.family == "bare"
 
     @property
@@ -84,12 +84,12 @@ class Scan:
     series: Path
     centres_mm: Array
     bound_mm: float  # 3-D rms
-    typical: BallScan  # a bare ball of the middle contrast
+    typical: BallScan  # a bare ball of medium contrast
 
 
 @dataclass
 class Spheres:
-    """What a method made of the spheres of some scans: errors (mm), and squares over the covariance."""
+    """A method's results on the spheres of some scans: errors (mm), and their squares over the covariance."""
 
     errors_mm: list[float] = field(default_factory=list)
     chi2: list[float] = field(default_factory=list)
@@ -113,17 +113,17 @@ class Spheres:
 
     @property
     def rms_mm(self) -> float:
-        """3-D error of the spheres that were found."""
+        """3-D error of the spheres found."""
         return math.sqrt(sum(error**2 for error in self.errors_mm) / len(self.errors_mm))
 
     @property
     def counts(self) -> dict[str, float]:
-        """For the JSON."""
+        """For the JSON output."""
         return {"spheres": self.there, "missed": self.missed, "false": self.false}
 
 
 def measure() -> list[Figure]:
-    """Each scan is read barely, read with all checks, and localized by everybody, one after the other."""
+    """Each scan is read barely, read with all checks, and localized by every method, one after another."""
     figures: list[Figure] = []
     ours: dict[Case, Spheres] = {}
     for case in CASES:
@@ -140,7 +140,7 @@ def _figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
     methods = OURS_ONLY if case.bare else METHODS
     cpu_s: dict[str, list[float]] = {name: [] for name in (*methods, READ, BARE_READ)}
     spheres = {name: Spheres() for name in methods}
-    _bare_read(scans[0].series)  # nobody pays for the decoders' first use
+    _bare_read(scans[0].series)  # so that no measurement includes the decoders' first use
     for scan in scans:
         volumes: list[Volume] = []
         cpu_s[BARE_READ].append(cpu_of(lambda s=scan: _bare_read(s.series)))  # type: ignore[misc]

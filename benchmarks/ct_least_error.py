@@ -1,8 +1,8 @@
-"""How well could anybody localize a bare ball in the phantom's noise?
+"""How well could any method localize a bare ball in the phantom's noise?
 
 The Cramér-Rao bound that errors are compared with is for white noise. The phantom's noise is correlated
-within a slice: here is what the same ball allows in it, to who must find blur, radius and intensities in the
-image as well. Slopes and bends of the background, which ours allows for besides, are left out.
+within a slice: this computes the bound for the same ball in it, with blur, radius and intensities also
+unknown. Slopes and bends of the background, which our localizer also allows for, are left out.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ Array = NDArray[np.float64]
 Spectrum = NDArray[np.complex128]
 
 SIDE_MM = 26.0  # of the cube of air around the ball
-OFFSET = np.array([0.31, -0.17, 0.08])  # of its centre from a voxel's, in voxels: any
-STEP = 1e-3  # of differences
+OFFSET = np.array([0.31, -0.17, 0.08])  # of its centre from a voxel's, in voxels: arbitrary
+STEP = 1e-3  # for numerical differences
 BOX_VARIANCE = 1.0 / 12.0
 
 
 @dataclass(frozen=True)
 class BallScan:
-    """A ball in air as the phantom scans it: lengths in mm, intensities in HU."""
+    """A ball in air as scanned by the phantom: lengths in mm, intensities in HU."""
 
     pixel_mm: float
     slice_mm: float
@@ -43,7 +43,7 @@ class BallScan:
 
 
 def least_errors_mm(scan: BallScan) -> tuple[float, float]:
-    """Least 3-D rms errors: with all voxels counted alike, and with the noise's spectrum known."""
+    """Smallest possible 3-D rms errors: with all voxels weighted equally, and with known noise spectrum."""
     derivatives = np.array([np.fft.fftn(one).ravel() for one in _derivatives(scan)])
     derivatives /= sqrt(derivatives.shape[1])
     power = _noise_power(scan).ravel()
@@ -61,7 +61,7 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 
 def _derivatives(scan: BallScan) -> list[Array]:
-    """Of the image, by centre (slice, row, column), radius, both blurs, contrast and surroundings."""
+    """Derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
     along = sqrt(blur.SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
     across = sqrt(blur.PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])
@@ -83,7 +83,7 @@ def _derivatives(scan: BallScan) -> list[Array]:
 
 
 def _cover(places: list[Array], unknowns: Array) -> Array:
-    """What share of a voxel is ball: centre, radius, blur along and across (6,)."""
+    """Share of a voxel covered by the ball; parameters: centre, radius, blur along and across (6,)."""
     z, y, x = np.meshgrid(*places, indexing="ij", sparse=True)
     dz, dy, dx = z - unknowns[0], y - unknowns[1], x - unknowns[2]
     distance = np.sqrt(dz**2 + dy**2 + dx**2)

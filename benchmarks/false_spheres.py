@@ -1,6 +1,6 @@
-"""What deceives: glare, a blot of blood, a second sphere, a sphere half out of the picture.
+"""Deceptive images: glare, a blot of blood, a second sphere, a sphere half out of the image.
 
-A point that is given must be the centre of a sphere. None is better than a wrong one.
+A returned point must be the centre of a sphere. None is better than a wrong one.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ SPHERE_SIZED_GLARE = Case(
     "glare of the sphere's size", reach_mm=2.0, glare_px=(240.0, 285.0), area_px=WHOLE_PX
 )
 DECEIVING = (GLARE, BLOT, SECOND, HALF_VIEW)
-RIGHT_MM = 0.01  # goal 16: what a stained and partly hidden sphere may cost
+RIGHT_MM = 0.01  # goal 16: allowed error from a stained and partly hidden sphere
 NOTHING_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 
 
 @dataclass
 class Verdicts:
-    """Pairs by what was given: the sphere's centre, the second one's, another point, or none."""
+    """Pairs by result: the sphere's centre, the second one's, another point, or none."""
 
     right: int = 0
     second: int = 0
@@ -37,7 +37,7 @@ class Verdicts:
 
     @property
     def pairs(self) -> int:
-        """All together."""
+        """Total number."""
         return self.right + self.second + self.wrong + self.none
 
 

@@ -1,4 +1,4 @@
-"""The result of a measurement: figures, each with a baseline of the same run."""
+"""The result of a measurement: figures, each with a baseline from the same run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Self
 class Figure:
     """One number. `ratio` is the value over the baseline's, both from the same rounds.
 
-    `goal` says in words what was to be reached; `met` is None where there is no goal.
+    `goal` states the goal in words; `met` is None without a goal.
     """
 
     what: str
@@ -21,16 +21,16 @@ class Figure:
     unit: str
     ratio: float | None = None
     baseline: str = ""
-    more: dict[str, float] = field(default_factory=dict)  # into the JSON only, such as p99
+    more: dict[str, float] = field(default_factory=dict)  # only for the JSON output, such as p99
     goal: str = ""
     met: bool | None = None
 
     def at_least(self, limit: float) -> Self:
-        """The same figure with a goal: the least value."""
+        """The same figure with a goal: a minimum."""
         return replace(self, goal=f"value ≥ {limit:,g}", met=self.value >= limit)
 
     def at_most(self, limit: float) -> Self:
-        """The same figure with a goal: the largest value."""
+        """The same figure with a goal: a maximum."""
         return replace(self, goal=f"value ≤ {limit:g}", met=self.value <= limit)
 
     def within(self, low: float, high: float) -> Self:
@@ -49,8 +49,8 @@ def compared(
 ) -> list[Figure]:
     """Medians of the contestants' samples, and the median of the ratios round by round.
 
-    A machine that stalls does so for everybody in the round: ratios within a round keep what medians over
-    the run lose.
+    A machine that stalls does so for every contestant in the round: ratios within a round preserve what
+    medians over the run lose.
     """
     base = samples[baseline]
     figures = []

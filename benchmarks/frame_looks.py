@@ -1,7 +1,7 @@
-"""Looks of a true tracker at the true frame on a true arm, made in process and without lines: for studies.
+"""Readings of the true frame on a true arm by a true tracker, made in process without protocols: for studies.
 
-The unit's own measurement is used frame by frame: marker noise, the smooth bias of the volume, occlusion by
-head and arm, the fit of the definition.
+Uses the unit's own measurement frame by frame: marker noise, the smooth bias of the volume, occlusion by head
+and arm, the fit of the definition.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ from sim.theatre.world import ArmState, World
 Array = NDArray[np.float64]
 
 FRAMES = 60
-FLANKS = (1.0,) * 6  # every joint arrives turning the same way
+FLANKS = (1.0,) * 6  # every joint arrives turning in the same direction
 SPARE = 1.5
 
 
 @dataclass
 class FrameCell:
-    """A scene's arm and tracker. `exact` lets the tracker measure without any error."""
+    """A scene's arm and tracker. With `exact` the tracker measures without any error."""
 
     scene: Scene
     calibrations: Calibrations
@@ -55,7 +55,7 @@ class FrameCell:
 
     @classmethod
     def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> FrameCell:
-        """The default scene of a seed, with a calibrated arm or without."""
+        """The default scene of a seed, with or without a calibrated arm."""
         scene = named_scene("default", seed=seed)
         if calibrated:
             error = scene.calibration_error.model_copy(update={"arm": ArmResidual()})
@@ -83,7 +83,7 @@ class FrameCell:
         return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
 
     def looks(self, count: int, validation: int, returns: int = 2) -> FrameLooks:
-        """Looks as the step takes them."""
+        """Readings as taken by the step."""
         head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head

@@ -1,4 +1,4 @@
-"""Looks of a true stereo head at a ball, made without the code that measures: for studies of the calibration.
+"""Views of a ball by a true stereo head, generated without the measuring code: for calibration studies.
 
 The outline of a ball is the section of its tangent cone by the image plane. With the unit direction u to the
 ball's centre and its angular radius a the cone is (x . u)^2 = cos^2 a; centre and axes follow from it.
@@ -35,15 +35,15 @@ ENDPOINTS = {
     "kuka": {"rsi": "udp://127.0.0.1:59152", "eki_project": "tcp://127.0.0.1:54602"},
     "basler": {"left": "gev://127.77.0.1", "right": "gev://127.77.0.2"},
 }
-APPROACH = (1.0,) * 6  # every joint arrives turning the same way, as `ronna-stereo` does it
+APPROACH = (1.0,) * 6  # every joint arrives turning in the same direction, as in `ronna-stereo`
 JOINTS = (0.0, -1.3, 1.7, 0.0, 1.1, 3.1)
 
 
 @dataclass(frozen=True)
 class TrueHead:
-    """The truth of a scene, and the noises of arm (mm per axis) and outline (px).
+    """The truth of a scene, and the noise of arm (mm per axis) and outline (px).
 
-    The arm has no other error than that noise, unless `with_arm`: then it is the scene's own, with joint
+    The arm has no error other than that noise, unless `with_arm`: then it is the scene's own, with joint
     angles within its reach.
     """
 
@@ -54,22 +54,22 @@ class TrueHead:
 
     @cached_property
     def record(self) -> StereoHeadCalibration:
-        """What the theatre hands out."""
+        """The record supplied by the theatre."""
         calibration = parse_theatre(theatre_content(self.scene, ENDPOINTS, "host:", {}, 1.0)).calibration
         assert calibration is not None
         return calibration.stereo_head
 
     def twisted(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
-        """The same head with one camera turned in its mount, about its own axes."""
+        """The same head with one camera rotated in its mount, about its own axes."""
         camera: CameraTruth = getattr(self.scene, side)
         turned = matrix_from(np.zeros(3), rotation_from_vector(turn_rad)) @ matrix_of(camera.camera_from_tool)
         changed = camera.model_copy(update={"camera_from_tool": pose_of(turned)})
         return replace(self, scene=self.scene.model_copy(update={side: changed}))
 
     def observe(self, look: PlannedLook, ball_mm, generator: np.random.Generator) -> Observation:
-        """One look: the arm goes where the record says the tool would take the pose, and misses.
+        """One view: the arm goes where the record says the tool would reach the pose, and misses.
 
-        Raises what the inverse kinematics raises for a pose out of reach, when there is an arm.
+        Raises the errors of the inverse kinematics for a pose out of reach, if there is an arm.
         """
         record = self.record.flange_from_tool
         nominal = look.pose.as_matrix() @ inverse(matrix_of(record))
@@ -122,7 +122,7 @@ class TrueHead:
         )
 
     def tool_centre_error_mm(self, record: StereoHeadCalibration) -> float:
-        """How far off a record places a ball that truly is in the tool centre, on the flange."""
+        """Error of the position that a record gives for a ball truly at the tool centre, on the flange."""
         pixels = []
         for camera in (self.scene.left, self.scene.right):
             x, y, z = matrix_of(camera.camera_from_tool)[:3, 3]
@@ -141,7 +141,7 @@ def true_head(seed: int = 3, **noises: float) -> TrueHead:
 
 
 def observation_set(head: TrueHead, observations) -> ObservationSet:
-    """As `calibrate` stores them."""
+    """As stored by `calibrate`."""
     return ObservationSet(
         created=datetime(2026, 11, 20, 9, 0, tzinfo=UTC),
         serials=(head.scene.left.serial, head.scene.right.serial),
@@ -152,5 +152,5 @@ def observation_set(head: TrueHead, observations) -> ObservationSet:
 
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
-    """The orientations of the self-check where all of them are reachable."""
+    """The orientations of the self-check, if all of them are reachable."""
     return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))

@@ -1,7 +1,7 @@
 """Look-alikes of spheres: round ends of rods, beads, domes, hollow balls next to markers in phantom scans.
 
-Scans are painted in memory, cut to the box around markers and objects. Nothing is told to the localizer: a
-marker that is missed and an object that becomes one count, and so does how far the odds of both lie apart.
+Scans are painted in memory, cropped to the box around markers and objects. The localizer gets no hints:
+missed markers and objects taken for markers count, as does the separation of their odds.
 
     python -m benchmarks.look_alikes --volumes 26 --seed 7000
 """
@@ -35,7 +35,7 @@ ORIGIN_DIGITS = 4
 
 @dataclass(frozen=True, eq=False)
 class Painted:
-    """A volume with the truth: centres of the markers (n, 3) LPS mm, and for each object its places."""
+    """A volume with the truth: centres of the markers (n, 3) LPS mm, and the positions of each object."""
 
     volume: Volume
     centres_mm: Array
@@ -44,7 +44,7 @@ class Painted:
 
 @dataclass
 class Count:
-    """What became of markers and objects."""
+    """Outcomes for markers and objects."""
 
     volumes: int = 0
     markers: int = 0
@@ -58,7 +58,7 @@ class Count:
 
     @property
     def rms_um(self) -> float:
-        """3-D error of the markers that were found."""
+        """3-D error of the markers found."""
         return 1e3 * float(np.sqrt(self.squared_mm2 / max(self.markers - self.missed, 1)))
 
     def add(self, found: Localization | None, candidates: tuple[Candidate, ...], painted: Painted) -> None:
@@ -83,7 +83,7 @@ class Count:
 
 
 def paint(scan: Scan, *, whole_slices: bool = False) -> Painted:
-    """Paint a scan of a family within the box around its markers and objects, or their slices."""
+    """Paint a scan of a family within the box around its markers and objects, or their complete slices."""
     places = np.array(scan.anatomy.places)
     margin_mm = np.array([1e3, 1e3, MARGIN_MM] if whole_slices else [MARGIN_MM] * 3)
     grid = _cropped(scan.grid, places.min(axis=0) - margin_mm, places.max(axis=0) + margin_mm)
@@ -107,7 +107,7 @@ def paint(scan: Scan, *, whole_slices: bool = False) -> Painted:
 
 
 def judge(painted: Painted, count: Count) -> None:
-    """Localize without a word about how many there are."""
+    """Localize without the expected count."""
     try:
         found = localize(painted.volume)
         count.add(found, found.candidates, painted)
@@ -116,7 +116,7 @@ def judge(painted: Painted, count: Count) -> None:
 
 
 def scans(family: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Scans of a family, protocols in turn."""
+    """Scans of a family, with alternating protocols."""
     protocols = list(PROTOCOLS)
     for number in range(volumes):
         yield family_scan(family, protocols[number % len(protocols)], seed=seed + number)
@@ -149,7 +149,7 @@ def _nearest_kind(centre_mm: Array, painted: Painted) -> str:
 
 
 def main() -> None:
-    """Print a line per family."""
+    """Print one line per family."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     judging = [name for name, one in FAMILIES.items() if one.look_alikes and one.purpose is Purpose.JUDGING]
     parser.add_argument("families", nargs="*", default=judging)

@@ -1,8 +1,8 @@
-"""How fast the planner answers on its page: a scroll, a drag, and the head after opening.
+"""How fast the planner responds on its page: a scroll, a drag, and the head after opening.
 
-A CT of 512 x 512 x 200 voxels in headless Chromium with software graphics; times are those of the page's own
-clock, from a person's event to what is seen of it. Beside the head: how long a bare page of the same library
-takes to show its number.
+A CT of 512 x 512 x 200 voxels in headless Chromium with software rendering; times are by the page's own
+clock, from a person's event to its visible effect. For comparison with the head: how long a bare page of the
+same library takes to show its number.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT / "tests" / "support") not in sys.path:
     sys.path.append(str(ROOT / "tests" / "support"))
 
-# These stand beside the tests, whose folder is on the path only now.
+# These are in the tests' folder, which is on the path only now.
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from open_planner import enter_planner, make_phantom, open_planner  # noqa: E402
 
@@ -30,7 +30,7 @@ from benchmarks.console_page import BARE, bare_page  # noqa: E402  # it needs wh
 OURS = "planner"
 SCROLLS, DRAGS = 60, 30
 SCROLL_MS, HEAD_S, DRAG_MS = 50.0, 2.0, 200.0
-HANDLE = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"  # of the target that is worked on
+HANDLE = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"  # of the target being edited
 WATCH = """
 window.times = {};
 window.noted = (name) => { const at = performance.now(); (window.times[name] ||= []).push(at); };

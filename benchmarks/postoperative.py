@@ -1,7 +1,7 @@
-"""The check after the operation against the truth of phantoms: how well entry, tip and axis are recovered.
+"""The postoperative check against the truth of phantoms: how well entry, tip and axis are recovered.
 
-Each phantom is a head of the default scene with another seed: another pose in the second scan, other noise,
-and a rod off its plan by up to 2 mm and 3 degrees, with its streaks. Run from the repository's root:
+Each phantom is a head of the default scene with another seed: a different pose in the second scan, different
+noise, and a rod off its plan by up to 2 mm and 3 degrees, with its streaks. Run from the repository root:
 
     python -m benchmarks.postoperative --phantoms 100 [--protocol mini|good] [--instrument drill-hole]
 """
@@ -45,14 +45,14 @@ def volume_of(grid: CtGrid, slices: list[NDArray[np.uint16]], uid: str) -> Volum
 
 
 def before(scene: Scene) -> Volume:
-    """The scan that is planned on."""
+    """The scan used for planning."""
     scan = plain_scan(scene)
-    planes = Planes(scan)  # without the fine patches of the spheres: they play no part here
+    planes = Planes(scan)  # without the fine patches of the spheres, which are irrelevant here
     return volume_of(scan.grid, [stored_values(planes.paint(k)) for k in range(scan.grid.slices)], "1.2.1")
 
 
 def after(scan: PostoperativeScan) -> Volume:
-    """The scan after the operation."""
+    """The postoperative scan."""
     return volume_of(scan.grid, [stored_values(scan.paint(k)) for k in range(scan.grid.slices)], "1.2.2")
 
 
@@ -105,7 +105,7 @@ def errors_of(truth: Instrument, found: ProvenTrajectory) -> tuple[float, float,
 
 
 def main() -> None:
-    """Print a line for each phantom, then the distribution."""
+    """Print one line per phantom, then the distribution."""
     options = argparse.ArgumentParser()
     options.add_argument("--phantoms", type=int, default=100)
     options.add_argument("--first", type=int, default=0)

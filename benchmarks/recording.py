@@ -1,6 +1,6 @@
-"""What journal, events and recorders cost a case: the mini case with them and without, in turn.
+"""What journal, events and recorders cost a case: the mini case with and without them, alternately.
 
-The share of the processor is told beside that of the clock: on a busy computer it is the one to believe.
+CPU share is reported as well as wall time: on a busy computer it is the more reliable.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ KEPT, BARE = "journal, events, recorders", "without them"
 
 
 def measure() -> list[Figure]:
-    """Shares of wall time and of processor time, by pairs."""
+    """Shares of wall time and CPU time, by pairs."""
     figures = []
     for speed, rounds in ROUNDS.items():
         pairs = [(_case("kept", speed), _case("bare", speed)) for _ in range(rounds)]

@@ -68,7 +68,7 @@ def _pairing() -> list[Figure]:
 
 
 def _random_search(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
-    """What anybody would write first: fit random triples to random triples, keep the largest consensus."""
+    """The obvious first attempt: fit random triples to random triples, keep the largest consensus."""
     tree = cKDTree(physical)
     best: set[tuple[int, int]] = set()
     for _ in range(SEARCH_TRIES):

@@ -1,6 +1,6 @@
-"""What pairing and the rigid fit must reach, on a small part of the studies' runs: the same code, fixed seed.
+"""What pairing and rigid fit must achieve, on a small part of the studies' runs: the same code, fixed seed.
 
-`ronna-campaign correspondence` and `registration` are the same in full.
+`ronna-campaign correspondence` and `registration` run them in full.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ SEED = 12
 EXACT_CASES = 200
 OURS = "match"
 
-# Most per cent unsuccessful and false, by number of markers; three without a prior, by the noise's reading.
+# Limits in per cent unsuccessful and false, by number of markers; three without a prior, by noise model.
 FIVE_TO_EIGHT, FOUR = (0.05, 0.01), (0.7, 0.05)
 THREE = {NoiseReading.PER_AXIS: (20.0, 0.1), NoiseReading.NORM: (10.0, 0.1)}
 WITH_PRIOR = {3: 2.0, 4: 0.05}
-SIDES_APART_RUNS = 5_000  # of three markers, as the plan's check asks for them, without outliers
+SIDES_APART_RUNS = 5_000  # of three markers as different in their sides as the plan's check requires
 SIDES_APART_PERCENT = 0.1
 
 
@@ -84,7 +84,7 @@ def _pairing() -> list[Figure]:
 
 
 def _sides_apart() -> list[Figure]:
-    """Three markers whose sides differ as much as the plan's check asks: shares without a unique answer."""
+    """Three markers with side differences as required by the plan's check: shares without a unique answer."""
     figures = []
     for noise in NoiseReading:
         random = np.random.default_rng(SEED)

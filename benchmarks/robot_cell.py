@@ -1,4 +1,4 @@
-"""A simulated controller in a world of its own, the arm driver at the other end, and bare UDP to compare."""
+"""A simulated controller in its own world, connected to the arm driver, and bare UDP for comparison."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SILENCE_LIMIT_S = 5.0  # lock-step waits up to 2 s for a reply
 
 
 def peer(name: str, *arguments: str) -> ChildProcess:
-    """Start one of the peers and wait until it is ready; its READY line names the port."""
+    """Start one of the peers and wait until it is ready; its READY line states the port."""
     return ChildProcess(name, [sys.executable, "-P", str(PEERS / f"{name}.py"), *arguments])
 
 
@@ -48,7 +48,7 @@ class RobotCell:
             self.arm.connect()
             self.arm.configure()
             self.arm.activate()
-        except BaseException:  # also an interruption: no controller is left running
+        except BaseException:  # including interruptions: no controller is left running
             self._ending.close()
             raise
         return self

@@ -1,8 +1,9 @@
-"""The robot link against bare exchanges and peers, idle and with the machine's other processor at work.
+"""The robot link against bare exchanges and peers, idle and with the machine's other processor busy.
 
-Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record; and
-of whole moves, where planning comes first and nothing passes meanwhile. Turnaround: telegram sent to matching
-reply read, as a controller sees it, 1 ms and 4 ms apart. Goals are held against an echo of the same minutes.
+Lock-step: cycles per second through simulator and driver while the arm moves, by the driver's own record;
+and of whole moves, including planning, during which there are no telegrams. Turnaround: telegram sent to
+matching reply read, as seen by a controller, 1 ms and 4 ms apart. Goals are compared with an echo measured
+in the same minutes.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ UNREHEARSED = "driver moving, without rehearsal"
 
 
 def measure() -> list[Figure]:
-    """All of them."""
+    """All measurements."""
     figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
@@ -110,7 +111,7 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
 
 
 def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
-    """Cycles per second of the host among those in which the set-point changed; 0 when none did."""
+    """Cycles per second of host time among those with a changed set-point; 0 if there were none."""
     gaps_ns = [
         later.received_ns - earlier.received_ns
         for earlier, later in pairwise(cycles)
@@ -120,7 +121,7 @@ def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
 
 
 def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]) -> list[Figure]:
-    """So many telegrams to each contestant and to an echo, in blocks, turn by turn."""
+    """This many telegrams to each contestant and to an echo, in alternating blocks."""
     arguments = {
         ECHO: ("udp_echo",),
         LINK_AT_REST: ("rsi_link", "rest"),
@@ -186,7 +187,7 @@ def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iter
 
 
 def _with_tail(figure: Figure, probe: ControllerProbe) -> Figure:
-    """More of the distribution for the JSON: the far tail belongs to the machine."""
+    """More of the distribution for the JSON output: the far tail is due to the machine."""
     tail = {
         "median_us": probe.share(0.5) * 1e6,
         "p90_us": probe.share(0.9) * 1e6,

@@ -3,7 +3,7 @@
     make bench
     .venv/bin/python -P benchmarks/run.py --only stereo --only ct
 
-Each measurement runs in a process of its own with a time limit; what it started ends with it.
+Each measurement runs in its own process with a time limit; anything it started ends with it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ronna_hw.command_line.console import message_console, on_terminal, run  # n
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"
-LIMIT_S = 400.0  # for one measurement; the robot link paces 100,000 telegrams and takes four minutes
+LIMIT_S = 400.0  # per measurement; the robot link paces 100,000 telegrams and takes four minutes
 MEASUREMENTS = {
     "robot-link": "robot_link",
     "set-points": "set_points",
@@ -87,7 +87,7 @@ def bench(
 
 
 def _measured(name: str) -> list[Figure]:
-    """Run one measurement in its own process; raises RuntimeError with its last words."""
+    """Run one measurement in its own process; raises RuntimeError with its last output."""
     done = subprocess.run(
         [sys.executable, "-P", __file__, "--in-process", name],
         stdin=subprocess.DEVNULL,
@@ -126,7 +126,7 @@ def _show(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None
 
 
 def _rounded(value: float) -> str:
-    """Four digits, without an exponent where a person would write none."""
+    """Four digits, without an exponent where a person would not write one."""
     return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
 

@@ -1,7 +1,7 @@
 """What faults of real scanners cost: each option of `ronna-sim phantom`, on the same markers.
 
-Errors are those of the centres as they are, and after a rigid fit to the truth, which is what is left in a
-registration. `--write` puts the figures where the reference page takes them from.
+Errors are those of the centres directly, and after a rigid fit to the truth, which is what remains in a
+registration. `--write` stores the figures for the reference page.
 
     python -m benchmarks.scanner_faults --volumes 4 --seed 9000 --write
 """
@@ -36,7 +36,7 @@ DATA = Path(__file__).parent.parent / "docs" / "reference" / "scanner-faults.tom
 
 @dataclass(frozen=True)
 class Case:
-    """A fault in words and as options; `slice_mm` another distance of slices than the protocol's."""
+    """A fault in words and as options; `slice_mm` is a slice spacing other than the protocol's."""
 
     words: str
     faults: ScannerFaults = NO_FAULTS
@@ -69,7 +69,7 @@ TILTS = tuple(Case(f"gantry tilt of {tilt:g}°", ScannerFaults(tilt_deg=tilt)) f
 
 @dataclass
 class Cost:
-    """What became of the markers of some volumes."""
+    """Outcomes for the markers of some volumes."""
 
     markers: int = 0
     missed: int = 0
@@ -80,7 +80,7 @@ class Cost:
     told: list[str] = field(default_factory=list)  # refusals and warnings
 
     def add(self, painted: Painted) -> None:
-        """Localize without a word about how many there are."""
+        """Localize without the expected count."""
         self.told += motion_warnings(painted.volume.voxels, painted.volume.geometry)
         self.markers += len(painted.centres_mm)
         try:
@@ -150,14 +150,14 @@ def _scan(case: Case, seed: int) -> Scan:
 def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
     """The same markers for every case."""
     cost = Cost()
-    whole = case.faults.beam_hardening > 0.0  # which is slow to paint: one volume
+    whole = case.faults.beam_hardening > 0.0  # beam hardening is slow to paint: one volume
     for number in range(1 if whole else volumes):
         cost.add(paint(_scan(case, seed + number), whole_slices=whole))
     return cost.row(case)
 
 
 def refused(case: Case, seed: int) -> dict[str, object]:
-    """What reading the series says."""
+    """The result of reading the series."""
     scan = replace(plain_scan(named_scene("mini", seed=seed)), faults=case.faults)
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -169,7 +169,7 @@ def refused(case: Case, seed: int) -> dict[str, object]:
 
 
 def main() -> None:
-    """Print a line per fault."""
+    """Print one line per fault."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--volumes", type=int, default=4, help="of each fault")
     parser.add_argument("--seed", type=int, default=9000)

@@ -26,7 +26,7 @@ PLACES_SEED = 7
 
 @dataclass
 class ServoTally:
-    """What came of the starts. `beyond_mm` is the recorded point's error without what did not repeat."""
+    """Outcomes of the starts. `beyond_mm` is the recorded point's error without the repeatability error."""
 
     starts: int = 0
     steps: list[int] = field(default_factory=list)
@@ -37,7 +37,7 @@ class ServoTally:
 
     @property
     def within(self) -> int:
-        """Starts that ended at the end condition within the allowed steps."""
+        """Starts that met the end condition within the allowed steps."""
         ends = zip(self.steps, self.residuals_mm, strict=True)
         return sum(steps <= STEPS and residual <= END_MM for steps, residual in ends)
 
@@ -50,10 +50,11 @@ def servo_campaign(
     drawn: bool = True,
     in_sight: bool = True,
 ) -> ServoTally:
-    """Run the step's servo from `starts` random places; `scene_of` changes each cell's scene before.
+    """Run the step's servo from `starts` random positions; `scene_of` modifies each cell's scene first.
 
-    Without drawn pictures the looks tell the truth, at a fiftieth of the price: what is left is the arm.
-    Without `in_sight` it begins where the path check would refuse to, another sphere in the line of sight.
+    Without drawn images the measurements are the truth, at a fiftieth of the cost: only the arm's
+    errors remain. Without `in_sight` it begins where the path check would refuse to, with another
+    sphere in the line of sight.
     """
     tally = ServoTally()
     with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
@@ -68,7 +69,7 @@ def servo_campaign(
 
 
 def calibrated_cell(scene: Scene, folder: Path) -> StereoCell:
-    """A cell whose cameras are calibrated without errors, on a mount that is taken for the nominal one."""
+    """A cell with cameras calibrated without errors, on a mount that is assumed to be nominal."""
     perfect = Studio(scene).calibration()
     nominal = perfect.model_copy(update={"flange_from_tool": scene.mount.flange_from_tool_nominal})
     return StereoCell(scene, nominal, folder)
@@ -82,7 +83,7 @@ def _from_one_start(cell: StereoCell, start: Start, tally: ServoTally, drawn: bo
         tally.failures.append(str(problem))
         return
     error = cell.true_offset_mm(found, start.fiducial)
-    # the retreat was one more motion after the one that was looked from
+    # the retreat was one more motion after the measurement
     rest = cell.rest_error_mm(found.joints_rad, cell.arm.motions - 1)
     tally.steps.append(len(found.residuals_mm) - 1)
     tally.residuals_mm.append(found.residuals_mm[-1])

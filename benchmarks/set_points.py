@@ -1,6 +1,6 @@
-"""Cost of one set-point, prepared and checked for go and stop, against a bare step of the generator.
+"""Cost of one set-point, prepared and checked for going on and stopping, against a bare generator step.
 
-Watched: with a head, clamp, table and spheres around, the guide on the flange and the speed zone in force.
+Monitored: with a head, clamp, table and spheres around, the guide on the flange and the speed zone active.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def measure() -> list[Figure]:
 
 
 def _surroundings(flange: Pose) -> Surroundings:
-    """A head a hand's breadth below the needle, with all that the theatre file puts around it by default."""
+    """A head a hand's breadth below the needle, with the theatre file's default surroundings."""
     cell = CollisionConfig()
     tip = flange.apply(TOOL_MM)
     head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)

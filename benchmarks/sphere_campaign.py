@@ -1,6 +1,6 @@
 """Centre errors over many rendered pairs: centred, out of focus, off axis, occluded and stained, half hidden.
 
-Each row counts what the measurement trusts, and how far the points are from the truth that it vouches for.
+Each row counts what the measurement accepts, and the true errors of the accepted points.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sim.basler.optics.light import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_
 
 Array = NDArray[np.float64]
 
-# An edge that covers 20 % of the width of a disc hides 0.295 of its rim.
+# An edge that covers 20 % of a disc's width hides 0.295 of its rim.
 CENTRED = Case("centred, unoccluded")
 DEFOCUSED = Case("centred, 3 px out of focus", deeper_mm=10.0)
 OFF_AXIS = Case("up to 3 mm off", reach_mm=3.0)
@@ -35,7 +35,7 @@ LIMB = 0.75  # brightness of the film at the rim
 
 @dataclass
 class Tally:
-    """What a row of the table is made of."""
+    """The content of one row of the table."""
 
     images: int = 0
     trusted: int = 0
@@ -46,17 +46,17 @@ class Tally:
 
     @property
     def rms_um(self) -> float:
-        """Root mean square length of the error in space, of the points that were given."""
+        """Root mean square 3-D error of the points returned."""
         return _rms_um([float(np.linalg.norm(error)) for error in self.errors_mm])
 
     @property
     def largest_um(self) -> float:
-        """Length of the largest error in space."""
+        """Largest 3-D error."""
         return 1e3 * max((float(np.linalg.norm(error)) for error in self.errors_mm), default=float("nan"))
 
     @property
     def bound_um(self) -> float:
-        """The Cramér-Rao bound of the rms error in space."""
+        """The Cramér-Rao bound on the 3-D rms error."""
         return _rms_um(self.bounds_mm)
 
     @property
@@ -66,7 +66,7 @@ class Tally:
 
     @property
     def distrusted_share(self) -> float:
-        """Share of the images that gave no centre to be trusted."""
+        """Share of the images without a reliable centre."""
         return 1.0 - self.trusted / self.images
 
 
@@ -78,7 +78,7 @@ OTHERS: dict[str, Callable[[NDArray[np.uint8], float], Array]] = {
 
 
 def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: int = 0) -> Tally:
-    """Measure `count` pairs of a case; the alternatives see the first `others` of them."""
+    """Measure `count` pairs of a case; the alternatives get the first `others` of them."""
     calibration = studio.calibration()
     cameras = (
         Camera(calibration.left, Frame.CAMERA_LEFT),
@@ -104,7 +104,7 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
 
 
 def _measured(view: View, tally: Tally) -> SphereImage | None:
-    """The outline when it can be trusted."""
+    """The outline if it is reliable."""
     tally.images += 1
     try:
         found = measure_sphere(view.picture)
@@ -126,7 +126,7 @@ def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
 def _bound_mm(
     outlines: tuple[SphereImage, SphereImage], cameras: tuple[Camera, Camera], place_mm: Array
 ) -> float:
-    """Least rms error in space when each centre coordinate has the least error there can be."""
+    """Smallest possible 3-D rms error, with each centre coordinate at its bound."""
     gain = GAIN_RAW / UNITY_GAIN_RAW
     scale = EXPOSURE_US * 255.0 / 11900.0 * gain
     bright, dark = LIMB * FILM_ELECTRONS_PER_US * scale, BACKGROUND_ELECTRONS_PER_US * scale

@@ -1,4 +1,4 @@
-"""Spheres in rendered pictures: cost and error of our measurement against the usual first choices."""
+"""Spheres in rendered images: cost and error of our measurement against the usual first choices."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ POINT_UM = 20.0
 
 
 def measure() -> list[Figure]:
-    """Cost per picture and pair, errors of the campaign, what deceives, and the servo's loop."""
+    """Cost per image and pair, errors of the campaign, deceptive images, and the servo loop."""
     studio = Studio()
     return [*_cost(studio), *_accuracy(studio), *_distrust(studio), *_deceived(studio), *_servo()]
 
@@ -111,7 +111,7 @@ def _accuracy(studio: Studio) -> list[Figure]:
 
 
 def _distrust(studio: Studio) -> list[Figure]:
-    """Above 38 % of lost rim."""
+    """With more than 38 % of the rim lost."""
     figures = []
     for case in (HALF_HIDDEN, JUST_HIDDEN):
         tally = campaign(studio, case, OTHER_PAIRS)

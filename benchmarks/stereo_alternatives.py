@@ -1,4 +1,4 @@
-"""What is usually tried first for the centre of a disc, with OpenCV, and the least error there can be."""
+"""The usual first attempts at a disc's centre, with OpenCV, and the smallest possible error."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FULL_WELL_ELECTRONS, READ_NOISE_ELECTRONS = 11900.0, 13.5
 
 
 def hough(picture: Picture, radius_px: float) -> Array:
-    """`cv2.HoughCircles` with the true radius given to 15 %."""
+    """`cv2.HoughCircles`, given the true radius to 15 %."""
     circles = cv2.HoughCircles(
         cv2.GaussianBlur(picture, (5, 5), 0),
         cv2.HOUGH_GRADIENT,
@@ -50,7 +50,7 @@ def contour_ellipse(picture: Picture, _radius_px: float) -> Array:
 
 
 def triangulated(cameras: tuple[Camera, Camera], centres_px: tuple[Array, Array]) -> Array:
-    """The bare way: outline centres, distortion removed, no perspective bias, linear least squares."""
+    """The simple way: outline centres, distortion removed, no perspective bias, linear least squares."""
     rays = [camera.undistorted(centre)[:, None] for camera, centre in zip(cameras, centres_px, strict=True)]
     poses = [np.column_stack([camera.rotation, camera.translation_mm]) for camera in cameras]
     point = cv2.triangulatePoints(poses[0], poses[1], rays[0], rays[1]).ravel()
@@ -61,10 +61,10 @@ def least_error_px(sphere: SphereImage, bright_grey: float, dark_grey: float, ga
     """Cramér-Rao bound of the centre along one axis, px, at shot, read and rounding noise.
 
     sigma_x = (sigma / C) sqrt(2 sqrt(pi) s / (pi R)) for a disc of contrast C and radius R behind a blur of
-    standard deviation s, noise sigma per pixel; grain, post and unknown grey levels left out.
+    standard deviation s, noise sigma per pixel; grain, post and unknown grey levels are ignored.
     """
     electrons_per_grey = FULL_WELL_ELECTRONS / 255.0 / gain
-    electrons = (bright_grey + dark_grey) / 2.0 * electrons_per_grey  # where the rim is
+    electrons = (bright_grey + dark_grey) / 2.0 * electrons_per_grey  # at the rim
     noise_grey = np.hypot(np.sqrt(electrons + READ_NOISE_ELECTRONS**2) / electrons_per_grey, 12**-0.5)
     radius = float(np.mean(sphere.axes_px))
     share = 2.0 * np.sqrt(np.pi) * sphere.blur_px / (np.pi * radius)

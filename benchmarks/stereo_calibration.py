@@ -1,7 +1,7 @@
 """Calibration of the stereo head from views of one ball, and its self-check, over many random heads and arms.
 
-The looks come from the scenes' truth as numbers, without pictures. `plain adjustment` is the same bundle
-adjustment with every error of the arm taken for random, which is what is usually done.
+The views come from the scenes' truth as numbers, without images. `plain adjustment` is the same bundle
+adjustment with every error of the arm treated as random, the usual approach.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ VISITS = 3
 BALL_MM = np.array([650.0, 20.0, 250.0])
 TOOL_DOWN = Rotation.from_matrix(rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
 TWIST_RAD = radians(0.01)
-BALL_PUT_DOWN_MM = 0.3  # how well the ball's stand brings it back, per axis
+BALL_PUT_DOWN_MM = 0.3  # repeatability of replacing the ball on its stand, per axis
 IDEAL_UM = 30.0
-HONEST = (0.7, 1.4)  # made error over stated one, rms
+HONEST = (0.7, 1.4)  # actual error over stated one, rms
 FALSE_ALARMS_PERCENT = 2.0
 
 
 def measure() -> list[Figure]:
-    """Tool centre with an arm that only repeats and with an uncalibrated one; the check's verdicts."""
+    """Tool centre with a perfect arm but for its repeatability, and with an uncalibrated one; the check."""
     return [*_tool_centre(), *_check()]
 
 
@@ -64,9 +64,9 @@ def _tool_centre() -> list[Figure]:
 
 
 def _calibrated(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
-    """Outline error (px); error of the tool centre, made and stated; that of the plain adjustment (mm)
+    """Outline error (px); error of the tool centre, actual and stated; that of the plain adjustment (mm)
 
-    The latter is None when it fits nothing, or was not needed.
+    The latter is None if it does not converge, or was not needed.
     """
     generator = np.random.default_rng(seed)
     seen: list[Observation] = []
@@ -103,7 +103,7 @@ def _check() -> list[Figure]:
 
 
 def _twisted(head: TrueHead, seed: int) -> TrueHead:
-    """One camera turned about an axis across its line of sight, another one each time."""
+    """One camera rotated about an axis perpendicular to its line of sight, a different one each time."""
     angle = 2.0 * np.pi * seed / CHECKS
     turn = (TWIST_RAD * float(np.cos(angle)), TWIST_RAD * float(np.sin(angle)), 0.0)
     return head.twisted(("left", "right")[seed % 2], turn)

@@ -1,7 +1,7 @@
-"""Arm and stereo head of a simulated cell in one process: true kinematics, rendered pictures, no network.
+"""Arm and stereo head of a simulated cell in one process: true kinematics, rendered images, no network.
 
-The two devices stand behind the interfaces that the procedure's step uses, so a campaign runs the step's
-own loop thousands of times at the price of drawing and measuring the pictures.
+The two devices are behind the interfaces used by the procedure's step, so a campaign runs the step's own loop
+thousands of times at the cost of drawing and measuring the images.
 """
 
 from __future__ import annotations
@@ -55,14 +55,14 @@ Array = NDArray[np.float64]
 
 EXPOSURE_US, GAIN_RAW = 2000, 100  # the driver's defaults
 STANDOFF_MM = 60.0
-LARGEST_TILT_RAD = 0.35  # of the tool axis against straight down
+LARGEST_TILT_RAD = 0.35  # between the tool axis and straight down
 TRAJECTORY = "T1"
 NO_LINK_ERROR = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))
 SIX_ZEROS = (0.0,) * 6
 
 
 def with_ideal_arm(scene: Scene) -> Scene:
-    """The scene with the nominal arm; what does not repeat stays: 0.015 mm per axis."""
+    """The scene with the nominal arm; the repeatability error remains: 0.015 mm per axis."""
     exact = {
         "links": (NO_LINK_ERROR,) * 6,
         "joint_offset_rad": SIX_ZEROS,
@@ -82,7 +82,7 @@ def without_arm_errors(scene: Scene) -> Scene:
 
 @dataclass
 class CellArm:
-    """The arm: every motion arrives at once, with the flanks of its directions."""
+    """The arm: every motion arrives at once, on the flanks given by its directions."""
 
     state = Lifecycle.ACTIVE
 
@@ -122,7 +122,7 @@ class CellArm:
 
 
 class CellStereo:
-    """The stereo head: a pair is drawn when it is asked for."""
+    """The stereo head: a pair is drawn on request."""
 
     def __init__(self, world: World) -> None:
         self._cameras = [
@@ -139,13 +139,13 @@ class CellStereo:
             settings.width, settings.height = area.width, area.height
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
-        """Set both cameras alike."""
+        """Set both cameras to the same values."""
         self._exposure_us = exposure_us
         for _, _, settings in self._cameras:
             settings.exposure_us, settings.gain_raw = round(exposure_us), gain_raw
 
     def scale_exposure(self, share: float, timeout_s: float = 2.0) -> None:
-        """Expose by that share of what was set."""
+        """Multiply the exposure that was set by `share`."""
         for _, _, settings in self._cameras:
             settings.exposure_us = round(share * self._exposure_us)
 
@@ -162,7 +162,7 @@ class CellStereo:
 
 @dataclass(frozen=True)
 class Start:
-    """A sphere and where the tool centre point truly is before the servo."""
+    """A sphere, and the tool centre point's true position before the servo."""
 
     fiducial: int
     expected: Transform
@@ -170,7 +170,7 @@ class Start:
 
 
 class StereoCell:
-    """The cell of a scene with a stereo head that is calibrated as `calibration` says."""
+    """The cell of a scene with a stereo head calibrated as in `calibration`."""
 
     def __init__(self, scene: Scene, calibration: StereoHeadCalibration, folder: Path) -> None:
         self.scene = scene
@@ -190,8 +190,8 @@ class StereoCell:
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
         """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
 
-        A servo begins where the path check found both lines of sight free, so only such sides are drawn;
-        without `in_sight` only those that it refuses, because another sphere stands in the way.
+        A servo begins where the path check found both lines of sight clear, so only such sides are drawn;
+        without `in_sight` only those that it refuses, because another sphere is in the way.
         """
         while True:
             fiducial = int(generator.integers(len(self.centres_mm)))
@@ -204,7 +204,7 @@ class StereoCell:
             nominal = matrix_from(sphere, orientation)
             if self._in_sight(fiducial, nominal) is in_sight:
                 break
-        # where the tool truly is when the controller believes it on the sphere
+        # the tool's true position when the controller believes it is on the sphere
         self._go(nominal)
         believed_mm = self.world.robot_from_tool()[:3, 3]
         expected = matrix_from(sphere + offset - (believed_mm - sphere), orientation)
@@ -216,7 +216,7 @@ class StereoCell:
         return centring.onto(start.fiducial, start.expected, start.near_rad)
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
-        """The same with looks that tell the truth, without pictures."""
+        """The same with measurements that equal the truth, without images."""
 
         def look() -> Look:
             seen = apply(inverse(self.world.robot_from_tool()), [self.centres_mm[start.fiducial]])[0]
@@ -227,17 +227,17 @@ class StereoCell:
             return self.centre(start)
 
     def look_from(self, start: Start) -> Look:
-        """One look from a start, on whole sensors."""
+        """One measurement from a start, on full sensors."""
         self._go(start.expected.as_matrix())
         self._workcell.sensors.read_whole()
         return self._workcell.look()
 
     def true_offset_mm(self, found: CentredSphere, fiducial: int) -> Array:
-        """Recorded point minus true place of the sphere, robot frame (3,)."""
+        """Recorded point minus true position of the sphere, robot frame (3,)."""
         return np.asarray(found.point_mm - self.centres_mm[fiducial])
 
     def rest_error_mm(self, joints_rad: JointVector, motion: int) -> Array:
-        """What did not repeat in that motion (3,)."""
+        """The repeatability error of that motion (3,)."""
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
@@ -258,7 +258,7 @@ def _workcell_of(
 ) -> Workcell:
     """The procedure's workcell over these devices, its journal in the folder."""
     (folder / JOURNAL_FILE).unlink(missing_ok=True)
-    file = parse_theatre({"theatre": "stereo cell"})  # its devices are given, without endpoints
+    file = parse_theatre({"theatre": "stereo cell"})  # its devices are passed in, without endpoints
     theatre = SimpleNamespace(
         arms={"master": arm}, stereo=stereo, clock=HostClock(), require=lambda *_names: None, file=file
     )

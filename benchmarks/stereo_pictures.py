@@ -1,7 +1,7 @@
-"""Rendered pairs of one sphere with everything known about them, for measuring the measurement.
+"""Rendered pairs of one sphere with complete ground truth, for evaluating the measurement.
 
-The pictures are the simulated cameras' own, with post, grain, shading, blur and noise. The calibration is
-the truth, so what is left is the measurement's own error.
+The images are the simulated cameras' own, with post, grain, shading, blur and noise. The calibration is the
+truth, so only the measurement's own error remains.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ GAIN_RAW, BLACK_LEVEL_RAW = 100, 32
 RADIUS_MM = 5.75
 FILMS = 5  # different grains
 CENTRED_MM = 0.05  # where the servo ends
-SERVO_MM = 2.5  # where the servo sees it
+SERVO_MM = 2.5  # where the servo first sees it
 SCENE_SEED, PLACES_SEED = 21, 3
 NONE = (0.0, 0.0)
-SECOND_DEPTH_MM = 4.0  # of a second sphere before or behind the first, largest
+SECOND_DEPTH_MM = 4.0  # of a second sphere in front of or behind the first, largest
 GLARES = 2
 
 
@@ -46,9 +46,10 @@ class Case:
     """How the pairs of one row of the table are drawn.
 
     `reach_mm` per axis around the tool centre point; `tilt` of the post against the tool axis, largest
-    slope; `rim_lost` least and largest share of the rim that an occluder hides, for each camera its own.
-    What deceives has a least and a largest size too, and is left out at 0: two glares per camera by their
-    radius, one blot of blood by half its angle, a second sphere by its distance across the tool axis.
+    slope; `rim_lost` smallest and largest share of the rim hidden by an occluder, separately for each
+    camera. Deceptive objects also have a smallest and a largest size, and are omitted at 0: two glares per
+    camera by their radius, one blot of blood by half its angle, a second sphere by its distance
+    perpendicular to the tool axis.
     """
 
     name: str
@@ -65,7 +66,7 @@ class Case:
 
 @dataclass(frozen=True)
 class View:
-    """One camera's picture of a sphere; pixels of `true_centre_px` and `offset_px` are the full sensor's."""
+    """One camera's image of a sphere; `true_centre_px` and `offset_px` are in full-sensor pixels."""
 
     picture: Picture
     offset_px: tuple[int, int]
@@ -76,7 +77,7 @@ class View:
 
 @dataclass(frozen=True)
 class Pair:
-    """One sphere in both cameras, and its true place in the tool frame."""
+    """One sphere in both cameras, and its true position in the tool frame."""
 
     left: View
     right: View
@@ -96,7 +97,7 @@ class Studio:
     scene: Scene = field(default_factory=lambda: named_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
-        """Pairs of a case, one after the other: a full frame of each is too much to keep."""
+        """Pairs of a case, lazily: a full frame of each would be too much to keep."""
         generator = np.random.default_rng(seed)
         cameras = (self.scene.left, self.scene.right)
         optics = [Optics(camera, self.scene.seed) for camera in cameras]
@@ -120,7 +121,7 @@ class Studio:
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
-        """What a laboratory without errors would have measured."""
+        """The result of a laboratory without errors."""
         now = datetime.now(UTC)
         identity = PoseRecord(translation_mm=(0.0, 0.0, 0.0), quaternion_wxyz=(1.0, 0.0, 0.0, 0.0))
         left, right = (
@@ -151,7 +152,7 @@ class Studio:
             return stains
         x, y, z = generator.standard_normal(3)
         length = float(np.sqrt(x * x + y * y + z * z))
-        # the sphere's z axis runs along the post towards the cameras: that half is seen
+        # the sphere's z axis runs along the post towards the cameras: that half is visible
         towards = (float(x) / length, float(y) / length, abs(float(z)) / length)
         return (*stains, Stain(towards, float(generator.uniform(*case.blot_rad))))
 

@@ -1,9 +1,9 @@
-"""Both cameras full frame, running free at 50 frames/s: our reception and Aravis on the same simulator.
+"""Both cameras full frame, free-running at 50 frames/s: our reception and Aravis on the same simulator.
 
 Packets of 8 kB, of which 0.2 % are dropped and repaired. CPU is that of the client alone; ours is that of the
-reception process and of the driver, which copies every frame out of the shared memory. Where this runs with
-the superuser's rights, both clients run without them as well: then nobody gives way to them, and the socket
-of ours holds a quarter. What the kernel dropped because a socket was full is told beside the losses.
+receiver process and of the driver, which copies every frame out of the shared memory. If run as superuser,
+both clients are also run without these rights: then they have no priority, and our socket buffer is a quarter
+as large. Packets dropped by the kernel because a socket was full are reported next to the losses.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ ROUNDS = 5
 PACKET_BYTES = 8000
 LOST_PERCENT = 0.2
 FULL_RATE_HZ = 50.0
-RATE_SLACK = 0.01  # of what is reached on average: the last frame of a round may be late
+RATE_SLACK = 0.01  # of the average rate: the last frame of a round may be late
 OURS, ARAVIS = "our client", "Aravis"
 ORDINARY = ", ordinary user"
-# what an ordinary user may not: jump the queue for the processor, exceed the system's largest socket
+# what an ordinary user may not do: take priority on the processor, exceed the system's largest socket buffer
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set=-sys_nice,-net_admin"]
-SYSTEM_PYTHON = "/usr/bin/python3"  # the distribution's own, which alone has Aravis' bindings
+SYSTEM_PYTHON = "/usr/bin/python3"  # the distribution's own, the only one with Aravis' bindings
 PEERS = Path(__file__).parent / "peers"
 ROUND_LIMIT_S = 120.0
 SERVO_AREA_PX = 1024
@@ -45,7 +45,7 @@ Told = dict[str, float]
 
 
 def measure() -> list[Figure]:
-    """Alternating rounds; 3,000 pairs of each client in all. Takes about five minutes as superuser."""
+    """Alternating rounds; 3,000 pairs of each client in total. Takes about five minutes as superuser."""
     told: dict[str, list[Told]] = {}
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
@@ -60,7 +60,7 @@ def measure() -> list[Figure]:
 
 
 def _clients() -> dict[str, list[str]]:
-    """Command lines by client; Aravis only where it is installed."""
+    """Command lines by client; Aravis only if installed."""
     clients = {OURS: [sys.executable, str(PEERS / "our_stream.py")]}
     if Path(SYSTEM_PYTHON).exists():
         clients[ARAVIS] = [SYSTEM_PYTHON, str(PEERS / "aravis_stream.py")]
@@ -70,7 +70,7 @@ def _clients() -> dict[str, list[str]]:
 
 
 def _round(line: list[str]) -> Told | None:
-    """What a client tells of one round, and what the kernel dropped meanwhile; None when it did not run."""
+    """A client's report on one round, and what the kernel dropped in the meantime; None if it did not run."""
     dropped = _kernel_drops()
     try:
         ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)
@@ -83,7 +83,7 @@ def _round(line: list[str]) -> Told | None:
 
 
 def _kernel_drops() -> int:
-    """Datagrams that found the socket full, on this machine since it started."""
+    """Datagrams that found the socket full, on this machine since boot."""
     names, values = (
         line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line.startswith("Udp:")
     )
@@ -121,7 +121,7 @@ def _sums(rounds: list[Told]) -> Told:
 
 
 def _drawing() -> Figure:
-    """CPU of one image that is drawn when a trigger asks for it, in an area as the servo loop uses it."""
+    """CPU of one image drawn on a trigger, in an area as used by the servo loop."""
     from sim.basler.camera.photographer import Photographer
     from sim.basler.camera.settings import Settings
     from sim.basler.optics.canvas import Area

@@ -47,7 +47,7 @@ class TipCell(FrameCell):
         self.head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
 
     def readings(self, count: int, validation: int, tilt_rad: float = TILT_RAD) -> TipLooks:
-        """Looks and readings as the steps take them."""
+        """Views and readings as taken by the steps."""
         ball = np.round(self.scene.stand.ball_mm)
         reference = tool_orientation(DOWN, ball, 0.0)
         total = count + validation
@@ -66,14 +66,14 @@ class TipCell(FrameCell):
             validation=kept_apart(len(looks), validation),
         )
         for number, look in enumerate(looks):
-            for _ in range(2):  # the second is near
+            for _ in range(2):  # the second iteration is close
                 others = tuple(one for one in observed.readings if one.look != number)
                 reading = self._reading(observed, number, look)
                 observed = observed.model_copy(update={"readings": (*others, reading)})
         return observed
 
     def seen_mm(self, in_tool_mm: Array, noise_px: float = 0.0) -> Array:
-        """Where the head, by its record, sees a ball at a place in its true tool frame."""
+        """Where the head, by its record, sees a ball at a position in its true tool frame."""
         eye = TrueHead(self.scene, outline_px=noise_px)
         pixels = [
             eye._outline(

@@ -20,18 +20,18 @@ OURS, NDICAPI, SCIKIT = "driver", "ndicapi", "scikit-surgerynditracker"
 CLIENTS = {OURS: tracker_clients.driver, NDICAPI: tracker_clients.ndicapi, SCIKIT: tracker_clients.scikit}
 UNIT, CANNED = "ronna-sim polaris", "one fixed reply"
 FEW, MANY = "1 tool", "3 tools, 6 strays"
-# What the driver must reach of the peers' rates, and the unit in replies per second, by line and load.
+# Goals for the driver relative to the peers' rates, and for the unit in replies per second, by line and load.
 DRIVER_GOALS = {SCIKIT: 1.0, NDICAPI: 1.0 / 3.0}
 UNIT_GOALS = {("TCP", FEW): 15e3, ("pty", FEW): 5e3, ("TCP", MANY): 8e3, ("pty", MANY): 3e3}
-MORE_TOOLS_MM = {  # markers of planar tools, all their segments and those of the first tool different
+MORE_TOOLS_MM = {  # markers of planar tools, no segment alike within them or in the first tool
     "pointer": ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
     "probe": ((0.0, 0.0, 0.0), (0.0, 95.0, 0.0), (59.0, 38.0, 0.0), (-46.0, 119.0, 0.0)),
 }
-MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0, -1350.0))  # beside three
+MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0, -1350.0))  # besides three
 
 
 def measure() -> list[Figure]:
-    """Readings per second as fast as each client can ask, then replies per second that the unit can give."""
+    """Readings per second as fast as each client can request them, then the unit's replies per second."""
     with tempfile.TemporaryDirectory() as folder:
         roms = _definitions(Path(folder))
         figures: list[Figure] = []
@@ -43,7 +43,7 @@ def measure() -> list[Figure]:
 
 
 def _clients(line: str, roms: Sequence[Path]) -> list[Figure]:
-    """The clients beside each other, one tool, a unit that keeps to the host's clock."""
+    """The clients compared, one tool, a unit that follows the host's clock."""
     bench = load_scene("bench")
     rates = rates_of({name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()})
     what = f"readings/s, {line}"
@@ -53,7 +53,7 @@ def _clients(line: str, roms: Sequence[Path]) -> list[Figure]:
 
 
 def _over_peers(rates: Rates) -> list[Figure]:
-    """Everybody beside ndicapi, and our driver beside each peer that sets it a goal."""
+    """All clients compared with ndicapi, and our driver with each peer that sets it a goal."""
     rows = compared("", "1/s", rates.per_second, NDICAPI)
     others = [row for row in rows if row.who != OURS]
     ours = []
@@ -64,9 +64,9 @@ def _over_peers(rates: Rates) -> list[Figure]:
 
 
 def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
-    """What the unit gives to ndicapi while its frames repeat, as a real unit's do, and with every frame new.
+    """The unit's replies to ndicapi while its frames repeat, like a real unit's, and with every frame new.
 
-    Beside it the least that a unit written in Python can be: one that knows a single answer.
+    Compared with the minimum for a unit written in Python: one that knows a single answer.
     """
     bench = load_scene("bench")
     strays = (*bench.tracker.strays_mm, *MORE_STRAYS_MM)

@@ -61,7 +61,7 @@ def _errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, fl
 
 
 def apart(one: Array, other: Array) -> tuple[float, float]:
-    """How far apart two poses are, in mm and degrees."""
+    """Difference between two poses, in mm and degrees."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))
 

@@ -1,4 +1,4 @@
-"""Clients of the tracker, each at its own simulated unit, each in turn reading as fast as it can."""
+"""Clients of the tracker, each on its own simulated unit, alternately reading as fast as they can."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BLOCK_S = 0.12
 
 @dataclass(frozen=True)
 class Stand:
-    """Who asks which unit for what. On an unpaced world every request gets a frame of its own.
+    """Which client requests what from which unit. In an unpaced world every request gets a frame of its own.
 
     Without a scene the unit is one that knows a single answer.
     """
@@ -51,7 +51,7 @@ class Rates:
 
 
 def rates_of(stands: Mapping[str, Stand]) -> Rates:
-    """Readings per second of each stand, and the processor time that a reading costs on either side."""
+    """Readings per second of each stand, and the CPU time per reading on either side."""
     with ExitStack() as stack:
         readers: dict[str, Reader] = {}
         pids: dict[str, int] = {}

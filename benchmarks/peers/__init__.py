@@ -1,1 +1,1 @@
-"""Child processes of the measurements: peers to be measured against, started as scripts."""
+"""Child processes of the measurements: peers for comparison, started as scripts."""

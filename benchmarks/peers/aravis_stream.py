@@ -2,7 +2,7 @@
 
     /usr/bin/python3 aravis_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
 
-Prints one JSON line: pairs, seconds, CPU seconds, frames that were not whole, packets repeated.
+Prints one JSON line: pairs, seconds, CPU seconds, incomplete frames, packets resent.
 """
 
 import json
@@ -41,7 +41,7 @@ def main(job):
     for camera, _ in both:
         camera.start_acquisition()
     broken = 0
-    for _, stream in both:  # the first images are being drawn
+    for _, stream in both:  # the first images are still being drawn
         stream.push_buffer(stream.timeout_pop_buffer(LIMIT_US))
     wall_s, cpu_s = time.monotonic(), time.process_time()
     for _ in range(job["pairs"]):

@@ -1,8 +1,8 @@
-"""A mini case through real wires: with journal, events and recorders (`kept`), or without them (`bare`).
+"""A mini case over real protocols: with journal, events and recorders (`kept`), or without them (`bare`).
 
     python -P bare_case.py kept|bare SPEED SEED FOLDER
 
-Prints one JSON line: wall seconds, and CPU seconds of the program with all that it started.
+Prints one JSON line: wall seconds, and CPU seconds of the program with everything that it started.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ronna_hw.theatre import Theatre
 
 
 class _Nothing:
-    """Takes everything and does nothing."""
+    """Accepts everything and does nothing."""
 
     def __init__(self, *_given: object) -> None: ...
 
@@ -34,9 +34,9 @@ class _Nothing:
 
 
 def keep_nothing() -> None:
-    """Replace everything that writes a run's history while it happens, until the program ends.
+    """Replace everything that writes a run's history during the run, for the rest of the process.
 
-    A name that is no longer there is an error: the bare case would cost more than it says.
+    A name that no longer exists is an error: otherwise the bare case would do more work than claimed.
     """
     for owner, name, instead in (
         (journal.Journal, "_append", _ignore),
@@ -60,7 +60,7 @@ class _Tape(_Nothing):
 
 
 def main(kept: str, speed: str, seed: str, folder: str) -> None:
-    """Run the case to its end, and tell what it took."""
+    """Run the case to its end, and report its cost."""
     if kept == "bare":
         keep_nothing()
     request = CaseRequest(out=Path(folder), choice=SceneChoice("mini", int(seed), None, None), speed=speed)

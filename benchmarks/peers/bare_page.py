@@ -1,4 +1,4 @@
-"""A bare page of the console's page library: one place that shows a number, at 20 Hz."""
+"""A bare page of the console's page library: one element that shows a number, at 20 Hz."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""A unit that knows one answer: what the line, the kernel and Python cost, and nothing else.
+"""A unit that knows one answer: the cost of the line, the kernel and Python, and nothing else.
 
-Argument: serial-pty, or a TCP endpoint to listen on. Every command gets the BX reply of one tool in sight.
+Argument: serial-pty, or a TCP endpoint to listen on. Every command gets the BX reply of one visible tool.
 """
 
 from __future__ import annotations

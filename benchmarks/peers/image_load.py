@@ -1,4 +1,4 @@
-"""Decodes a camera's picture again and again, as fast as one processor allows."""
+"""Decodes a camera image repeatedly, as fast as one processor allows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ SIZE_PX = (1088, 2048)
 
 
 def main() -> None:
-    """Until this process is ended."""
+    """Run until this process is ended."""
     import cv2
     import numpy as np
 

@@ -1,8 +1,8 @@
-"""The driver's own client receives two free-running cameras; a process of its own, as Aravis' is.
+"""The driver's own client receives two free-running cameras, in a separate process like Aravis'.
 
     python our_stream.py '{"addresses": [...], "pairs": N, "packet_bytes": 8000}'
 
-Prints one JSON line: seconds, CPU seconds (of them the reception's), frames lost and broken, requests.
+Prints one JSON line: seconds, CPU seconds (and the receiver's part), frames lost and broken, requests.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from tests.support.camera_stream import stream_pairs  # noqa: E402
 
 
 def main(job: dict[str, object]) -> None:
-    """Receive, and tell what came."""
+    """Receive, and report the result."""
     came = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
     told = {
         "seconds": came.seconds,

@@ -1,7 +1,7 @@
 """The driver's real-time process with its session open.
 
-Arguments: rest, or move for always in motion; busy for a main thread that never rests; unrehearsed for
-a link that never rehearses its reply.
+Arguments: rest, or move to be always in motion; busy for a main thread that is never idle; unrehearsed for a
+link that never rehearses its reply.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ SWING_RAD = 0.6
 
 
 def main() -> None:
-    """Serve until this process is ended; the real-time process ends by itself when it is alone."""
+    """Serve until this process is ended; the real-time process exits when it is alone."""
     end_with_parent(lambda: os._exit(0))
     endpoint = own_udp_endpoint()
     options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)

@@ -1,7 +1,7 @@
-"""The tracker's clients at work on one unit: our driver, bare ndicapi, and scikit-surgerynditracker.
+"""The tracker's clients working on one unit: our driver, bare ndicapi, and scikit-surgerynditracker.
 
-Each maker loads tools, starts to track and gives back a function that gets one reading; it raises
-RuntimeError when the unit gives none. What it opens is closed with the stack.
+Each maker loads tools, starts tracking and returns a function that takes one reading; it raises RuntimeError
+if the unit returns none. Whatever it opens is closed with the stack.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from ronna_hw.config import DeviceConfig
 Reader = Callable[[], object]
 MakeReader = Callable[[ExitStack, str, Sequence[Path]], Reader]
 
-BX = f"BX:{FRAME_OPTIONS.value:04X}"  # for ndicapi the very request of the driver
+BX = f"BX:{FRAME_OPTIONS.value:04X}"  # for ndicapi the same request as the driver's
 PORT_REQUEST = "PHRQ:*********1****"
-ILLUMINATOR_REQUEST = "SET:Param.Tracking.Illuminator Rate=2"  # 60 Hz, as the driver asks for
-PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi turns binary replies into text after it has parsed them
+ILLUMINATOR_REQUEST = "SET:Param.Tracking.Illuminator Rate=2"  # 60 Hz, as requested by the driver
+PARSED_ALTHOUGH = UnicodeDecodeError  # ndicapi converts binary replies to text after parsing them
 
 
 def driver(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
@@ -45,7 +45,7 @@ def driver(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """ndicapi with nothing around it: one request, and the pose of the first tool."""
+    """ndicapi without a wrapper: one request, and the pose of the first tool."""
     device, handles = _ndicapi_tracking(stack, endpoint, roms)
     import ndicapy  # type: ignore[import-not-found]
 
@@ -59,7 +59,7 @@ def ndicapi(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi_replies(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
-    """Nothing but requests and replies, all tools and strays; looked at once, before it counts."""
+    """Requests and replies only, all tools and strays; checked once before counting."""
     device, handles = _ndicapi_tracking(stack, endpoint, roms)
     import ndicapy
 
@@ -83,10 +83,10 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
         wanted |= {"tracker type": "polaris", "serial port": endpoint.removeprefix("serial://")}
     else:
         wanted |= {"tracker type": "vega", "ip address": "127.0.0.1", "port": int(endpoint.rsplit(":", 1)[1])}
-        nditracker.call = lambda _arguments: 0  # it runs the program ping first, which need not exist
+        nditracker.call = lambda _arguments: 0  # it first runs the program ping, which need not exist
     with redirect_stdout(StringIO()):
         tracker = nditracker.NDITracker(wanted)
-    # It chooses TX or BX by the firmware's name; here everybody reads BX.
+    # It chooses TX or BX by the firmware's name; here all clients read BX.
     tracker._get_frame, tracker._get_transform = ndicapy.ndiGetBXFrame, ndicapy.ndiGetBXTransform
     tracker._capture_string = "BX:0801"
     tracker.start_tracking()
@@ -101,7 +101,7 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 
 def ndicapi_bare(stack: ExitStack, endpoint: str, _roms: Sequence[Path]) -> Reader:
-    """The same at a unit that answers anything with one fixed reply."""
+    """The same on a unit that answers everything with one fixed reply."""
     device = _opened(stack, endpoint)
     import ndicapy
 

@@ -1,4 +1,4 @@
-"""A bare UDP echo: what the socket calls, the kernel and Python cost, and nothing else."""
+"""A bare UDP echo: the cost of the socket calls, the kernel and Python, and nothing else."""
 
 from __future__ import annotations
 
