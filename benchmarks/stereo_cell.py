@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.cli.case.operators import ScriptedOperator
-from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.journal import JOURNAL_FILE, Journal
-from procedures.engine.operator import Topic
+from procedures.journal.journal import JOURNAL_FILE, Journal
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.topic import Topic
 from procedures.planning.reach.visits import Visit, VisitKind
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.relocalization import StereoPoint

@@ -18,8 +18,9 @@ from unittest.mock import patch
 from procedures.cli.case import opening
 from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.case.scene_choice import SceneChoice
-from procedures.engine import closing, journal
+from procedures.engine import closing
 from procedures.engine.events import event_file, stream
+from procedures.journal import journal
 from ronna_hw.recording import flight_recorder, reading_tape, taped_device
 from ronna_hw.theatre import Theatre
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from procedures.engine.events import (
     Bodies,
     DeviceState,
-    Evidence,
     LinkHealth,
     MeasuringVolume,
     Pose,
@@ -15,6 +14,7 @@ from procedures.engine.events import (
     Seat,
     Waiting,
 )
+from procedures.operator.evidence import Evidence
 
 __all__ = ["CaseView", "DeviceRow", "Evidence", "Notice", "StepRow", "StoodPose"]
 

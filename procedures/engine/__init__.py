@@ -1,1 +1,1 @@
-"""Where we are in the procedure, and the journal that is written before anything happens."""
+"""Where a case is: its steps, their order, and what comes next."""

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Generic, TypeVar, cast
 
 from procedures.engine.ancestry import without_ancestors
-from procedures.engine.errors import StepRefused
-from procedures.engine.result import StepResult
 from procedures.engine.step import LeftOut, StepKey
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from ronna_hw.evidence.inspection import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, read_record, write_record
 

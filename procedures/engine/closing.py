@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Protocol
 
 from procedures.engine.context import ClinicalInput
-from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal import Entry, Journal, JournalValue
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Entry, Journal, JournalValue
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import held_to, not_vouched_for
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain

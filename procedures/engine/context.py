@@ -12,13 +12,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from procedures.engine.case import Case
-from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.errors import NotConfirmed, WrongResult
-from procedures.engine.events import EventStream, Evidence, Progress
-from procedures.engine.operator import YES, Operator, Question, ReadBack, Room, Task, Topic
-from procedures.engine.result import StepResult
+from procedures.engine.errors import WrongResult
+from procedures.engine.events import EventStream, Progress
 from procedures.engine.step import StepKey, StepSpec
 from procedures.engine.workspace import Workspace
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.evidence import Evidence
+from procedures.operator.question import YES, Operator, Question, ReadBack
+from procedures.operator.room import Room, Task
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from procedures.engine.case import Case, Stored
 from procedures.engine.order import CaseOrder
-from procedures.engine.result import StepResult
 from procedures.engine.step import Phase, StepKey
+from procedures.results.result import StepResult
 from ronna_hw.records import Record
 
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
-from procedures.engine.errors import StepRefused
-from procedures.engine.journal import Entry, Journal
+from procedures.journal.journal import Entry, Journal
+from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.last_known import LastKnown

@@ -9,28 +9,26 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.course import Course
 from procedures.engine.device_faults import DeviceFaults
-from procedures.engine.errors import (
-    JournalNotWritable,
-    OperatorAborted,
-    StepRefused,
-    ToolUnchecked,
-    WrongResult,
-)
+from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import CaseState, EventStream, Fault, Finding, Refusal, StepState
 from procedures.engine.hands import have_done, have_instrument_out
 from procedures.engine.inputs import unusable_inputs
-from procedures.engine.journal import Entry, Journal, JournalValue
 from procedures.engine.machine import RECOVERY, ProcedureMachine
-from procedures.engine.operator import Question, Task
 from procedures.engine.order import CaseOrder
 from procedures.engine.questions import Questions
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepKey
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question
+from procedures.operator.room import Task
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger

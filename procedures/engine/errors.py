@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from ronna_hw.errors import (
-    EXIT_ABORTED,
     EXIT_FAILED,
     EXIT_RECOVERY_NEEDED,
     EXIT_USAGE,
@@ -13,49 +12,12 @@ from ronna_hw.errors import (
 )
 
 
-class StepRefused(RefusedError):
-    """A step cannot start: the listed preconditions are not met."""
-
-    code = "PRO-001"
-    action = "Meet the listed preconditions, or run the steps that come before."
-
-
-class NotConfirmed(RonnaError):
-    """The operator answered no, or did not answer in time, which counts as no."""
-
-    code = "PRO-002"
-    action = "Nothing was done. Repeat the step when the operator can confirm."
-    exit_code = EXIT_ABORTED
-
-
-class JournalNotWritable(RonnaError):
-    """The journal cannot be written; without a journal nothing moves."""
-
-    code = "PRO-003"
-    action = "Free space or choose another output folder; the arm has been stopped."
-
-
-class OperatorAborted(RonnaError):
-    """The operator ended the procedure."""
-
-    code = "PRO-004"
-    action = "The arm is at rest. Start a new run when ready."
-    exit_code = EXIT_ABORTED
-
-
 class UnknownStep(RonnaError):
     """This procedure has no step of that name."""
 
     code = "PRO-005"
     action = "List the steps and use one of their names."
     exit_code = EXIT_USAGE
-
-
-class GateFailed(RefusedError):
-    """A result is outside the limits that it must meet before the procedure continues."""
-
-    code = "PRO-007"
-    action = "Compare the value with its limit; repeat the step or correct its inputs."
 
 
 class ToolUnchecked(RefusedError):
@@ -81,13 +43,6 @@ class WrongResult(RonnaError):
 
     code = "PRO-016"
     action = "Correct the step: its declaration names its result and the results it reads."
-
-
-class GuardUnmet(RefusedError):
-    """A guard suspended the running step, and its condition was not restored."""
-
-    code = "PRO-017"
-    action = "Restore the condition it names, then repeat the step."
 
 
 class EventsUnreadable(RonnaError):

@@ -6,9 +6,11 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.journal import Entry, Journal
-from procedures.engine.operator import Question, Task, Topic
+from procedures.journal.journal import Entry, Journal
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Question
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from ronna_hw.wire.room_tasks import OUT
 
 if TYPE_CHECKING:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from procedures.engine.case import Case
-from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey, StepSpec
+from procedures.results.result import StepResult
 
 
 def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:

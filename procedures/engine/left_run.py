@@ -8,10 +8,10 @@ from pathlib import Path
 
 from procedures.engine.case import Case, Stored
 from procedures.engine.course import Course
-from procedures.engine.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.engine.step import StepKey
+from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.inspection import NOT_AS_LEFT, RECORDS_FOLDER, Problem, inspected
 from ronna_hw.evidence.journal_reading import Chain

@@ -13,10 +13,10 @@ from typing import Protocol, cast
 from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
-from procedures.engine.checkpoint import PAUSED, SUSPENDED
 from procedures.engine.order import CaseOrder, Steps
-from procedures.engine.result import StepResult
 from procedures.engine.step import Phase, Scope, StepSpec
+from procedures.operator.checkpoint import PAUSED, SUSPENDED
+from procedures.results.result import StepResult
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
 RECOVERY, IDLE, HELD = "recovery", "idle", "held"

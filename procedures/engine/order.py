@@ -9,8 +9,8 @@ from difflib import get_close_matches
 from itertools import groupby
 
 from procedures.engine.errors import UnknownStep
-from procedures.engine.result import StepResult
 from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
+from procedures.results.result import StepResult
 
 Steps = Sequence[StepSpec[StepResult]]
 MOST_NEAR = 3  # names of steps that a mistyped one is answered with

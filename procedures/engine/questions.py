@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 
 from procedures.engine.events import Answered, EventStream, Questioned
-from procedures.engine.journal import Entry, Journal
-from procedures.engine.operator import Operator, Question, Signature
+from procedures.journal.journal import Entry, Journal
+from procedures.operator.question import Operator, Question, Signature
 
 
 def as_shown(question: Question, number: int) -> Questioned:

@@ -12,8 +12,8 @@ from pydantic import ValidationError
 
 from procedures.engine.ancestry import without_ancestors
 from procedures.engine.case import Stored
-from procedures.engine.journal import Entry, Line
-from procedures.engine.result import StepResult
+from procedures.journal.journal import Entry, Line
+from procedures.results.result import StepResult
 from ronna_hw.config import describe_mistakes
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.records import BadRecord, OtherVersion, Record

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from procedures.engine.result import StepResult
+from procedures.results.result import StepResult
 
 if TYPE_CHECKING:
     from procedures.engine.context import StepContext

@@ -16,11 +16,11 @@ from typing import TextIO
 import cv2
 
 from procedures.engine.errors import NotRecorded
-from procedures.engine.journal import JOURNAL_FILE
 from procedures.engine.replay.recorded_answers import read_in_order
 from procedures.engine.replay.sections import BEGINS
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_extent import RawExtent, write_extent
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import chain_until_broken
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER

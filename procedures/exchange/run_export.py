@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 
 from procedures.engine.ancestry import ancestor_of_kind
 from procedures.engine.case import Stored
-from procedures.engine.result import StepResult
 from procedures.engine.run_folder import RunFolder, run_of
 from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
@@ -34,6 +33,7 @@ from procedures.exchange.plain_files import (
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
 from procedures.reporting.used_registrations import UsedRegistration, used_registrations
+from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

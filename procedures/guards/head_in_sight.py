@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from procedures.engine.operator import Topic
 from procedures.engine.workspace import Workspace
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
+from procedures.operator.topic import Topic
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError

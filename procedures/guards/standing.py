@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from procedures.engine.checkpoint import Guard
 from procedures.engine.engine import Engine
 from procedures.engine.events import Finding
 from procedures.guards.arm_link import ArmLink
@@ -15,6 +14,7 @@ from procedures.guards.line_of_sight import LineOfSight
 from procedures.guards.motion_watch import MotionWatch
 from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.wall_clock import WallClock
+from procedures.operator.checkpoint import Guard
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError

@@ -7,8 +7,8 @@ import math
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.engine import Engine
-from procedures.engine.operator import Topic
 from procedures.engine.step import StepKey
+from procedures.operator.topic import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM, ReadTip
 from procedures.steps.clinical.global_localization import GlobalLocalization

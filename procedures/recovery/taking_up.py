@@ -12,12 +12,13 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RecoveryRefused, StepRefused
+from procedures.engine.errors import RecoveryRefused
 from procedures.engine.hands import IN_GAUGE
-from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun, step_key
-from procedures.engine.operator import YES, Question, Topic
 from procedures.engine.step import StepKey
+from procedures.journal.journal import Entry
+from procedures.operator.question import YES, Question
+from procedures.operator.topic import Topic
 from procedures.recovery.calibration import leave_divot, over_divot_mm
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.devices import compare_devices
@@ -25,6 +26,7 @@ from procedures.recovery.inputs import compare_inputs
 from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
+from procedures.results.errors import StepRefused
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.calibration.tip_readings import ReadTip
 from procedures.steps.clinical.relocalization import Relocalization

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.engine.checkpoint import PAUSED
-from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Line
+from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line
+from procedures.operator.checkpoint import PAUSED
 from procedures.reporting.outcome import RunError
 from ronna_hw.text.counting import counted
 

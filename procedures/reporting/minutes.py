@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from procedures.engine.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
+from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
 from procedures.steps.catalogue import clinical_steps
 
 PHASE, STEP, QUESTION, HANDS = "phase", "step", "question", "hands"

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from procedures.engine.journal import Entry
+from procedures.journal.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.calibration import HeadFigures, read_figures
 from procedures.reporting.clearance_figure import clearance_figure

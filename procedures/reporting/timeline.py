@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from procedures.engine.journal import Entry, Line, theatre_time_s
+from procedures.journal.journal import Entry, Line, theatre_time_s
 
 BETWEEN_STEPS = "between steps"
 STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "interrupted"}

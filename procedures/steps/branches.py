@@ -9,16 +9,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from procedures.engine.checkpoint import GO_ON as CONTINUE
-from procedures.engine.checkpoint import LEAVE, WAIT
-from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed, OperatorAborted
 from procedures.engine.hands import INSIDE, IS_OUT
-from procedures.engine.operator import NO, YES, Question, Topic
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.operator.checkpoint import GO_ON as CONTINUE
+from procedures.operator.checkpoint import LEAVE, WAIT
+from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
+from procedures.operator.question import NO, YES, Question
+from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.reach.alternatives import BY_ACCURACY
 from procedures.registration.errors import NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
+from procedures.results.errors import GateFailed
 from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError

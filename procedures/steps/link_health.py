@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.result import Values
+from procedures.results.result import Values
 
 
 class LinkHealth(Values):

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.reporting.minutes import PHASE, STEP, TimeTaken, times_taken
 from procedures.studies.campaign.table import Table
 from procedures.studies.errors import NoRunToTime

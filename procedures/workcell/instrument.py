@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.engine.journal import Entry, Journal
+from procedures.journal.journal import Entry, Journal
 from procedures.workcell.errors import InstrumentInGuide
 from procedures.workcell.worked_stages import WorkedStages
 from ronna_hw.clock import Clock

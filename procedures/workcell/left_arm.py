@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import cast
 
-from procedures.engine.journal import Entry, Line
+from procedures.journal.journal import Entry, Line
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.worked_stages import Stages, Stops
 from ronna_hw.devices.readings import JointVector

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.engine.operator import ReadBack
+from procedures.operator.question import ReadBack
 from procedures.workcell.cell_motion import CellMotion
 from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.arm.kinematics import Kinematics

@@ -9,10 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.journal import Entry, Journal, JournalValue
-from procedures.engine.operator import YES, Question, Topic
+from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import YES, Question
+from procedures.operator.topic import Topic
 from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.motion_facts import motion_facts
 from ronna_hw.clock import Clock

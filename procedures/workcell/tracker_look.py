@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from procedures.engine.errors import GateFailed
+from procedures.results.errors import GateFailed
 from procedures.workcell.frame_as_tool import with_its_spheres
 from procedures.workcell.mounted_tool import MountedTool
 from procedures.workcell.workcell import Workcell

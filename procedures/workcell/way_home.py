@@ -6,7 +6,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 
-from procedures.engine.errors import StepRefused
+from procedures.results.errors import StepRefused
 from procedures.workcell.arm_view import stands_at
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector

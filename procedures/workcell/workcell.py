@@ -12,8 +12,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
-from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal import Journal
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Journal
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.cell_motion import CellMotion

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from procedures.engine.journal import Entry, Journal, JournalValue
+from procedures.journal.journal import Entry, Journal, JournalValue
 from ronna_hw.clock import Clock
 
 Stages = dict[str, dict[str, bool]]  # trajectory -> task -> whether it was confirmed to be done

@@ -12,7 +12,7 @@ from case_results import measured, targets
 from console_clicks import answer, answer_until, run_by_clicks, take_seat
 from operated_case import OperatedCase, OperatedCases, enter
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 DEFAULT = ("--scene", "default", "--seed", "7")
 NO_TOOL, STEREO_HEAD = "0", "1"

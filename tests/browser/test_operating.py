@@ -15,7 +15,7 @@ from operated_case import OperatedCases, enter
 from rehearsal import rehearsal
 from waiting import eventually
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 
 def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_console(

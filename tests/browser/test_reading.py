@@ -15,7 +15,6 @@ from procedures.engine.events import (
     CaseState,
     DeviceFact,
     DeviceState,
-    Evidence,
     Fault,
     Finding,
     JournalLine,
@@ -25,6 +24,7 @@ from procedures.engine.events import (
     StepState,
     Waiting,
 )
+from procedures.operator.evidence import Evidence
 
 OPENED = JournalLine(line={"entry": "opened", "run": "r1", "banner": "SIMULATED THEATRE", "theatre": "mini"})
 EVENTFUL = (

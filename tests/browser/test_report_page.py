@@ -9,7 +9,7 @@ import pytest
 from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
 
-from procedures.engine.journal import Entry
+from procedures.journal.journal import Entry
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.steps.clinical import registration

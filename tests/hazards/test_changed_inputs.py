@@ -28,8 +28,6 @@ from prepared_results import (
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
@@ -37,6 +35,8 @@ from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.plan.model import Plan
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.inputs import compare_inputs
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt

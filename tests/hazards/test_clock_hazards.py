@@ -25,7 +25,7 @@ DATING = {
     "ronna_hw/conformance/report.py",
     "sim/theatre/theatre_file.py",
     "sim/phantom",
-    "procedures/engine/journal.py",
+    "procedures/journal/journal.py",
     "procedures/guards/wall_clock.py",
     "procedures/engine/events/stream.py",
     "procedures/engine/context.py",

@@ -12,7 +12,7 @@ from run_folders import await_motion_in, run_folder
 from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 HOUR_S = 3600.0
 YEAR_S = 365.25 * 24 * HOUR_S

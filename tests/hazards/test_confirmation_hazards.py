@@ -13,9 +13,10 @@ from recording_cell import RecordingCell
 
 from procedures.cli.case.operators import TerminalOperator
 from procedures.engine.events import EventStream
-from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Question, ReadBack, Topic
 from procedures.engine.questions import Questions
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.question import Question, ReadBack
+from procedures.operator.topic import Topic
 
 READ_BACK = ReadBack("how many mm it moves first", "62")
 VALUE = "predicted target error 0.21 mm rms"

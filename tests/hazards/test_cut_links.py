@@ -13,9 +13,9 @@ from recording_cell import RecordingDevice
 from user_commands import Commands
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
-from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.machine import HELD
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
     positioning,

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 from watched_case import findings
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
-from procedures.engine.operator import Topic
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.workcell import MountedTool

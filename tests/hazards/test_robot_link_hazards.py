@@ -18,7 +18,7 @@ from user_commands import Commands
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import ControllerStopped, WrongController
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
 from ronna_hw.devices import Lifecycle

@@ -21,11 +21,11 @@ from prepared_results import (
 from room_trials import STILL, TrackedCase
 
 from procedures.engine.engine import Engine
-from procedures.engine.result import StepResult
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
 from procedures.guards.room_watch import NEAR_HEAD_MM, RoomReading
 from procedures.registration.shift import NEAR_MM
+from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning, relocalization
 from procedures.workcell import MountedTool
 from sim.polaris.optics.marker_noise import eyes_mm

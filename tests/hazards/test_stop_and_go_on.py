@@ -18,8 +18,8 @@ from planned_arm import PlannedArm
 from prepared_results import up_to_correspondence
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
 from procedures.engine.machine import FINISHED
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
     path_check,

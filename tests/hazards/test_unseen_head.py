@@ -13,10 +13,11 @@ from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import GuardUnmet
-from procedures.engine.operator import Question, Topic
 from procedures.guards import sight_guard
 from procedures.guards.errors import PatientMoved
+from procedures.operator.errors import GuardUnmet
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from ronna_hw.errors import DeviceError
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("HEAD_UNSEEN")]

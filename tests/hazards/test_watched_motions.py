@@ -15,11 +15,12 @@ from recording_cell import STEREO_HEAD
 from waiting import eventually
 from watched_case import findings, on_the_way, positioned, voiding, watched
 
-from procedures.engine.errors import StepRefused
 from procedures.engine.events import Finding
-from procedures.engine.operator import Question, Topic
 from procedures.guards import motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import global_localization
 from procedures.workcell import MountedTool
 from ronna_hw.config import WatchPatient

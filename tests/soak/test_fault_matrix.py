@@ -13,7 +13,7 @@ import pytest
 from single_faults import FAULTS, STEPS, STOPS
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(300)]
 

@@ -13,7 +13,7 @@ from snapshots import snapshot_at, take_snapshots
 from user_commands import Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.journal_reading import read_chain
 from sim.cli import app as ronna_sim
 

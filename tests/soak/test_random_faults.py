@@ -23,7 +23,7 @@ from single_faults import FAULTS, STEPS, STOPS
 from user_commands import TOKEN, Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link

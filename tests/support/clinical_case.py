@@ -14,11 +14,11 @@ from procedures.engine.case import Stored
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import order_of
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.sphere_image import SphereImage, SphereStatus
+from procedures.results.result import StepResult
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.kinematics import Kinematics

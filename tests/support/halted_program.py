@@ -9,7 +9,7 @@ from typing import Any
 
 from drivers.kuka_rsi.options import KukaOptions
 from procedures.cli.procedure import main
-from procedures.engine.journal import Journal
+from procedures.journal.journal import Journal
 
 HALTED_S = 60.0  # longer than anybody needs to copy a folder; the arm's process would stop the arm after 1 s
 append = Journal._append

@@ -12,7 +12,7 @@ from run_folders import records_of, run_folder
 from user_commands import Commands
 from waiting import eventually
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, Line, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import CaseOrder, Steps, order_of
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.results.result import StepResult
 
 
 class Image(StepResult, kind="image"):

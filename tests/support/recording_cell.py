@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any, cast
 
 from procedures.engine.case import Case
-from procedures.engine.checkpoint import Checkpoint
 from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
-from procedures.engine.journal import JOURNAL_FILE, Journal, read_journal
-from procedures.engine.operator import Question, Task, Topic
 from procedures.engine.order import CaseOrder
+from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.question import Question
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell

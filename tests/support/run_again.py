@@ -7,9 +7,9 @@ from typing import TypeVar
 from recording_cell import RecordingCell
 
 from procedures.engine.engine import Engine
-from procedures.engine.journal import Journal
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.order import CaseOrder
+from procedures.journal.journal import Journal
 
 C = TypeVar("C", bound=RecordingCell)
 

@@ -4,7 +4,7 @@ Fault -> the codes that a case may end with, whatever the step; where the device
 the case goes on. What begins only after the fault, a step or a call, is refused and quotes its code.
 """
 
-from procedures.engine.journal import Entry
+from procedures.journal.journal import Entry
 
 STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that ended a case
 STEPS = {

@@ -22,7 +22,7 @@ from kills import Killed
 from run_folders import records_of, run_folder
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.journal_reading import read_chain
 from sim.theatre.left_world import write_left_world
 from sim.theatre.world import World

@@ -17,9 +17,9 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.engine.step import StepKey
 from procedures.guards import patient_watch
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.steps.clinical import at_target, positioning
 from procedures.steps.clinical.validity.moved_head import void_moved
 from procedures.workcell import MountedTool

@@ -9,8 +9,8 @@ import tomli_w
 from user_commands import Commands
 
 from procedures.engine.events.event_file import EVENTS_FILE
-from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
 from procedures.guards.errors import PatientMoved
+from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from sim.theatre.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

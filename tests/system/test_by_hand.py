@@ -13,7 +13,7 @@ from run_folders import await_motion_in, run_folder
 from user_commands import Commands, in_this_process, one_error
 from waiting import HANG_LIMIT_S
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
 from sim.cli import app as ronna_sim
 

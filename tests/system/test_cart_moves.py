@@ -11,8 +11,8 @@ import pytest
 from pydicom import dcmread
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
 from procedures.exchange.run_export import export_run
+from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.steps.branches import GO_ON
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port

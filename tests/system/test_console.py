@@ -17,7 +17,7 @@ from console_script import ConsoleScript
 from operated_case import OperatedCase, operated_cases
 from waiting import eventually
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 HANG_LIMIT_S = 120.0
 BETWEEN_S = 0.15  # ten orders a second are too many

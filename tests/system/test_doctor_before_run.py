@@ -16,7 +16,7 @@ from user_commands import in_this_process
 
 from procedures.cli.doctor import inspection
 from procedures.cli.procedure import app
-from procedures.engine.journal import Journal
+from procedures.journal.journal import Journal
 from procedures.steps.clinical import set_up
 from procedures.workcell import Workcell
 from ronna_hw.endpoints import parse_endpoint

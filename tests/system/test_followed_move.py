@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from ronna_hw.records import read_record
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]

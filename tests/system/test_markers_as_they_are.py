@@ -11,8 +11,8 @@ import pytest
 import tomli_w
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.guards.errors import PatientUnseen
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.registration.errors import NoUniqueMatch
 from ronna_hw.errors import EXIT_REFUSED
 from sim.theatre.scene.named_scenes import named_scene

@@ -16,8 +16,8 @@ from user_commands import Commands, in_this_process
 from waiting import HANG_LIMIT_S
 
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.journal import JOURNAL_FILE, read_journal
 from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.studies.accuracy.postures import ARM, TOOL_MM
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.solving import PlannedPoses, centred

@@ -9,7 +9,7 @@ from run_folders import run_folder
 from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from sim.theatre.left_world import LEFT_WORLD_FILE
 

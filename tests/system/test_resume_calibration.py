@@ -11,7 +11,7 @@ import pytest
 from kills import Killed, killed_at, taken_up
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
 from sim.theatre.scene.model import read_scene
 

@@ -12,7 +12,7 @@ from user_commands import Commands, in_this_process, one_error
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 
 
 def _step(

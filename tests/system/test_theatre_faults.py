@@ -13,7 +13,7 @@ import tomli_w
 from guide_frames import with_guide_frame
 from user_commands import Commands
 
-from procedures.engine.journal import JOURNAL_FILE, Line, read_journal
+from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
 from sim.theatre.scene.named_scenes import named_scene

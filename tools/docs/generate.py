@@ -28,8 +28,9 @@ from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
-from procedures.engine.operator import Topic, words
 from procedures.exchange import allowed_fields
+from procedures.operator.question import words
+from procedures.operator.topic import Topic
 from procedures.planning.plan.model import Plan
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES

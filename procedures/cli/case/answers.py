@@ -19,7 +19,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.errors import AnswersUnfit
-from procedures.engine.operator import Operator, Question, Topic, words
+from procedures.operator.question import Operator, Question, words
+from procedures.operator.topic import Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from procedures.engine.checkpoint import ABORT, GO_ON
-from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
-from procedures.engine.operator import YES, Question, Topic
+from procedures.operator.checkpoint import ABORT, GO_ON
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.question import YES, Question
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.request import CaseRequest, forget_if_refused
 from procedures.cli.case.request_file import read_request
 from procedures.cli.case.truth import truth_if_any
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError

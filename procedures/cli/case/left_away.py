@@ -7,7 +7,7 @@ from pathlib import Path
 
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain

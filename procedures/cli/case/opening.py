@@ -37,8 +37,9 @@ if TYPE_CHECKING:
     from procedures.engine.context import ClinicalInput
     from procedures.engine.engine import Engine
     from procedures.engine.left_run import LeftRun
-    from procedures.engine.operator import Operator, Room
     from procedures.engine.order import CaseOrder
+    from procedures.operator.question import Operator
+    from procedures.operator.room import Room
     from procedures.steps.calibration.recipe import Recipe
     from ronna_hw.clock import Clock
     from ronna_hw.config import Calibrations, DeviceConfig
@@ -258,10 +259,10 @@ def _make_engine(
     from procedures.engine.engine import Engine
     from procedures.engine.events import EventStream
     from procedures.engine.events.event_file import EventFile
-    from procedures.engine.journal import Entry, Journal, JournalValue
     from procedures.engine.replay.sections import opening_line, section_follower
     from procedures.engine.step import StepKey
     from procedures.guards import GuideStill, patient_watch, sight_guard, standing_guards
+    from procedures.journal.journal import Entry, Journal, JournalValue
     from procedures.recovery.moved_cart import MovedCart
     from procedures.steps.clinical.global_localization import GlobalLocalization
     from procedures.steps.clinical.validity.inputs import UnchangedInputs

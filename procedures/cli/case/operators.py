@@ -12,8 +12,10 @@ from types import MappingProxyType
 from typer import style
 
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
-from procedures.engine.operator import NOBODY as NOBODY_READS
-from procedures.engine.operator import YES, Operator, Question, Task, Topic, words
+from procedures.operator.question import NOBODY as NOBODY_READS
+from procedures.operator.question import YES, Operator, Question, words
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number

@@ -14,8 +14,8 @@ from procedures.cli.case.opening import Resumption, Watcher, opened_case
 from procedures.cli.case.prompt import leave_head_if_agreed
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
-from procedures.engine.errors import OperatorAborted
-from procedures.engine.journal import Entry, Line
+from procedures.journal.journal import Entry, Line
+from procedures.operator.errors import OperatorAborted
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:

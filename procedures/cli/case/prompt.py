@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
-from procedures.engine.checkpoint import ABORT
-from procedures.engine.errors import OperatorAborted, StepRefused, UnknownStep
+from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
-from procedures.engine.operator import Question
+from procedures.operator.checkpoint import ABORT
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question
+from procedures.results.errors import StepRefused
 from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.request_file import REQUEST_FILE, write_request
 from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.errors import CommandRefused
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.errors import EXIT_USAGE

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.operators import AtPause, ScriptedOperator, TerminalOperator
 from procedures.cli.case.request import CaseRequest, TheatreRequest
-from procedures.engine.operator import Topic
+from procedures.operator.topic import Topic
 from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
 
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers
     from procedures.cli.case.opening import Resumption, Watcher
-    from procedures.engine.operator import Operator
+    from procedures.operator.question import Operator
 
 NOBODY_ANSWERS = (
     "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "

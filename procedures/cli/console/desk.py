@@ -16,10 +16,8 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import why_not_up_to
 from procedures.cli.console.seat import Seat
-from procedures.engine.checkpoint import ABORT
 from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.operator import Question, Signature, Topic
 from procedures.engine.orders import (
     Abort,
     Acknowledge,
@@ -35,6 +33,9 @@ from procedures.engine.orders import (
     Stop,
 )
 from procedures.engine.questions import as_shown
+from procedures.operator.checkpoint import ABORT
+from procedures.operator.question import Question, Signature
+from procedures.operator.topic import Topic
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import leave_head
 from procedures.cli.console.desk import Desk, Wish
-from procedures.engine.checkpoint import ABORT
-from procedures.engine.errors import OperatorAborted
-from procedures.engine.operator import NOBODY, READ, Operator, Question, Task, Topic
 from procedures.engine.outlook import publish_waiting
+from procedures.operator.checkpoint import ABORT
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import NOBODY, READ, Operator, Question
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
 

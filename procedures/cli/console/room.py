@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from procedures.cli.console.pilot import Pilot
-from procedures.engine.operator import Room, Task
+from procedures.operator.room import Room, Task
 
 
 class ConsoleRoom:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from procedures.engine.events.event_file import EVENTS_FILE
-from procedures.engine.journal import JOURNAL_FILE
+from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.evidence.inspection import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.log_output import LOG_FILE

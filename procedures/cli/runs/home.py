@@ -9,8 +9,8 @@ from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption
 from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
-from procedures.engine.journal import Entry
 from procedures.engine.left_run import LeftRun
+from procedures.journal.journal import Entry
 from ronna_hw.command_line.console import print_json
 
 

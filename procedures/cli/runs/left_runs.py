@@ -15,10 +15,10 @@ from procedures.cli.case.request_file import read_request
 from procedures.engine.closing import close_run
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal import Entry, Journal, JournalValue, theatre_time_s
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.records import PARTIAL

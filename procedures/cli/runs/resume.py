@@ -13,8 +13,8 @@ from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.runs.left_runs import close_left, held_left_run, make_ready, request_of
 from procedures.engine.course import Course
-from procedures.engine.journal import theatre_time_s
 from procedures.engine.left_run import LeftRun
+from procedures.journal.journal import theatre_time_s
 from procedures.reporting.files import kept_truth
 from procedures.reporting.report import REPORT_FILE
 from procedures.workcell.left_arm import left_arm

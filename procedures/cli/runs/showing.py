@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.runs.folders import runs_in
-from procedures.engine.journal import Entry
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
+from procedures.journal.journal import Entry
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report

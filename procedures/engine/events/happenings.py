@@ -10,6 +10,8 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue
 
+from procedures.operator.evidence import Evidence
+
 VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
 
 
@@ -51,16 +53,6 @@ class Progress(_Happening):
     step: str
     share: float = Field(ge=0, le=1)
     text: str
-
-
-class Evidence(BaseModel):
-    """A table that a question is decided by, as it is shown: text, with its units."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
-
-    title: str
-    head: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
 
 
 class Questioned(_Happening):

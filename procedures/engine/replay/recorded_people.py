@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from procedures.engine.errors import NotRecorded
-from procedures.engine.journal import Line
-from procedures.engine.operator import Question, Task
 from procedures.engine.replay.recorded_answers import RecordedAnswers
+from procedures.journal.journal import Line
+from procedures.operator.question import Question
+from procedures.operator.room import Task
 
 
 class RecordedOperator:

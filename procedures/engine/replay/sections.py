@@ -8,7 +8,7 @@ from datetime import datetime
 from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
-from procedures.engine.journal import ENDS_OF_A_STEP, Entry
+from procedures.journal.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.clock import Clock
 from ronna_hw.recording.reading_tape import ReadingTape
 

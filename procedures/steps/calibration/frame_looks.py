@@ -17,10 +17,10 @@ from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
 from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell

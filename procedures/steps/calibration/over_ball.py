@@ -7,7 +7,7 @@ import numpy as np
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.pose_set import calibration_looks
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
+from procedures.operator.topic import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball

@@ -14,9 +14,10 @@ from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLoo
 from procedures.calibration.tool_tip.record import require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Task, Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.clinical.set_up import CheckedSetUp

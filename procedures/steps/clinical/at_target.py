@@ -13,11 +13,13 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed, GuardUnmet, NotConfirmed
-from procedures.engine.operator import Question, Task
-from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.operator.errors import GuardUnmet, NotConfirmed
+from procedures.operator.question import Question
+from procedures.operator.room import Task
+from procedures.results.errors import GateFailed
+from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, Stage, begun_work, told

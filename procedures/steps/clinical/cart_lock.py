@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import YES, Question, Task, Topic
-from procedures.engine.result import StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import RoomReading
+from procedures.operator.question import YES, Question
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
 from procedures.registration.shift import shift_of
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead

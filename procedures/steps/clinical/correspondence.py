@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.registration import match
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.verification import TwoWayTable, verify_two_way
+from procedures.results.result import FramedPose, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization

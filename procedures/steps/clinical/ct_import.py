@@ -7,11 +7,11 @@ import hashlib
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.result import Matrix3, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
+from procedures.results.errors import GateFailed
+from procedures.results.result import Matrix3, StepResult
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 

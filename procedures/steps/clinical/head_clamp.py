@@ -5,13 +5,14 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import Task, Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
 from procedures.planning.plan.model import PatientPosition
 from procedures.registration.shift import LEAST_POINTS
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import away_from_head

@@ -8,13 +8,14 @@ from contextlib import contextmanager
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import YES, Topic
-from procedures.engine.result import FramedPose, Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import guide_at_rest
+from procedures.operator.question import YES
+from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.results.errors import GateFailed
+from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.surroundings import READS, surround_guide

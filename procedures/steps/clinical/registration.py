@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import Topic
-from procedures.engine.result import FramedPose, StepResult, Values
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.operator.topic import Topic
 from procedures.planning.plan.model import PlannedTrajectory
 from procedures.planning.prediction.instrument_error import (
     DIRECTION,
@@ -34,6 +32,8 @@ from procedures.registration import (
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
+from procedures.results.errors import GateFailed
+from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.arm import arm_errors

@@ -6,10 +6,10 @@ from pydantic import Field
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
-from procedures.engine.result import Numbers6, StepResult, Values
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
 from procedures.relocalization.triangulation import check_serial
+from procedures.results.result import Numbers6, StepResult, Values
 from procedures.workcell import MountedTool
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, ProcedureSettings

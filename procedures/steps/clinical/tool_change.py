@@ -5,9 +5,9 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tools.exchange import exchange_for

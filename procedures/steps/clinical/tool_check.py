@@ -14,9 +14,10 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.hands import IN_GAUGE
-from procedures.engine.operator import Task, Topic
-from procedures.engine.result import Numbers6, StepResult
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
+from procedures.results.result import Numbers6, StepResult
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide

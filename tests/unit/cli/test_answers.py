@@ -12,7 +12,8 @@ from procedures.cli.case.opening import Watcher
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.who_answers import operator_of
 from procedures.engine.errors import AnswersUnfit
-from procedures.engine.operator import Question, ReadBack, Topic
+from procedures.operator.question import Question, ReadBack
+from procedures.operator.topic import Topic
 from procedures.steps.answer_words import ANSWER_WORDS
 from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content

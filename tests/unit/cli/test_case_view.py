@@ -17,10 +17,10 @@ from procedures.cli.case.display import following
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
-from procedures.engine.errors import GateFailed
 from procedures.engine.events import Event
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
 from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"

@@ -16,10 +16,10 @@ from procedures.cli.console.pilot import Pilot
 from procedures.cli.console.room import ConsoleRoom
 from procedures.engine.engine import Engine
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Task
 from procedures.engine.orders import read_order
 from procedures.engine.questions import as_shown
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.room import Task
 
 ANA = "session-ana"
 GAUGE = Task("gauge", "read the gauge", reads=("gap in mm", "turn in mm"))

@@ -15,9 +15,10 @@ from waiting import eventually
 from procedures.cli.console.desk import Desk, Wish
 from procedures.cli.console.seat import LEASE_S
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.operator import Question, ReadBack, Signature, Topic
 from procedures.engine.orders import read_order
 from procedures.engine.questions import as_shown
+from procedures.operator.question import Question, ReadBack, Signature
+from procedures.operator.topic import Topic
 
 ANA, BEN = "session-ana", "session-ben"
 

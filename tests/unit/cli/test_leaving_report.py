@@ -9,9 +9,9 @@ from user_commands import in_this_process
 
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.procedure import app
-from procedures.engine.errors import GateFailed
-from procedures.engine.journal import Entry, Journal
+from procedures.journal.journal import Entry, Journal
 from procedures.reporting import report
+from procedures.results.errors import GateFailed
 from ronna_hw.evidence.inspection import REQUEST_FILE
 
 

@@ -11,10 +11,10 @@ from recording_cell import HOME, RecordingCell
 from procedures.cli.case.left_away import left_away
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.journal import Entry
-from procedures.engine.operator import Topic
 from procedures.engine.order import order_of
+from procedures.journal.journal import Entry
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
 
 

@@ -19,12 +19,14 @@ from procedures.cli.console.desk import Desk
 from procedures.cli.console.pilot import Pilot
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import ConsoleMissing, GateFailed, OperatorAborted
-from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Topic
+from procedures.engine.errors import ConsoleMissing
 from procedures.engine.orders import read_order
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
 
 ANA = "session-ana"
 

@@ -11,10 +11,12 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import GateFailed, OperatorAborted
-from procedures.engine.operator import Question, Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
 from ronna_hw.devices.lifecycle import Lifecycle
 
 

@@ -12,8 +12,8 @@ from procedures.cli.case.case_inputs import recorded_order
 from procedures.cli.case.request import CaseRequest
 from procedures.engine.left_run import read_left_run
 from procedures.engine.order import order_of
-from procedures.engine.result import StepResult
 from procedures.engine.step import StepKey
+from procedures.results.result import StepResult
 
 
 class Begun(StepResult, kind="begun"):

@@ -29,10 +29,11 @@ from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.commands import COMMANDS
 from procedures.cli.runs.left_runs import close_left
 from procedures.cli.runs.report import make_report
-from procedures.engine.errors import BadRequestFile, OperatorAborted, OtherProgram
-from procedures.engine.journal import Entry
+from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
+from procedures.journal.journal import Entry
+from procedures.operator.errors import OperatorAborted
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth
 from procedures.reporting.outcome import Truth

@@ -9,7 +9,7 @@ import pytest
 
 from procedures.cli.case import operators
 from procedures.cli.case.operators import TerminalRoom
-from procedures.engine.operator import Task
+from procedures.operator.room import Task
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS
 
 THREE_DIALS = Task(

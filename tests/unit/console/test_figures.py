@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from console.feed.view import CaseView, StepRow
 from console.figures import as_of
-from procedures.engine.events import Evidence
+from procedures.operator.evidence import Evidence
 from procedures.reporting.case_figures import CaseFigures, PredictionFigure, SphereFigure, TrajectoryFigure
 
 PLACE = (1.0, 2.0, 3.0)

@@ -10,10 +10,10 @@ from plain_steps import plain_order, plain_steps
 from recording_cell import RecordingCell
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import StepRefused
-from procedures.engine.result import StepResult
 from procedures.engine.run_folder import read_run
 from procedures.engine.step import Outcome, StepKey, StepSpec
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from ronna_hw.errors import LinkTimeout
 
 NAMES = [str(key) for key in plain_order().sequence]

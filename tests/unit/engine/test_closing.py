@@ -7,7 +7,7 @@ from pathlib import Path
 
 from procedures.engine.closing import close_run
 from procedures.engine.context import ClinicalInput
-from procedures.engine.journal import JOURNAL_FILE, Journal
+from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.strategies.catalogue import strategy_named
 
 

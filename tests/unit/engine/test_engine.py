@@ -7,11 +7,14 @@ from recording_cell import RecordingCell, RecordingOperator
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import JournalNotWritable, NotConfirmed, StepRefused, WrongResult
-from procedures.engine.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
-from procedures.engine.operator import Topic
-from procedures.engine.result import StepResult
+from procedures.engine.errors import WrongResult
 from procedures.engine.step import Outcome
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import BadRecord, read_record
 

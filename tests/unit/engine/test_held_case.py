@@ -5,8 +5,9 @@ from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import NotConfirmed, OperatorAborted, StepRefused
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.last_known import LastKnown

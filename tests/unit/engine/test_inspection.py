@@ -18,10 +18,10 @@ from spoilt_runs import files_in, with_another_byte
 from procedures.cli.case.leaving_report import seal_run
 from procedures.engine.closing import close_run
 from procedures.engine.context import StepContext
-from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.engine.left_run import read_left_run
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.results.result import StepResult
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain

@@ -10,12 +10,13 @@ from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import RunInUse, StepRefused
-from procedures.engine.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
+from procedures.engine.errors import RunInUse
 from procedures.engine.left_run import read_left_run
-from procedures.engine.result import StepResult
 from procedures.engine.run_lock import held_run
 from procedures.engine.step import Outcome, StepKey
+from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.workcell.left_arm import left_arm
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from procedures.engine.events import Evidence, Questioned
+from procedures.engine.events import Questioned
 from procedures.engine.events.shown import shown_digest
 from procedures.engine.orders import LONGEST_BYTES, Stop, read_order
+from procedures.operator.evidence import Evidence
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 

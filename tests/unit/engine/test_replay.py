@@ -14,9 +14,7 @@ from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
 from procedures.engine.context import ClinicalInput, StepContext
-from procedures.engine.errors import GateFailed, NotRecorded
-from procedures.engine.journal import Entry, Journal
-from procedures.engine.operator import Question, Topic
+from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict
 from procedures.engine.replay.recorded_answers import read_answers
@@ -25,6 +23,10 @@ from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
 from procedures.engine.run_folder import run_of
 from procedures.engine.step import Outcome
+from procedures.journal.journal import Entry, Journal
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle

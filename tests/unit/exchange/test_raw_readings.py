@@ -18,11 +18,11 @@ from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
-from procedures.engine.journal import Entry, Journal
 from procedures.engine.replay.sections import section_follower
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_extent import EXTENT_FILE, missing_in_raw
 from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw
+from procedures.journal.journal import Entry, Journal
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,

@@ -31,19 +31,19 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.runs import resume
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.journal import JOURNAL_FILE
 from procedures.engine.left_run import read_left_run
-from procedures.engine.operator import Topic
-from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.step import Outcome, Scope, StepKey
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.operator.topic import Topic
 from procedures.recovery.moved_cart import MovedCart
 from procedures.recovery.surroundings import head_moved_since, surround
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
 from procedures.reporting.target_table import target_rows
+from procedures.results.result import FramedPose, StepResult
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget

@@ -16,13 +16,13 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
 from procedures.engine.left_run import read_left_run
-from procedures.engine.operator import Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
+from procedures.operator.topic import Topic
 from procedures.recovery.moved_cart import MOST_MOVES, MovedCart
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
 from procedures.workcell import MountedTool

@@ -25,14 +25,17 @@ from recording_cell import GUIDE, STEREO_HEAD
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import NotConfirmed, RecoveryRefused, StepRefused
-from procedures.engine.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
-from procedures.engine.operator import Question, Topic
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.result import StepResult
 from procedures.engine.step import Scope, StepSpec
+from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.recovery import bring_home, inputs, recover, taking_up
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.set_up import DeviceIdentity

@@ -23,11 +23,12 @@ from prepared_results import (
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import StepRefused
-from procedures.engine.operator import Question, Topic
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.step import Scope
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.recovery import inputs, recover, taking_up
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import at_target, positioning, retreat, tool_check
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.steps.errors import ToolBesideGauge

@@ -5,7 +5,7 @@ from clinical_case import ClinicalCell
 from prepared_results import checked_paths, mounted_guide, relocalization, up_to_correspondence
 
 from procedures.engine.engine import Engine
-from procedures.engine.journal import Entry
+from procedures.journal.journal import Entry
 from procedures.steps.clinical import registration
 from procedures.workcell import MountedTool
 

@@ -14,14 +14,15 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.errors import GateFailed, OperatorAborted, StepRefused
-from procedures.engine.journal import JOURNAL_FILE, Entry
-from procedures.engine.result import StepResult
 from procedures.engine.step import Outcome
+from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.operator.errors import OperatorAborted
 from procedures.reporting.ending import ending_of
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
+from procedures.results.errors import GateFailed, StepRefused
+from procedures.results.result import StepResult
 
 
 def raising(problem: BaseException) -> Work:

@@ -15,9 +15,9 @@ from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
 from procedures.engine.engine import Engine
-from procedures.engine.journal import Entry
 from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import PatientMoved
+from procedures.journal.journal import Entry
 from procedures.reporting import target_table
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.plan_table import plan_rows

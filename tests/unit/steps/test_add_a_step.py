@@ -10,9 +10,9 @@ import pytest
 from clinical_case import ClinicalCell, given
 from prepared_results import mounted_guide
 
-from procedures.engine.errors import GateFailed
 from procedures.engine.machine import mermaid
 from procedures.engine.order import CaseOrder, order_of
+from procedures.results.errors import GateFailed
 from procedures.steps.catalogue import CLINICAL_STEPS
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "how-to" / "add-a-step.md"

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine.operator import Topic
+from procedures.operator.topic import Topic
 from procedures.steps import branches
 from procedures.steps.branches import BRANCHES, Branch, Ending
 from procedures.steps.catalogue import CLINICAL_STEPS

@@ -22,9 +22,9 @@ from pydantic import BaseModel, ValidationError
 
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
 from procedures.engine.order import Steps
-from procedures.engine.result import FramedPose, StepResult
 from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec
+from procedures.results.result import FramedPose, StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from procedures.engine.journal import JOURNAL_FILE, Entry, Journal
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import RECORDS_FOLDER
 from ronna_hw.evidence.journal_reading import read_chain

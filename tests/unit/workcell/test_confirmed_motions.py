@@ -11,8 +11,9 @@ import pytest
 from planned_arm import PlannedArm
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
-from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.operator import Question, Topic
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.arm.clearance.bodies import Bodies

@@ -7,8 +7,8 @@ from collections.abc import Callable
 import pytest
 from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
 
-from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal import JOURNAL_FILE, read_journal
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
 from procedures.workcell.workcell import APPROACH_RAD

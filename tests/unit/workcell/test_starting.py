@@ -7,8 +7,8 @@ import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingArm, RecordingCell, RecordingOperator
 
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from ronna_hw.devices.lifecycle import Lifecycle
 
 WORDS = "the controller does not say which program it runs"

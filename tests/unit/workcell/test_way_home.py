@@ -2,7 +2,7 @@
 
 import pytest
 
-from procedures.engine.errors import StepRefused
+from procedures.results.errors import StepRefused
 from procedures.workcell.way_home import AT_HOME_RAD, WayHome
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.readings import ArmReading, JointVector, Stamp, Validity

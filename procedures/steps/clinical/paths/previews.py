@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from procedures.engine.result import Values
 from procedures.planning.reach.motions import PreviewedMotion
+from procedures.results.result import Values
 from ronna_hw.arm.clearance.swept_path import Closest
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.engine.operator import words
+from procedures.operator.question import words
 from procedures.planning.prediction.best_strategy import with_best_chosen
 from procedures.planning.reach.alternatives import advice, alternatives, unreached
 from procedures.planning.reach.free_angle import TurnedPaths, choose_free_angles

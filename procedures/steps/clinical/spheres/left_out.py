@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from procedures.engine.result import Values
+from procedures.results.result import Values
 
 
 class LeftOutSphere(Values):

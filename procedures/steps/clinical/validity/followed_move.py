@@ -16,13 +16,13 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.errors import StepRefused
-from procedures.engine.result import FramedPose, Values
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomReading, RoomWatch
 from procedures.registration.rigid_move import RigidMove, rigid_move
 from procedures.registration.shift import same_points, shift_of
+from procedures.results.errors import StepRefused
+from procedures.results.result import FramedPose, Values
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization

@@ -17,11 +17,12 @@ from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
-from procedures.engine.errors import NotConfirmed, StepRefused
-from procedures.engine.operator import Topic
-from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from procedures.relocalization.errors import NoSphere, WrongCamera
+from procedures.results.errors import StepRefused
+from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall, look_step
 from procedures.steps.calibration.ball_observation import (
     ObservedBall,

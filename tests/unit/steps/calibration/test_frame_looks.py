@@ -12,8 +12,9 @@ from recording_cell import RecordingOperator
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.tracker_frame.looks import FrameLooks, Use
 from procedures.calibration.tracker_frame.record import calibrate_frame
-from procedures.engine.errors import GateFailed, NotConfirmed, StepRefused
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed, StepRefused
 from procedures.steps.calibration.frame_looks import turning_step
 from procedures.workcell import MountedTool
 

@@ -11,8 +11,8 @@ from recording_cell import GUIDE, RecordingOperator
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
 from procedures.calibration.tool_tip.looks import TipLooks
 from procedures.calibration.tool_tip.record import calibrate_tip
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
 from procedures.steps.calibration.tip_readings import readings_step

@@ -8,7 +8,7 @@ from prepared_results import checked_plan, global_localization, localized_fiduci
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
-from procedures.engine.operator import Topic
+from procedures.operator.topic import Topic
 from procedures.planning.plan.model import FiducialKind
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import NoUniqueMatch

@@ -11,7 +11,7 @@ import pytest
 from clinical_case import ClinicalCell
 from prepared_results import checked_set_up
 
-from procedures.engine.errors import GateFailed
+from procedures.results.errors import GateFailed
 from procedures.steps.clinical.global_localization import STEP
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames

@@ -15,7 +15,7 @@ from strategy_arms import Stuck
 
 from procedures.engine.case import Stored
 from procedures.engine.engine import Engine
-from procedures.engine.operator import Topic
+from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan

@@ -12,11 +12,11 @@ from prepared_results import SERIES, imported_ct, localized_fiducials, plan
 from pydicom.dataset import Dataset
 from recording_cell import RecordingOperator
 
-from procedures.engine.errors import GateFailed
-from procedures.engine.operator import Topic
 from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.operator.topic import Topic
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan.model import Plan
+from procedures.results.errors import GateFailed
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 
 Array = NDArray[np.float64]

@@ -15,8 +15,9 @@ from prepared_results import (
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
-from procedures.engine.errors import GateFailed, NotConfirmed
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool

@@ -10,10 +10,11 @@ from prepared_results import ARRIVING, checked_paths, checked_plan, coarse, loca
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
-from procedures.engine.errors import GateFailed, StepRefused
-from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Question, Topic
-from procedures.engine.result import StepResult
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
+from procedures.results.errors import GateFailed, StepRefused
+from procedures.results.result import StepResult
 from procedures.steps.clinical.relocalization import STEP, Relocalization
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool

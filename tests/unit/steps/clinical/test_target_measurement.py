@@ -15,9 +15,9 @@ from prepared_results import (
 )
 from recording_cell import RecordingOperator
 
-from procedures.engine.errors import NotConfirmed
-from procedures.engine.operator import Topic
 from procedures.engine.order import order_of
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.registration import RegisteredRobot

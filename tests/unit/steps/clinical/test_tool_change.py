@@ -6,8 +6,9 @@ from prepared_results import checked_plan, checked_set_up, coarse, localized_fid
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored
-from procedures.engine.errors import NotConfirmed, StepRefused
-from procedures.engine.operator import Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool

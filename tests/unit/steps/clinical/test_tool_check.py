@@ -12,8 +12,10 @@ from clinical_case import FIRST, ClinicalCell
 from prepared_results import checked_plan, coarse, localized_fiducials, mounted_guide
 from recording_cell import RecordingOperator
 
-from procedures.engine.errors import NotConfirmed, StepRefused
-from procedures.engine.operator import Task, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
+from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import STEP, TIP_LIMIT_MM, CheckedTool
 from procedures.steps.errors import ToolBesideGauge

@@ -15,9 +15,9 @@ from prepared_results import (
 )
 
 from procedures.engine.events import StepState
-from procedures.engine.result import StepResult
 from procedures.engine.step import StepSpec
 from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.registration import RegisteredRobot

@@ -17,13 +17,14 @@ from prepared_results import (
 from recording_cell import RecordingOperator
 
 from procedures.engine.engine import Engine
-from procedures.engine.errors import GuardUnmet, NotConfirmed
 from procedures.engine.events import Finding
-from procedures.engine.journal import JOURNAL_FILE, read_journal
-from procedures.engine.operator import Question, Topic
 from procedures.guards import GuideStill
 from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_still import PUSHED_MM
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.errors import GuardUnmet, NotConfirmed
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
@@ -224,7 +225,7 @@ def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: Clini
 def test_a_guide_that_is_pushed_suspends_the_case_until_it_is_let_go(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, push_mm: float, suspends: bool
 ) -> None:
-    monkeypatch.setattr("procedures.engine.checkpoint.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
     engine = before_the_entry(cell)
 
@@ -264,7 +265,7 @@ def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is
     pushed_mm: float,
     ends: AbstractContextManager[object],
 ) -> None:
-    monkeypatch.setattr("procedures.engine.checkpoint.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
     monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.GUARD,)

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
-from procedures.engine.errors import JournalNotWritable
+from procedures.journal.errors import JournalNotWritable
 from ronna_hw.evidence.journal_reading import (
     ENDS_OF_A_STEP,
     FIRST,

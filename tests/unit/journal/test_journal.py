@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine.errors import JournalNotWritable
-from procedures.engine.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.seal import ROOM_FILE
 

@@ -3,9 +3,10 @@ from contextlib import contextmanager
 
 import pytest
 
-from procedures.engine.checkpoint import Checkpoint
-from procedures.engine.errors import GuardUnmet, OperatorAborted
-from procedures.engine.operator import Question, Topic
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.errors import GuardUnmet, OperatorAborted
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 
 
 class Disk:

@@ -1,0 +1,15 @@
+"""What a question is decided by."""
+
+from __future__ import annotations
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Evidence(BaseModel):
+    """A table that a question is decided by, as it is shown: text, with its units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
