@@ -39,7 +39,7 @@ class NothingToVerify(DataError):
     """A run folder contains nothing to compare with the ground truth."""
 
     code = "SIM-006"
-    action = "Give the folder of a run made with --sim that reached a target."
+    action = "Give the folder of a run made with --sim that reached a target, or add --theatre DIR."
 
 
 class BadTruth(DataError):

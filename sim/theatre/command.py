@@ -236,12 +236,18 @@ def fault(
 
 def verify(
     run: Annotated[Path, typer.Argument(help="Folder of a completed run.")],
+    theatre: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the theatre in which the run was made; runs made with --sim contain theirs."
+        ),
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Compare a completed run with the ground truth of its theatre."""
     from sim.theatre.verify import verify_run
 
-    outcome = verify_run(run)
+    outcome = verify_run(run, theatre)
     if as_json:
         print_json(outcome)
         return

@@ -5,6 +5,8 @@ Uses the run's records and the truth sampled by the theatre; neither knows the o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,30 +23,48 @@ THEATRE_FOLDER = "theatre"
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
 
 
-def verify_run(run: Path) -> dict[str, Any]:
+def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     """Compare a run folder with its theatre's truth; raises SIM-006 when there is nothing to compare, SIM-007
     when the truth cannot be read, PRO-033 for a run that was altered.
+
+    A run made with `--sim` contains its theatre; of a run by hand, `theatre` is the folder of the theatre it
+    was made in, which may have seen other runs and, by mistake, another patient.
 
     Returns `ct` (found, missed, false, rms_error_mm) and `targets` (id, depth_mm, application_error_mm,
     lateral_mm, axial_mm, axis_error_rad), as plain data.
     """
-    theatre = run / THEATRE_FOLDER
-    if not (theatre / SCENE_FILE).exists():
-        raise NothingToVerify(f"{run} has no simulated theatre")
+    place = run / THEATRE_FOLDER if theatre is None else theatre
+    if not (place / SCENE_FILE).exists():
+        raise NothingToVerify(f"{place if theatre else run} has no simulated theatre")
     found = inspected(run).require_unchanged()
-    scene = read_scene(theatre / SCENE_FILE)
-    samples = {sample.target: sample for sample in read_samples(theatre)}  # the last sample of each target
+    scene = read_scene(place / SCENE_FILE)
+    taken = read_samples(place) if theatre is None else _during(found, read_samples(place))
+    samples = {sample.target: sample for sample in taken}  # the last sample of each target
     localization = _standing(found, "fiducial_localization")
     if localization is None and not samples:
         raise NothingToVerify(f"{run} located no sphere and reached no target")
+    ct = _verify_ct(scene, localization)
+    if theatre is not None and ct is not None and not ct["found"]:
+        raise NothingToVerify(
+            f"{theatre} has another patient than {run}: none of the spheres found is there",
+            action="Give the folder of the theatre in which the run was made.",
+        )
     return {
-        "ct": _verify_ct(scene, localization),
+        "ct": ct,
         "targets": [
             _verify_target(scene, trajectory, samples[trajectory["id"]])
             for trajectory in _planned(found)
             if trajectory["id"] in samples
         ],
     }
+
+
+def _during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
+    """Those taken while the run was made."""
+    moments = [datetime.fromisoformat(str(line["host_time"])) for line in found.chain.lines]
+    if not moments:
+        return ()
+    return [one for one in samples if one.host_time and moments[0] <= one.host_time <= moments[-1]]
 
 
 def _planned(found: Inspection) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -136,6 +137,36 @@ def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
 def test_a_run_that_came_nowhere_cannot_be_verified(run: Path) -> None:
     with pytest.raises(NothingToVerify, match="located no sphere and reached no target"):
         verify_run(run)
+
+
+@pytest.fixture
+def theatre(run: Path) -> Path:
+    """The theatre as it is after a run by hand: a folder of its own."""
+    return (run / THEATRE_FOLDER).rename(run.parent / f"{run.name}-theatre")
+
+
+def sample(theatre: Path, tip_mm: tuple[float, float, float], taken: datetime) -> None:
+    guide = SCENE.mount.tool_number_guide
+    values = {"theatre_time_s": 1.0, "mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0)}
+    one = TipSample.model_validate(values | {"target": TRAJECTORY, "tip_mm": tip_mm, "host_time": taken})
+    append_sample(one, theatre)
+
+
+def test_a_run_by_hand_is_compared_with_what_its_theatre_saw_during_it(run: Path, theatre: Path) -> None:
+    sample(theatre, (10.0, 20.0, 30.1), datetime.now(UTC))
+    leave(run, Record("02-ct_import", "ct_import", {}, {}))
+    sample(theatre, (15.0, 20.0, 30.0), datetime.now(UTC) + timedelta(hours=1))  # by another run
+    with pytest.raises(NothingToVerify, match=r"no simulated theatre.*--theatre"):
+        verify_run(run)
+    assert [target["axial_mm"] for target in verify_run(run, theatre)["targets"]] == pytest.approx([-0.1])
+
+
+def test_a_run_by_hand_is_not_compared_with_the_theatre_of_another_patient(
+    run: Path, theatre: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+) -> None:
+    localize([(500.0, 0.0, 0.0)])
+    with pytest.raises(NothingToVerify, match="another patient"):
+        verify_run(run, theatre)
 
 
 @pytest.mark.hazard(39)
