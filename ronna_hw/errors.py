@@ -64,6 +64,7 @@ class RonnaError(Exception):
         self.advice = printable(action or self.action)
         self.wire = bytes(wire[-LAST_BYTES_KEPT:])
         self.attachments: dict[str, str] = {}  # file name -> text: evidence for the run folder
+        self.shown = False  # already, at the terminal, by a command that continued; not printed again
         super().__init__(self._one_line())
 
     @property

@@ -134,7 +134,8 @@ def _report(problem: Exception, *, verbose: bool) -> int:
 
         with contextlib.suppress(OSError):
             traceback.print_exception(problem, file=sys.stderr)
-    fail_with(error)
+    if not error.shown:
+        fail_with(error)
     return error.exit_code
 
 

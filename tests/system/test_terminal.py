@@ -149,5 +149,6 @@ def test_a_step_that_fails_leaves_the_case_at_a_prompt_that_leads_on(
         terminal.await_text("the arm is parked")
         terminal.type("quit\n")
         assert terminal.rest() == 7
+        assert terminal.text.count("PRO-002 ") == 1  # with its advice, when it held the case; not at the end
     finally:
         terminal.close()

@@ -77,6 +77,7 @@ def _run(engine: Engine, watcher: Watcher) -> None:
                 raise
             held.tell_held(engine, error)
             if not held.follow(engine):
+                error.shown = True
                 raise
 
 
