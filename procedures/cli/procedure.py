@@ -96,7 +96,8 @@ def doctor_command(
         list[str] | None,
         typer.Option(
             "--endpoint",
-            help="A tracker's line or a camera to check: serial:///dev/..., tcp://host:port or gev://host.",
+            help="A tracker's line, a controller's EKI server or a camera to check: serial:///dev/..., "
+            "tcp://host:port or gev://host.",
         ),
     ] = None,
     as_json: JsonOption = False,

@@ -33,16 +33,12 @@ class PolarisProbe:
         self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
     ) -> Sequence[Diagnostic]:
         lines = [each for each in endpoints_of(config) if each.scheme in self.endpoint_schemes]
-        diagnostics = self.look_at(lines, lambda share: progress(LINE_SHARE * share))
+        diagnostics = _looked_at(lines, lambda share: progress(LINE_SHARE * share), of_tracker=True)
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
         return (*diagnostics, *connect_and_leave(name, config, PolarisTracker, advice, inspect))
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        diagnostics = []
-        for endpoint in endpoints:
-            diagnostics.append(line_diagnostic(look_at_line(endpoint)))
-            progress(len(diagnostics) / len(endpoints))
-        return diagnostics
+        return _looked_at(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
         return find_trackers(search, progress)
@@ -52,3 +48,11 @@ class PolarisProbe:
 
 
 probe = PolarisProbe()
+
+
+def _looked_at(endpoints: Sequence[Endpoint], progress: Progress, *, of_tracker: bool) -> list[Diagnostic]:
+    diagnostics: list[Diagnostic] = []
+    for endpoint in endpoints:
+        diagnostics.append(line_diagnostic(look_at_line(endpoint), of_tracker=of_tracker))
+        progress(len(diagnostics) / len(endpoints))
+    return diagnostics

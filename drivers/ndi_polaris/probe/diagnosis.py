@@ -24,9 +24,9 @@ class Diagnosis(NamedTuple):
     advice: str = ""
 
 
-def line_diagnostic(line: LineState) -> Diagnostic:
+def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
     """The line for the doctor, with every attempt in bytes."""
-    well, seen, advice = diagnose(line)
+    well, seen, advice = diagnose(line, of_tracker=of_tracker)
     answered = line.answered
     document: dict[str, Any] = {
         "endpoint": str(line.endpoint),
@@ -46,8 +46,11 @@ def line_diagnostic(line: LineState) -> Diagnostic:
     return Diagnostic(f"line {line.endpoint}", well, seen, advice, SECTION, document)
 
 
-def diagnose(line: LineState) -> Diagnosis:
-    """State the observation, and what it means."""
+def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
+    """State the observation, and what it means.
+
+    Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
+    """
     if line.opening is not Opening.OPENED:
         return _not_opened(line)
     if (answered := line.answered) is not None:
@@ -69,8 +72,8 @@ def diagnose(line: LineState) -> Diagnosis:
         )
     if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
         return Diagnosis(
-            False,
-            "a robot controller that sends its state over EKI, not a tracker",
+            not of_tracker,
+            f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
             "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
         )
     seen = "; ".join(f"garbage {_where(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:])
@@ -81,7 +84,7 @@ def diagnose(line: LineState) -> Diagnosis:
     else:
         advice = (
             "Probably another rate, or another device. If it is the tracker: power-cycle it, which resets "
-            "it to {DEFAULT_BAUD} baud."
+            f"it to {DEFAULT_BAUD} baud."
         )
     return Diagnosis(False, seen, advice)
 

@@ -109,6 +109,7 @@ def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Answer], Oth
     assert not diagnosis.well
     assert diagnosis.seen == "garbage at 9600: bytes 80 f8 00 e6"
     assert "Probably another rate, or another device" in diagnosis.advice
+    assert "resets it to 9600 baud" in diagnosis.advice
     assert [attempt.outcome for attempt in state.attempts] == [
         Outcome.GARBAGE, Outcome.SILENCE, Outcome.SILENCE
     ]  # fmt: skip
@@ -253,6 +254,16 @@ def test_what_answers_over_tcp(
     assert bool(diagnosis.advice) is not well
 
 
+def test_a_robot_controller_is_in_order_where_no_theatre_file_has_called_it_a_tracker(
+    listener: Callable[[bytes | None], Endpoint], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line, "INQUIRY_LIMIT_S", 0.2)
+    (found,) = probe.look_at([listener(b'<State Mode="EXT"></State>')], lambda _share: None)
+    assert found.well
+    assert found.seen == "a robot controller that sends its state over EKI"
+    assert "eki_project of [robot.master]" in found.advice
+
+
 def test_nobody_listens() -> None:
     diagnosis = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=1)))
     assert not diagnosis.well
@@ -264,7 +275,7 @@ def test_nobody_listens() -> None:
 
 def test_the_document_has_every_attempt_in_hex(other_end: Callable[[Answer], OtherEnd]) -> None:
     end = other_end(unit_at(115200, b"\xfe\xff"))
-    diagnostic = line_diagnostic(look_at_line(end.endpoint))
+    diagnostic = line_diagnostic(look_at_line(end.endpoint), of_tracker=True)
     assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")
     assert diagnostic.document is not None
     assert diagnostic.document["answered_at_baud"] == 115200
@@ -274,7 +285,9 @@ def test_the_document_has_every_attempt_in_hex(other_end: Callable[[Answer], Oth
 
 
 def test_a_line_that_was_not_opened_has_no_attempts() -> None:
-    diagnostic = line_diagnostic(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
+    diagnostic = line_diagnostic(
+        LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING), of_tracker=True
+    )
     assert diagnostic.document is not None
     assert diagnostic.document["attempts"] == []
 
