@@ -70,7 +70,7 @@ class HeadFigures(_Figures):
         used = [value for value, is_used in self.looks_px if is_used]
         rms_px = math.sqrt(sum(value**2 for value in used) / max(len(used), 1))
         yield Figure("cameras", f"{self.serials[0]} left, {self.serials[1]} right")
-        yield Figure("looks", f"{len(used)} used, {len(self.outliers)} left out")
+        yield Figure("measurements", f"{len(used)} used, {len(self.outliers)} left out")
         for number, axis in enumerate(AXES):
             sigma_mm = math.sqrt(self.tool_covariance_mm2[number][number])
             value_mm = self.flange_from_tool.translation_mm[number]
@@ -111,7 +111,7 @@ class CheckFigures(_Figures):
     def figures(self) -> Iterator[Figure]:
         """As a table."""
         yield Figure("calibration", self.calibration)
-        yield Figure("looks", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis")
+        yield Figure("measurements", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis")
         for sign in self.signs:
             yield Figure(
                 f"{sign.name}, {sign.unit}",
@@ -168,7 +168,7 @@ class ArmFigures(_Figures):
 
     def figures(self) -> Iterator[Figure]:
         """As a table."""
-        yield Figure("looks", f"{self.looks - self.outliers} used, {self.outliers} left out")
+        yield Figure("measurements", f"{self.looks - self.outliers} used, {self.outliers} left out")
         yield Figure("measurements held out for validation", str(self.validation_looks))
         yield Figure("error at these, nominal arm, mm rms", millimetres(self.before_mm))
         yield Figure(
@@ -197,7 +197,7 @@ class ArmCheckFigures(_Figures):
 
     def figures(self) -> Iterator[Figure]:
         """As a table."""
-        yield Figure("looks", str(self.looks))
+        yield Figure("measurements", str(self.looks))
         yield Figure(
             "error, mm rms",
             f"{millimetres(self.error_mm)}, expected {millimetres(self.expected_mm)}",

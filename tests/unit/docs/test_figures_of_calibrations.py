@@ -1,0 +1,23 @@
+"""The pages about calibrations explain figures under the names that the commands print."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from procedures.reporting import calibration
+
+ROOT = Path(__file__).resolve().parents[3]
+EXPLAINED = re.compile(r"^- \*\*(.+?)\*\*", re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    "page", ["calibrate-tracker-frame", "calibrate-tool-tip", "stereo-calibration", "arm-calibration"]
+)
+def test_a_figure_is_explained_by_the_name_that_is_printed(page: str) -> None:
+    text = (ROOT / f"docs/how-to/{page}.md").read_text(encoding="utf-8")
+    section = text.partition("## What the figures mean")[2].partition("\n## ")[0]
+    printed = Path(calibration.__file__).read_text(encoding="utf-8")
+    named = EXPLAINED.findall(section)
+    assert named
+    assert [name for name in named if f'"{name}' not in printed] == []
