@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import socket
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -95,6 +96,7 @@ TROUBLES = {
     "tools of another flange": Trouble("TOOL-003", change=lambda text: text.replace("flange =", "#", 1)),
     "no record of the guide": Trouble("TOOL-002", change=_without("tools.guide")),
     "no cameras": Trouble("DEV-007", change=_without("stereo")),
+    "clock gone": Trouble("CLK-001", change=_replaced("shm:///proc/", "shm:///proc/0")),
     "no banner": Trouble("CFG-004", change=_replaced("banner = ", 'banner = "" # ')),
     "guide mounted": Trouble("PRO-009", tool=GUIDE),
     "nothing mounted": Trouble("PRO-009", tool=NOTHING),
@@ -134,23 +136,19 @@ def _few_looks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def _refusal(file: Path, folder: Path) -> RonnaError | None:
     """What building the workcell or the step `set_up` raises in that theatre."""
-    journal = Journal(folder)
-    theatre = Theatre.from_file(file)
     try:
-        workcell = Workcell(theatre, journal)
-        setting = SimpleNamespace(
-            today=lambda: datetime.now(UTC),
-            left_away=None,
-            settings=theatre.file.procedure,
-            surroundings=theatre.file.cell_with_tools,
-        )
-        context = SimpleNamespace(workcell=workcell, setting=setting, progress=lambda *_: None)
-        set_up.run(cast("Any", context))
+        with closing(Journal(folder)) as journal, closing(Theatre.from_file(file)) as theatre:
+            workcell = Workcell(theatre, journal)
+            setting = SimpleNamespace(
+                today=lambda: datetime.now(UTC),
+                left_away=None,
+                settings=theatre.file.procedure,
+                surroundings=theatre.file.cell_with_tools,
+            )
+            context = SimpleNamespace(workcell=workcell, setting=setting, progress=lambda *_: None)
+            set_up.run(cast("Any", context))
     except RonnaError as error:
         return error
-    finally:
-        theatre.close()
-        journal.close()
     return None
 
 

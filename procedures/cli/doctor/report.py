@@ -13,7 +13,7 @@ from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_dia
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.running_case import RUN, running_case
-from procedures.cli.doctor.theatre_checks import case_diagnostics
+from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
 from ronna_hw.command_line.console import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
@@ -83,8 +83,8 @@ def examine(
 def show(report: Report, *, as_json: bool) -> None:
     """Print the diagnostics; ends with exit code 4 where a device, endpoint or calibration has a problem."""
     show_findings(report, as_json=as_json)
-    of_run = tuple(one for one in report.case if one.subject == RUN)
-    if not all(diagnostic.well for diagnostic in of_run + report.calibrations + report.devices):
+    in_use = tuple(one for one in report.case if one.subject in (RUN, CLOCK))
+    if not all(diagnostic.well for diagnostic in in_use + report.calibrations + report.devices):
         raise SystemExit(EXIT_NOT_FOUND)
 
 

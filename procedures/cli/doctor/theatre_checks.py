@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from procedures.guards.disk_space import DiskSpace
+from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import RonnaError
@@ -13,12 +14,14 @@ from ronna_hw.host.open_files import require_open_files
 from ronna_hw.theatre_kind import require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
+CLOCK = "clock of the theatre"
 NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
 
 
 def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Everything that keeps a case from beginning with any devices and records."""
     yield from _judged("theatre file", "all of one kind", lambda: require_one_kind(theatre))
+    yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
     missing = [name for name in NEEDED if name not in theatre.devices]
     yield Diagnostic(
         "devices of a case",
@@ -33,6 +36,14 @@ def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     yield Diagnostic(
         "disk", full is None, full or "enough for a case", "" if full is None else ("Free some space.")
     )
+
+
+def _read_clock(theatre: TheatreFile) -> None:
+    """Raises CLK-001."""
+    clock = open_clock(theatre.clock.endpoint)
+    clock.now_s()
+    if isinstance(clock, SharedClock):
+        clock.close()
 
 
 def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator[Diagnostic]:

@@ -75,6 +75,16 @@ def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(
     assert shares == [0.5, 0.75, 1.0]
 
 
+def test_a_clock_that_has_ended_with_its_theatre_is_a_problem_also_for_a_script(tmp_path: Path) -> None:
+    gone = f'theatre = "lab"\nbanner = "SIMULATED"\n[clock]\nendpoint = "shm://{tmp_path}/clock"\n'
+    (tmp_path / "theatre.toml").write_text(gone)
+    report = examine(tmp_path / "theatre.toml")
+    assert "CLK-001" in next(one for one in report.case if not one.well).seen
+    with pytest.raises(SystemExit) as ended:
+        show(report, as_json=True)
+    assert ended.value.code == EXIT_NOT_FOUND
+
+
 def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_path: Path) -> None:
     (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
     report = examine(tmp_path / "theatre.toml")
