@@ -111,7 +111,9 @@ class CheckFigures(_Figures):
     def figures(self) -> Iterator[Figure]:
         """As a table."""
         yield Figure("calibration", self.calibration)
-        yield Figure("measurements", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis")
+        yield Figure(
+            "measurements", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis"
+        )
         for sign in self.signs:
             yield Figure(
                 f"{sign.name}, {sign.unit}",

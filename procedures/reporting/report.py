@@ -85,6 +85,9 @@ def write_report(
         "began": _moment(reading, 0),
         "ended": _moment(reading, -1),
         "ending": ending_of(reading.run.journal, error),
+        "software": list(
+            dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
+        ),
         "computer": next((line for line in reading.log if line.get("event") == "opened"), {}),
         "rows": rows,
         **_plan(reading, files),

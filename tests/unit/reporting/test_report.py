@@ -185,6 +185,13 @@ def test_a_rehearsal_without_truth_does_not_say_that_its_errors_were_measured(re
     assert measured in write_report(registered, truth=TRUTH).read_text()
 
 
+def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: ClinicalCell) -> None:
+    first, second = "ronna-hw 0.1.0 (abc), lock 123", "ronna-hw 0.1.0 (def), lock 123"
+    for software in (first, first, second):
+        cell.journal.write(Entry.RESTARTED, 0.0, software=software)
+    assert f"{first}; after a restart {second}." in write_report(cell.folder).read_text()
+
+
 def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_plain_course(
     cell: ClinicalCell,
 ) -> None:
