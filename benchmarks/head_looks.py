@@ -24,11 +24,11 @@ from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
-from sim.kuka.arm.true_arm import TrueArm
-from sim.theatre.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.arm.true_arm import TrueArm
+from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
+from sim.world.scene.named_scenes import named_scene
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",

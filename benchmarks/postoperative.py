@@ -24,10 +24,10 @@ from sim.phantom.scan import plain_scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.planes import Planes
-from sim.theatre.noise import noise
-from sim.theatre.rigid import rotation_from_vector
-from sim.theatre.scene.model import CtProtocol, Scene
-from sim.theatre.scene.named_scenes import MINI_CT, named_scene
+from sim.world.noise import noise
+from sim.world.rigid import rotation_from_vector
+from sim.world.scene.model import CtProtocol, Scene
+from sim.world.scene.named_scenes import MINI_CT, named_scene
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.process import load_scene
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.world import World
 
 PEERS = Path(__file__).parent / "peers"
 SILENCE_LIMIT_S = 5.0  # lock-step waits up to 2 s for a reply

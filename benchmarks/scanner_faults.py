@@ -26,7 +26,7 @@ from sim.phantom.case import write_case
 from sim.phantom.families.drawn_scan import family_scan
 from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from benchmarks.stereo_cell import Start, StereoCell
 from benchmarks.stereo_pictures import Studio
 from ronna_hw.errors import RonnaError
-from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from procedures.calibration import Baseline, Observation, calibrate_head, compar
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.pose_set import calibration_looks
 from ronna_hw.arm.errors import LimitError
-from sim.theatre.rigid import rotation_towards
+from sim.world.rigid import rotation_towards
 
 Array = NDArray[np.float64]
 

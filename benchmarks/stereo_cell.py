@@ -37,8 +37,8 @@ from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, 
 from ronna_hw.frames import Frame, Transform
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
-from sim.kuka.arm.true_arm import TrueArm
-from sim.theatre.rigid import (
+from sim.world.arm.true_arm import TrueArm
+from sim.world.rigid import (
     apply,
     inverse,
     matrix_from,
@@ -47,9 +47,9 @@ from sim.theatre.rigid import (
     rotation_from_vector,
     rotation_towards,
 )
-from sim.theatre.scene.model import LinkError, Scene
-from sim.theatre.scene.seating import spheres_in_theatre
-from sim.theatre.world import ArmState, World
+from sim.world.scene.model import LinkError, Scene
+from sim.world.scene.seating import spheres_in_theatre
+from sim.world.world import ArmState, World
 
 Array = NDArray[np.float64]
 

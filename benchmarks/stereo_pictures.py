@@ -21,10 +21,10 @@ from sim.basler.optics.lens import Lens
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
-from sim.theatre.noise import noise
-from sim.theatre.rigid import matrix_of, rotation_towards
-from sim.theatre.scene.model import CameraTruth, Scene
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.noise import noise
+from sim.world.rigid import matrix_of, rotation_towards
+from sim.world.scene.model import CameraTruth, Scene
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]

@@ -125,8 +125,8 @@ def _drawing() -> Figure:
     from sim.basler.camera.photographer import Photographer
     from sim.basler.camera.settings import Settings
     from sim.basler.optics.canvas import Area
-    from sim.theatre.scene.named_scenes import named_scene
-    from sim.theatre.world import World
+    from sim.world.scene.named_scenes import named_scene
+    from sim.world.world import World
 
     scene = named_scene("bench")
     photographer = Photographer(World.create(scene, paced=False), scene.left)

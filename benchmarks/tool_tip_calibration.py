@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.figures import Figure
 from benchmarks.tip_looks import TipCell
 from procedures.calibration.tool_tip.record import calibrate_tip
-from sim.theatre.rigid import matrix_of
+from sim.world.rigid import matrix_of
 
 Array = NDArray[np.float64]
 

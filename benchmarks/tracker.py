@@ -11,9 +11,9 @@ from benchmarks.figures import Figure, compared
 from benchmarks.peers import tracker_clients
 from benchmarks.tracker_stand import Rates, Stand, rates_of
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.process import load_scene
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import robot_frame
+from sim.world.process import load_scene
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import robot_frame
 
 LINES = {"TCP": "tcp://127.0.0.1:0", "pty": "serial-pty"}
 OURS, NDICAPI, SCIKIT = "driver", "ndicapi", "scikit-surgerynditracker"

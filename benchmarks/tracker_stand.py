@@ -12,8 +12,8 @@ from benchmarks.contest import contest, process_cpu_s, rate_of
 from benchmarks.peers.tracker_clients import MakeReader, Reader
 from benchmarks.robot_cell import peer
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.scene.model import Scene
-from sim.theatre.world import World
+from sim.world.scene.model import Scene
+from sim.world.world import World
 
 ROUNDS = 10
 BLOCK_S = 0.12

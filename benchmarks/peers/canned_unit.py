@@ -12,7 +12,7 @@ import sys
 import tty
 from collections.abc import Callable
 
-from sim.theatre.process import end_with_parent
+from sim.world.process import end_with_parent
 
 LONGEST = 4096
 CR = 13

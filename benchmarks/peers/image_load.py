@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 
-from sim.theatre.process import end_with_parent
+from sim.world.process import end_with_parent
 
 SIZE_PX = (1088, 2048)
 

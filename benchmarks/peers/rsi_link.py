@@ -22,7 +22,7 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
-from sim.theatre.process import end_with_parent
+from sim.world.process import end_with_parent
 
 PATIENCE_S = 60.0  # between two blocks of telegrams this process is left alone
 SWING_RAD = 0.6

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.process import end_with_parent
+from sim.world.process import end_with_parent
 
 LONGEST_LIFE_S = 600.0
 

@@ -6,7 +6,7 @@ import json
 import os
 import socket
 
-from sim.theatre.process import end_with_parent
+from sim.world.process import end_with_parent
 
 LONGEST = 65535
 

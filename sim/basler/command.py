@@ -25,7 +25,7 @@ def basler(
 
     from sim.basler.kept_memory import keep_freed_memory
     from sim.basler.pair import CameraPair
-    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):

@@ -8,12 +8,12 @@ from math import pi, radians
 
 from sim.basler.optics.film import drawn_stains
 from sim.basler.optics.foreground import CLEAR, Disturbance, Glare, Occluder
-from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.noise import noise
-from sim.theatre.room_shift import NOTHING_MOVED, ShiftedRoom
-from sim.theatre.scene.model import CameraTruth
-from sim.theatre.scene.seating import spheres_in_theatre
-from sim.theatre.world import World
+from sim.world.faults import Fault, FaultBoard
+from sim.world.noise import noise
+from sim.world.room_shift import NOTHING_MOVED, ShiftedRoom
+from sim.world.scene.model import CameraTruth
+from sim.world.scene.seating import spheres_in_theatre
+from sim.world.world import World
 
 PERCENT = 0.01
 SECONDS_PER_MINUTE = 60.0

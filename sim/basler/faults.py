@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.blur import blurred
-from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.camera import BOTH
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import CameraTruth
-from sim.theatre.world import World
+from sim.world.faults import Fault, FaultBoard
+from sim.world.faults.camera import BOTH
+from sim.world.noise import noise
+from sim.world.scene.model import CameraTruth
+from sim.world.world import World
 
 FLOOD = np.float32(1e6)  # times the light: beyond every exposure and gain
 SPOT_RADIUS_PX = 6.0

@@ -12,7 +12,7 @@ from sim.basler.camera.timing import TriggerMoments
 from sim.basler.control.bootstrap import Identity
 from sim.basler.faults import CameraFaults
 from sim.basler.server import ControlServer
-from sim.theatre.world import World
+from sim.world.world import World
 
 SIDES = ("left", "right")
 

@@ -82,7 +82,7 @@ def kuka(
     from sim.kuka.rsi.rsi_socket import resolve
     from sim.kuka.rsi.telegram_writer import TelegramWriter
     from sim.named_parameters import rows
-    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):

@@ -17,8 +17,8 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.scan import FREE, XFRAME, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
 from sim.phantom.scanner.planes import Planes
-from sim.theatre.scene.model import Scene
-from sim.theatre.scene.plan_feasibility import STANDOFF_MM
+from sim.world.scene.model import Scene
+from sim.world.scene.plan_feasibility import STANDOFF_MM
 
 SERIES_FOLDER = "ct"
 PLAN_FILE = "plan.toml"

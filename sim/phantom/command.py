@@ -13,7 +13,7 @@ import typer
 from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
-from sim.theatre.scene.carrier import Carrier
+from sim.world.scene.carrier import Carrier
 
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"
@@ -111,7 +111,7 @@ def phantom(
     from sim.phantom.families.drawn_scan import family_scan, protocol_named
     from sim.phantom.scan import plain_scan
     from sim.phantom.scanner.faults import ScannerFaults
-    from sim.theatre.process import end_with_parent, load_scene
+    from sim.world.process import end_with_parent, load_scene
 
     if with_parent:
         end_with_parent(lambda: os._exit(EXIT_INTERRUPTED))

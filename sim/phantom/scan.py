@@ -9,8 +9,8 @@ from sim.phantom.head.anatomy import Anatomy, draw_anatomy
 from sim.phantom.head.frame_markers import FREE, XFRAME, XFRAME_CLOSE, frame_markers, frame_shapes
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid, place_grid
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import Scene
+from sim.world.noise import noise
+from sim.world.scene.model import Scene
 
 __all__ = ["FREE", "XFRAME", "XFRAME_CLOSE", "Scan", "plain_scan"]
 

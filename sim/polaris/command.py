@@ -49,7 +49,7 @@ def polaris(
     from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.unit import Unit
-    from sim.theatre.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
         for name, value, meaning in rows(UnitBehaviour):

@@ -1,1 +1,1 @@
-"""The simulated theatre: scene, shared memory, clock, faults, truth."""
+"""Starts all simulators over one world, writes the theatre file, compares a finished run with the truth."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.calibration import PoseRecord
-from sim.kuka.arm.robot_description import FLANGE_PITCH_DEG
-from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene.model import ArmResidual, ArmTruth, Mount
+from sim.world.arm.robot_description import FLANGE_PITCH_DEG
+from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.model import ArmResidual, ArmTruth, Mount
 
 Array = NDArray[np.float64]
 # 3-D error of one point among others with such a record: residuals through the chain, on 200 random arms.

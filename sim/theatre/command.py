@@ -10,8 +10,8 @@ import typer
 
 from ronna_hw.command_line.console import JsonOption, print_json, print_table, say, tell
 from ronna_hw.command_line.errors import UsageMistake
-from sim.theatre.on_stand import OnStand
-from sim.theatre.scene.carrier import Carrier
+from sim.world.on_stand import OnStand
+from sim.world.scene.carrier import Carrier
 
 if TYPE_CHECKING:
     import threading
@@ -92,11 +92,11 @@ def theatre(
     from ronna_hw.errors import EXIT_FAILED
     from sim.theatre.calibration_files import read_calibrations
     from sim.theatre.device_parameters import parameters_by_device
-    from sim.theatre.faults import read_faults
     from sim.theatre.launch import Theatre
-    from sim.theatre.left_world import folder_held, read_left_world
-    from sim.theatre.process import end_with_parent, fail, load_scene
-    from sim.theatre.truth import SCENE_FILE
+    from sim.world.faults import read_faults
+    from sim.world.left_world import folder_held, read_left_world
+    from sim.world.process import end_with_parent, fail, load_scene
+    from sim.world.truth import SCENE_FILE
 
     kept = out / SCENE_FILE  # a scene file may have been changed since
     where = str(kept) if goes_on and kept.exists() else scene
@@ -133,7 +133,7 @@ def theatre(
 
 def _serve(running: Theatre, ended: threading.Event) -> list[str]:
     """Serve until asked to end; returns the reason if a device has ended by itself."""
-    from sim.theatre.process import announce
+    from sim.world.process import announce
 
     reasons: list[str] = []
     try:
@@ -214,7 +214,7 @@ def fault(
 ) -> None:
     """Inject a fault into a running theatre or simulator; without one, list all faults."""
     from ronna_hw.host.control_port import ask_control_port
-    from sim.theatre.faults import FAULT_KINDS
+    from sim.world.faults import FAULT_KINDS
 
     if line is None and not clear:
         rows = [(kind.usage, "once" if kind.momentary else "lasts", kind.meaning) for kind in FAULT_KINDS]

@@ -15,14 +15,14 @@ from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.kuka.controller.message_display import PENDANT
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.control import Room
-from sim.theatre.control_port import ControlPort
-from sim.theatre.left_world import LeftWorld, write_left_world
-from sim.theatre.scene.model import Scene
 from sim.theatre.theatre_file import calibrated_at, theatre_content, write_theatre_file
 from sim.theatre.tool_records import refer_to_tip
-from sim.theatre.truth import SCENE_FILE
-from sim.theatre.world import World
+from sim.world.control import Room
+from sim.world.control_port import ControlPort
+from sim.world.left_world import LeftWorld, write_left_world
+from sim.world.scene.model import Scene
+from sim.world.truth import SCENE_FILE
+from sim.world.world import World
 
 THEATRE_FILE = "theatre.toml"
 # In all: the caller gives the theatre READY_TIMEOUT_S, and must learn which device does not start.

@@ -20,11 +20,11 @@ from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import write_whole
 from sim.theatre.arm_record import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.arm_record import STATED_ERROR_MM, arm_values, measured_mount
-from sim.theatre.noise import noise
-from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene.model import CalibrationError, CameraTruth, Scene
-from sim.theatre.scene.stereo_head import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.theatre.tool_records import refer_to_tip, tool_records
+from sim.world.noise import noise
+from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.model import CalibrationError, CameraTruth, Scene
+from sim.world.scene.stereo_head import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 
 RECORD_LIFE = timedelta(days=30)
 MADE_BY = "ronna-sim theatre"

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from typing import Any
 
 from ronna_hw.calibration import PoseRecord
-from sim.theatre.scene.guide_frame import NAME as GUIDE_FRAME
-from sim.theatre.scene.model import Scene
+from sim.world.scene.guide_frame import NAME as GUIDE_FRAME
+from sim.world.scene.model import Scene
 
 STEREO_HEAD_KG = 2.1
 CENTRE_OF_GRAVITY_MM = (110.0, 0.0, 30.0)  # of either tool including the common mount, flange frame

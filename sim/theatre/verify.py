@@ -15,11 +15,10 @@ import numpy as np
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.records import Record
 from sim.errors import NothingToVerify
-from sim.theatre.rigid import apply, matrix_of
-from sim.theatre.scene.model import Scene, read_scene
-from sim.theatre.truth import SCENE_FILE, TipSample, read_samples
+from sim.world.rigid import apply, matrix_of
+from sim.world.scene.model import Scene, read_scene
+from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TipSample, read_samples
 
-THEATRE_FOLDER = "theatre"
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
 
 

@@ -14,8 +14,8 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.process import load_scene
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.world import World
 
 NEVER_S = 10**9  # theatre time
 

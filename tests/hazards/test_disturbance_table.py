@@ -6,7 +6,7 @@ import disturbance_table
 
 from drivers.kuka_rsi import errors
 from ronna_hw.errors import RonnaError
-from sim.theatre.faults.robot import ROBOT_FAULTS
+from sim.world.faults.robot import ROBOT_FAULTS
 
 # A driver in automatic mode meets nothing of these, or what it meets stands in another line.
 OTHER_FAULTS = {

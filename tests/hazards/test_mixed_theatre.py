@@ -13,8 +13,8 @@ from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.config import TheatreFile, parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.theatre_kind import MixedTheatre, require_one_kind
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.scene.named_scenes import named_scene
 
 THEATRE_CLOCK, HOST_CLOCK = "shm:///proc/1/fd/3", "host:"
 REAL: dict[str, Any] = {

@@ -18,8 +18,8 @@ from procedures.workcell.errors import WrongTool
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.process import load_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.process import load_scene
 
 SET_UP = order_of([set_up.STEP], ())
 

@@ -15,9 +15,9 @@ from ronna_hw.clock import open_clock
 from ronna_hw.config import DeviceConfig, parse_theatre
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.process import load_scene
 from sim.theatre.theatre_file import theatre_content
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.world import World
 
 TOOL = "robot_frame"
 STRAYS = 3  # of the bench scene

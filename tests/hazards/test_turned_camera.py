@@ -19,8 +19,8 @@ from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere
 from ronna_hw.config import parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.scene.named_scenes import named_scene
 
 SEEDS = range(20)
 TURNED = ("left 0.2", "left -0.2", "right 0.2", "right -0.2")

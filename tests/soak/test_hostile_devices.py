@@ -28,8 +28,8 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError, StateError
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.process import load_scene
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.world import World
 
 LIMIT_S = 3.0  # given to each call
 MOST_S = 8.0  # what it may take on these machines, which stall

@@ -11,10 +11,10 @@ from math import degrees
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.kuka.arm.robot_description import description
-from sim.theatre.faults.robot import ROBOT_FAULTS, TRIPS
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.arm.robot_description import description
+from sim.world.faults.robot import ROBOT_FAULTS, TRIPS
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 pytestmark = pytest.mark.soak
 

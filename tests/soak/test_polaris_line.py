@@ -25,9 +25,9 @@ from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.polaris import FRAME_RATE_HZ
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.process import load_scene
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.scene.model import TrackerTool
+from sim.world.world import World
 
 BAUD = 230_400
 FRAMES = 1_000_000

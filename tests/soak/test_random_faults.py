@@ -27,7 +27,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
-from sim.theatre.faults import parse_faults
+from sim.world.faults import parse_faults
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(14_400)]
 

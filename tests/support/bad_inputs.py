@@ -16,7 +16,7 @@ import typer
 from plan_toml import PLAN
 
 from ronna_hw.errors import EXIT_USAGE
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.frames import Frame, Transform
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

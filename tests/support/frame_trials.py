@@ -13,8 +13,8 @@ from procedures.guards.room_watch import PATIENT_LIMIT_MM
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from sim.polaris.optics.marker_noise import Optics
 from sim.polaris.unit.model import SPECTRA
-from sim.theatre.rigid import apply, inverse, matrix_of
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.rigid import apply, inverse, matrix_of
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

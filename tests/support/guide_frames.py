@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from ronna_hw.calibration import PoseRecord
-from sim.theatre.rigid import matrix_from, pose_of, rotation_towards
-from sim.theatre.scene.guide_frame import MARKERS_MM, NAME, PART_NUMBER
-from sim.theatre.scene.model import Scene, TrackerTool
+from sim.world.rigid import matrix_from, pose_of, rotation_towards
+from sim.world.scene.guide_frame import MARKERS_MM, NAME, PART_NUMBER
+from sim.world.scene.model import Scene, TrackerTool
 
 IN_TIP_MM = (-90.0, 0.0, -265.0)  # above the upper end of the bore, beside the mount; faces up as M does
 

@@ -81,10 +81,10 @@ from ronna_hw.wire.kuka_context import load_context
 from sim.kuka.eki.server import cut_requests
 from sim.kuka.rsi.ethernet_file import read_ethernet_file
 from sim.kuka.rsi.reply_reader import ReplyReader
-from sim.theatre.faults import parse_faults
-from sim.theatre.scene.model import read_scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.faults import parse_faults
+from sim.world.scene.model import read_scene
+from sim.world.scene.named_scenes import named_scene
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
-from sim.theatre.scene.arm_truth import REPEATABILITY_MM
+from sim.world.scene.arm_truth import REPEATABILITY_MM
 
 MOTION_LINK = "robot.master.rsi"
 REACHED_S = 100.0

@@ -12,7 +12,7 @@ from math import cos, pi
 from xml.etree import ElementTree
 
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.world import World
+from sim.world.world import World
 
 FREE = "tcp://127.0.0.1:0"
 LIMIT_S = 30.0

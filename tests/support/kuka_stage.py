@@ -9,8 +9,8 @@ from itertools import pairwise
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 CYCLE_S = 0.004
 

@@ -42,11 +42,11 @@ from ronna_hw.marker_template import read_marker_template
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.polaris.line.framing import LineBuffer, parse_request
 from sim.polaris.unit.refusal import Refusal
-from sim.theatre.control import Room
-from sim.theatre.left_world import read_left_world
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.truth import read_samples
-from sim.theatre.world import World
+from sim.world.control import Room
+from sim.world.left_world import read_left_world
+from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import read_samples
+from sim.world.world import World
 
 Take = Callable[[bytes], object]
 LIBRARY_SYNTAXES = {

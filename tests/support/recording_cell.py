@@ -44,9 +44,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.theatre import Theatre
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE
-from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",

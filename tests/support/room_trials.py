@@ -27,13 +27,13 @@ from ronna_hw.config import Calibrations, parse_theatre
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
-from sim.kuka.arm.true_arm import TrueArm
 from sim.polaris.measurement.rigid_fit import fit_rigid_body
 from sim.polaris.optics.marker_noise import Optics
 from sim.polaris.unit.model import SPECTRA
-from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.arm.true_arm import TrueArm
+from sim.world.rigid import apply, inverse, matrix_from, matrix_of
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

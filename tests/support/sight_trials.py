@@ -30,8 +30,8 @@ from ronna_hw.frames import Frame
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.line_of_sight import head_ellipsoid, visible
-from sim.theatre.rigid import apply
-from sim.theatre.world import ArmState
+from sim.world.rigid import apply
+from sim.world.world import ArmState
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

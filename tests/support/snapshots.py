@@ -24,8 +24,8 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.evidence.journal_reading import read_chain
-from sim.theatre.left_world import write_left_world
-from sim.theatre.world import World
+from sim.world.left_world import write_left_world
+from sim.world.world import World
 
 BEING_WRITTEN = "being_written.json"
 REST_LIMIT_S = 0.3  # that the theatre gives an arm on its way

@@ -26,8 +26,8 @@ from sim.basler.faults import NoFaults
 from sim.basler.pair import CameraPair
 from sim.basler.stream.block import Block
 from sim.basler.stream.channel import StreamChannel
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 SERVE_LIMIT_S = 10.0
 LONG_S = 1.0  # until a controller that should be forgotten will be

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from sim.theatre.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
-from sim.theatre.scene.model import Scene
+from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.scene.model import Scene
 
 
 def with_turned_camera(scene: Scene, degrees: float) -> Scene:

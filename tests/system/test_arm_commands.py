@@ -13,8 +13,8 @@ from user_commands import in_this_process, one_error
 from procedures.calibration.arm.looks import LOOKS_FILE
 from procedures.cli.arm.command import app
 from ronna_hw.config import parse_theatre
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.scene.named_scenes import named_scene
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from waiting import HANG_LIMIT_S
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
 from sim.cli import app as ronna_sim
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 
 def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) -> str:

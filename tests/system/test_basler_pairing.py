@@ -18,8 +18,8 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import ArmState, World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import ArmState, World
 
 # In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.
 SKEW_MS, LARGEST_SKEW_MS = 1.0, 1.5

@@ -16,8 +16,8 @@ from collections.abc import Iterator
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 SYSTEM_PYTHON = "/usr/bin/python3"
 TOOL, CAMERA_TEST = "arv-tool-0.8", "arv-camera-test-0.8"

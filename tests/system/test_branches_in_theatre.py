@@ -11,7 +11,7 @@ from user_commands import Commands
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 LARGEST_ERROR_MM = 1.0

@@ -13,8 +13,8 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 GENEROUS_S = 5.0  # these machines stall
 AWAY_RAD = radians(12.0)

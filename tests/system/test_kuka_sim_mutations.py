@@ -12,8 +12,8 @@ import pytest
 from kuka_clients import Cell
 from mutations import mutations
 
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 COUNT = 2_000
 PER_CYCLE = 10

@@ -15,7 +15,7 @@ from procedures.guards.errors import PatientUnseen
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.registration.errors import NoUniqueMatch
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400), pytest.mark.hazard(11)]
 LARGEST_ERROR_MM = 1.0

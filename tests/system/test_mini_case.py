@@ -26,9 +26,9 @@ from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, links_of, read_link
 from sim.cli import app as ronna_sim
-from sim.theatre.rigid import apply, matrix_of
-from sim.theatre.scene.model import read_scene
-from sim.theatre.scene.seating import spheres_in_theatre
+from sim.world.rigid import apply, matrix_of
+from sim.world.scene.model import read_scene
+from sim.world.scene.seating import spheres_in_theatre
 
 LARGEST_ERROR_MM = 1.5
 WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis

@@ -18,9 +18,9 @@ from procedures.calibration.tool_tip import looks as tip_looks
 from procedures.calibration.tool_tip.tip import LEAST_READINGS
 from procedures.calibration.tracker_frame.looks import LOOKS_FILE
 from procedures.cli.procedure import app
-from sim.theatre.scene.model import read_scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.scene.model import read_scene
+from sim.world.scene.named_scenes import named_scene
 
 
 @pytest.fixture

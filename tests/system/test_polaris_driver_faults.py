@@ -17,8 +17,8 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.process import load_scene
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.world import World
 
 TCP, PTY = "tcp://127.0.0.1:0", "serial-pty"
 on_both_lines = pytest.mark.parametrize("unit", [TCP, PTY], ids=["tcp", "pty"], indirect=True)

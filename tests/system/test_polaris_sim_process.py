@@ -22,7 +22,7 @@ from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.cli import app
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.scene.named_scenes import robot_frame
+from sim.world.scene.named_scenes import robot_frame
 
 ANSWER_LIMIT_S = 5.0
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")

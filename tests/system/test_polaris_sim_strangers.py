@@ -18,10 +18,10 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.tools.definition import write_definition
-from sim.theatre.process import load_scene
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import named_scene, robot_frame
-from sim.theatre.world import World
+from sim.world.process import load_scene
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import named_scene, robot_frame
+from sim.world.world import World
 
 pytest.importorskip("ndicapy")
 

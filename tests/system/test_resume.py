@@ -11,7 +11,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
-from sim.theatre.left_world import LEFT_WORLD_FILE
+from sim.world.left_world import LEFT_WORLD_FILE
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 

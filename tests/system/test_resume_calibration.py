@@ -13,7 +13,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
-from sim.theatre.scene.model import read_scene
+from sim.world.scene.model import read_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.hazard(2), pytest.mark.timeout(500)]
 

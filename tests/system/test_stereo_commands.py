@@ -29,9 +29,9 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
 
 GOAL_MM = 0.03
 BALL_MM = np.array([700.0, 20.0, 250.0])

@@ -16,7 +16,7 @@ from user_commands import Commands
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 MINI = ("--sim", "--scene", "mini", "--seed", "3")

@@ -47,8 +47,8 @@ from ronna_hw.conformance import robot, stereo, tracker
 from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.theatre.faults import FAULT_KINDS
-from sim.theatre.scene.model import Scene
+from sim.world.faults import FAULT_KINDS
+from sim.world.scene.model import Scene
 
 PACKAGES: tuple[ModuleType, ...] = (ronna_hw, drivers, sim, procedures, console)
 CASE_STEPS = clinical_steps(measure_targets=True)

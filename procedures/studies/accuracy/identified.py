@@ -30,7 +30,7 @@ from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
-from sim.kuka.arm.true_arm import TrueArm
+from sim.world.arm.true_arm import TrueArm
 
 Array = NDArray[np.float64]
 

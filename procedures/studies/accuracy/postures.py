@@ -27,7 +27,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from sim.theatre.scene.stereo_head import TOOL_IN_FLANGE_MM
+from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from scipy.spatial.transform import Rotation
 from procedures.studies.accuracy.turning import Components, mapped, shifted, turned
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.links import Chain
-from sim.theatre.scene.arm_truth import draw_arm
-from sim.theatre.scene.model import ArmTruth
-from sim.theatre.scene.stereo_head import TOOL_IN_FLANGE_MM, draw_mount
+from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.model import ArmTruth
+from sim.world.scene.stereo_head import TOOL_IN_FLANGE_MM, draw_mount
 
 Array = NDArray[np.float64]
 

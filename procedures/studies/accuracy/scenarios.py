@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.arm_sources import UNCALIBRATED, ErrorSizes
 from procedures.studies.accuracy.random_arms import RandomArms
 from procedures.studies.accuracy.trials import CT_FLE_MM, Sizes
-from sim.theatre.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
-from sim.theatre.scene.stereo_head import TOOL_ERROR_MM
+from sim.world.scene.arm_truth import BACKLASH_RAD, JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM
+from sim.world.scene.stereo_head import TOOL_ERROR_MM
 
 CALIBRATED_TOOL_MM = 0.1  # per axis
 CALIBRATED_LINK_MM = 0.06  # per axis

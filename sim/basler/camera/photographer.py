@@ -13,9 +13,9 @@ from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import Pose, View
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import CameraTruth
-from sim.theatre.world import World
+from sim.world.noise import noise
+from sim.world.scene.model import CameraTruth
+from sim.world.world import World
 
 RING_SIZE = 6  # enough that consecutive frames never have the same noise
 REFRESH_PAUSE_S = 0.05  # between two images for the ring, so that drawing leaves time for the stream

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Image
 from sim.basler.optics.grain import Grain
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 STAINED_BRIGHTNESS = 0.3  # of the clean film: light passes the stain twice
 STAIN_EDGE_MM = 0.04  # a drop dries with a soft edge

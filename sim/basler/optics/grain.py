@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.basler.optics.canvas import Image
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 BEAD_MM = 0.05  # beads of retro-reflective film are 40 to 70 um
 CONTRAST = 0.04  # standard deviation of the brightness

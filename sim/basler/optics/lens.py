@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.wire.gige_vision import PIXEL_PITCH_UM
-from sim.theatre.scene.model import CameraTruth
+from sim.world.scene.model import CameraTruth
 
 Array = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from sim.basler.optics.canvas import Area, Image
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 # Light returned by the film at the working distance: a sphere reaches 200 of 255 at 4 ms and lowest gain.
 FILM_ELECTRONS_PER_US = 2.0

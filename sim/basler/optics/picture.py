@@ -18,7 +18,7 @@ from sim.basler.optics.lens import LARGEST_SIGMA_PX, Lens
 from sim.basler.optics.light import Lighting
 from sim.basler.optics.sphere import Sphere
 from sim.basler.optics.stalk import StalkImage
-from sim.theatre.scene.model import CameraTruth
+from sim.world.scene.model import CameraTruth
 
 MARGIN_PX = reach_px(LARGEST_SIGMA_PX)  # drawn around the area of interest as input for the blur
 NEAREST_MM = 60.0  # nothing closer is drawn: the lens is longer than that

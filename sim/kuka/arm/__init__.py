@@ -1,1 +1,1 @@
-"""The arm: nominal and true geometry, drives, inverse kinematics."""
+"""The arm as the controller drives it: drives, and the motion of the true arm."""

@@ -10,8 +10,8 @@ from collections import deque
 from collections.abc import Sequence
 from math import copysign, exp
 
-from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
+from sim.world.arm.robot_description import AXES, RobotDescription
 
 STICKS_AGAIN_SHARE = 0.5  # of the breakaway: an axis this far caught up sticks again; fast ones slide
 

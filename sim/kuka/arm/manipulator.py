@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.kuka.arm.drives import Drives
-from sim.kuka.arm.joint_chain import JointChain, rotation_vector
-from sim.kuka.arm.orientation import frame_of
-from sim.kuka.arm.posture import axes_of_posture
-from sim.kuka.arm.robot_description import description
-from sim.kuka.arm.true_arm import TrueArm
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.theatre.rigid import inverse, rotation_from_vector
-from sim.theatre.scene.model import ArmTruth
-from sim.theatre.world import ArmState
+from sim.world.arm.joint_chain import JointChain, rotation_vector
+from sim.world.arm.orientation import frame_of
+from sim.world.arm.posture import axes_of_posture
+from sim.world.arm.robot_description import description
+from sim.world.arm.true_arm import TrueArm
+from sim.world.rigid import inverse, rotation_from_vector
+from sim.world.scene.model import ArmTruth
+from sim.world.world import ArmState
 
 Matrix = NDArray[np.float64]
 NO_FRAME = np.eye(4)

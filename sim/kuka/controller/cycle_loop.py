@@ -30,8 +30,8 @@ from sim.kuka.faults.link_faults import LinkFaults
 from sim.kuka.rsi.program_run import RsiRun
 from sim.kuka.rsi.reply_reader import Reply
 from sim.kuka.rsi.rsi_socket import RsiSocket
-from sim.theatre.faults import FaultBoard
-from sim.theatre.world import World
+from sim.world.faults import FaultBoard
+from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a missing reply

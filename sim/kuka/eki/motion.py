@@ -12,12 +12,12 @@ from math import inf
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.arm.joint_chain import rotation_vector
-from sim.kuka.arm.robot_description import RobotDescription
 from sim.kuka.controller.messages import Message, end_switch, near_singularity, too_fast
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.acknowledgement import Acknowledgement
-from sim.theatre.rigid import rotation_from_vector
+from sim.world.arm.joint_chain import rotation_vector
+from sim.world.arm.robot_description import RobotDescription
+from sim.world.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
 Inverse = Callable[[Matrix, Sequence[float]], list[float] | None]

@@ -10,8 +10,8 @@ from sim.kuka.eki.server import EkiServer, after_garbage, half, padded
 from sim.kuka.faults.fault_log import FaultLog
 from sim.kuka.faults.link_faults import LinkFaults
 from sim.kuka.rsi.program_run import RunSettings
-from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.faults.robot import ROBOT_FAULTS
+from sim.world.faults import Fault, FaultBoard
+from sim.world.faults.robot import ROBOT_FAULTS
 
 MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
 EKI_HAPPENINGS: dict[str, Callable[[EkiServer], None]] = {

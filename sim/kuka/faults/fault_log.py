@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 
-from sim.theatre.faults import Fault
+from sim.world.faults import Fault
 
 
 class FaultLog:

@@ -13,8 +13,8 @@ import numpy as np
 
 from sim.kuka.faults.fault_log import FaultLog
 from sim.kuka.rsi.reply_reader import Reply
-from sim.theatre.faults import Fault
-from sim.theatre.noise import noise
+from sim.world.faults import Fault
+from sim.world.noise import noise
 
 PERCENT = 100.0
 STAMP = re.compile(rb"(?<=<IPOC>)\d+(?=</IPOC>)")

@@ -11,8 +11,8 @@ from ronna_hw.wire.kuka_context import (
     AxisCorrection,
     AxisMonitor,
 )
-from sim.kuka.arm.robot_description import AXES, RobotDescription
 from sim.kuka.controller.messages import Message, out_of_range
+from sim.world.arm.robot_description import AXES, RobotDescription
 
 ACTIVE_BIT = 1  # bit 0 of Stat; bit n means that axis n is at a limit
 

@@ -14,9 +14,9 @@ from ronna_hw.wire.kuka_context import (
     PositionCorrection,
     PositionMonitor,
 )
-from sim.kuka.arm.orientation import pose_of_frame
 from sim.kuka.controller.messages import Message, near_singularity, out_of_range
-from sim.theatre.rigid import rotation_from_vector
+from sim.world.arm.orientation import pose_of_frame
+from sim.world.rigid import rotation_from_vector
 
 Matrix = NDArray[np.float64]
 ACTIVE_BIT = 1  # bit 0 of Stat; bits 1 to 3 mean X, Y, Z at a limit, bit 4 the rotation

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import RsiState
-from sim.kuka.arm.robot_description import RobotDescription
 from sim.kuka.controller.drive_supervision import Supervision
 from sim.kuka.controller.messages import Message, rsi_bad, rsi_timeout
 from sim.kuka.controller_parameters import ControllerParameters
@@ -25,6 +24,7 @@ from sim.kuka.rsi.rejected_replies import RejectedReplies
 from sim.kuka.rsi.reply_reader import Reply, ReplyReader
 from sim.kuka.rsi.signal_flow import EthernetOutputs, SignalFlow, inputs_of
 from sim.kuka.rsi.telegram_writer import TelegramWriter
+from sim.world.arm.robot_description import RobotDescription
 
 Matrix = NDArray[np.float64]
 

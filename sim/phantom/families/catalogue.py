@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, Draw
-from sim.theatre.scene.model import CtProtocol
+from sim.world.scene.model import CtProtocol
 
 Range = tuple[float, float]
 

@@ -41,11 +41,11 @@ from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.head.streaks import Streak
 from sim.phantom.scan import FREE, Scan
 from sim.phantom.scanner.grid import CtGrid, place_grid
-from sim.theatre.noise import noise
-from sim.theatre.rigid import rotation_towards
-from sim.theatre.scene.model import CtProtocol, Fiducial, Head, Scene, Target
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM
+from sim.world.noise import noise
+from sim.world.rigid import rotation_towards
+from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene, Target
+from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.skin import CAP_AXIS_CT, CENTRE_CT_MM
 
 Vector = NDArray[np.float64]
 

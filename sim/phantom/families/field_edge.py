@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim.phantom.scanner.grid import ORIGIN_DIGITS, CtGrid
-from sim.theatre.scene.model import Head
+from sim.world.scene.model import Head
 
 WHOLE_MM = (6.3, 9.0)  # from the highest sphere's centre to the end of the field: the sphere is whole
 CUT_MM = (1.5, 4.5)  # from the leftmost sphere's centre: part of it is missing

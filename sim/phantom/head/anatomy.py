@@ -11,8 +11,8 @@ from sim.errors import BadScene
 from sim.phantom.head.layers import AIR_HU, SCALP_MM
 from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough
 from sim.phantom.head.streaks import Band, Streak
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import Fiducial, Head, Scene
+from sim.world.noise import noise
+from sim.world.scene.model import Fiducial, Head, Scene
 
 CSF_HU = 8.0
 ENAMEL_HU = 2100.0

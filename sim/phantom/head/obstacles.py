@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from sim.phantom.head.anatomy import FOAM_HU, METAL_HU, SHELL_HU, shifted
 from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab
 from sim.phantom.head.streaks import Streak
-from sim.theatre.scene.model import Head
+from sim.world.scene.model import Head
 
 Vector = NDArray[np.float64]
 

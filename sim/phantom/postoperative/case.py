@@ -16,7 +16,7 @@ from sim.phantom.case import SERIES_FOLDER, TRUTH_FILE, WORKERS, Progress
 from sim.phantom.postoperative.instruments import Instrument
 from sim.phantom.postoperative.scan import PostoperativeScan
 from sim.phantom.scanner.dicom_series import DicomSeries, stored_values
-from sim.theatre.rigid import apply
+from sim.world.rigid import apply
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,9 @@ from sim.errors import NothingToVerify
 from sim.phantom.head.anatomy import METAL_HU
 from sim.phantom.head.layers import LAYERS
 from sim.phantom.head.shapes import Point, Rod
-from sim.theatre.rigid import apply, inverse, matrix_of
-from sim.theatre.scene.model import Head, Scene, read_scene
-from sim.theatre.truth import SCENE_FILE, read_samples
-from sim.theatre.verify import THEATRE_FOLDER
+from sim.world.rigid import apply, inverse, matrix_of
+from sim.world.scene.model import Head, Scene, read_scene
+from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
 
 Array = NDArray[np.float64]
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from sim.phantom.head.layers import HeadLayers
 from sim.phantom.head.shapes import Bounds, Point, Rod, Shape, Values
-from sim.theatre.rigid import Matrix, apply, inverse
+from sim.world.rigid import Matrix, apply, inverse
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import ORIGIN_DIGITS, CtGrid
 from sim.phantom.scanner.painting import paint
 from sim.phantom.scanner.slice_painter import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
-from sim.theatre.noise import noise
-from sim.theatre.rigid import apply, matrix_from, rotation_from_vector
-from sim.theatre.scene.model import CtProtocol, Scene
+from sim.world.noise import noise
+from sim.world.rigid import apply, matrix_from, rotation_from_vector
+from sim.world.scene.model import CtProtocol, Scene
 
 TURN_RAD = radians(10.0)  # of the head between the two scans, per axis, either way
 SHIFT_MM = 30.0

@@ -17,7 +17,7 @@ from ronna_hw.records import write_whole
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
-from sim.theatre.scene.model import Scene
+from sim.world.scene.model import Scene
 
 if TYPE_CHECKING:
     from pydicom.dataset import FileDataset

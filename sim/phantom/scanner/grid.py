@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.errors import BadScene
-from sim.theatre.scene.model import CtProtocol, Head
+from sim.world.scene.model import CtProtocol, Head
 
 Vector = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from sim.phantom.scan import Scan
 from sim.phantom.scanner.beam_hardening import hardening
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.slice_painter import SlicePainter
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 WIDE_STORED, USUAL_STORED = 65535, 4095  # largest stored value
 

@@ -15,8 +15,8 @@ from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
 from sim.phantom.scanner.painting import paint
 from sim.phantom.scanner.sphere_patch import Patch, paint_patch
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import Scene
+from sim.world.noise import noise
+from sim.world.scene.model import Scene
 
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
 SKIN_MARGIN_MM = 3.0

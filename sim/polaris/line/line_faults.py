@@ -11,7 +11,7 @@ import numpy as np
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, CR
 from sim.polaris.unit.unit import Unit
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 DEVICE = "tracker line"
 WHOLE_PERCENT = 100.0

@@ -20,10 +20,10 @@ from sim.polaris.scene.disturbance import Disturbance, Disturbances
 from sim.polaris.scene.extra_strays import reflecting_places, reflections
 from sim.polaris.scene.true_scene import TrueScene
 from sim.polaris.tools.ports import Port
-from sim.theatre.faults import FaultBoard
-from sim.theatre.noise import noise
-from sim.theatre.room_shift import ShiftedRoom
-from sim.theatre.world import World
+from sim.world.faults import FaultBoard
+from sim.world.noise import noise
+from sim.world.room_shift import ShiftedRoom
+from sim.world.world import World
 
 Vectors = NDArray[np.float64]
 

@@ -17,7 +17,7 @@ from ronna_hw.wire.polaris import MarkerState, PortStatus, ToolInformation
 from sim.polaris.measurement.face_choice import ALL_FACES, ONLY_FACE, FittedFace, best_face
 from sim.polaris.measurement.rigid_fit import RigidFit, fit_rigid_body
 from sim.polaris.tools.definition import ToolDefinition
-from sim.theatre.rigid import quaternion_from_rotation
+from sim.world.rigid import quaternion_from_rotation
 
 Vectors = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from sim.polaris.scene.extra_strays import extra_strays
 from sim.polaris.scene.line_of_sight import Flags, visible
 from sim.polaris.scene.true_scene import TrueScene, TrueTool
 from sim.polaris.tools.ports import Port
-from sim.theatre.world import ArmState
+from sim.world.world import ArmState
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.polaris.optics.measuring_volume import Volume
-from sim.theatre.noise import noise
+from sim.world.noise import noise
 
 Vectors = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.polaris.optics.bias_field import BiasField
 from sim.polaris.optics.measuring_volume import Volume
-from sim.theatre.scene.model import TrackerTruth
+from sim.world.scene.model import TrackerTruth
 
 Vectors = NDArray[np.float64]
 

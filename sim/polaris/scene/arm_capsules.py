@@ -18,11 +18,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.kuka.arm.robot_description import description
 from sim.polaris.scene.line_of_sight import Capsules
-from sim.theatre.rigid import Matrix, apply, inverse, matrix_of
-from sim.theatre.scene.model import Mount, Scene
-from sim.theatre.world import ArmState
+from sim.world.arm.robot_description import description
+from sim.world.rigid import Matrix, apply, inverse, matrix_of
+from sim.world.scene.model import Mount, Scene
+from sim.world.world import ArmState
 
 Vector = NDArray[np.float64]
 Limb = tuple[Vector, Vector, float]  # two ends (3,) and a radius

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sim.theatre.faults import Fault, FaultBoard
-from sim.theatre.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom
+from sim.world.faults import Fault, FaultBoard
+from sim.world.room_shift import NOTHING_MOVED, RoomShift, ShiftedRoom
 
 Vector = tuple[float, float, float]
 

@@ -12,8 +12,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.theatre.rigid import Matrix, apply, inverse, matrix_of
-from sim.theatre.scene.model import Head
+from sim.world.rigid import Matrix, apply, inverse, matrix_of
+from sim.world.scene.model import Head
 
 Vectors = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -14,15 +14,15 @@ from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.disturbance import Disturbance
 from sim.polaris.scene.line_of_sight import Body, head_ellipsoid
 from sim.polaris.tools.definition import ToolDefinition
-from sim.theatre.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.theatre.room_shift import NOTHING_MOVED, RoomShift
-from sim.theatre.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
-from sim.theatre.scene.guide_frame import NAME as GUIDE_FRAME_NAME
-from sim.theatre.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.seating import spheres_in_theatre
-from sim.theatre.true_guide import TrueGuide
-from sim.theatre.world import ArmState, World
+from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
+from sim.world.room_shift import NOTHING_MOVED, RoomShift
+from sim.world.scene.guide_frame import MARKERS_MM as GUIDE_FRAME_MARKERS_MM
+from sim.world.scene.guide_frame import NAME as GUIDE_FRAME_NAME
+from sim.world.scene.guide_frame import PART_NUMBER as GUIDE_FRAME_PART_NUMBER
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.seating import spheres_in_theatre
+from sim.world.true_guide import TrueGuide
+from sim.world.world import ArmState, World
 
 Vectors = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.wire import polaris_rom as rom
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 MAXIMUM_ANGLE_DEG = 90
 MAXIMUM_ERROR_MM = 2.0  # of one marker from the fitted definition

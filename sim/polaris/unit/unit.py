@@ -19,8 +19,8 @@ from sim.polaris.unit.model import SPECTRA, UnitModel
 from sim.polaris.unit.refusal import Refusal
 from sim.polaris.unit.user_parameter_table import WATCH_DOG
 from sim.polaris.unit.user_parameters import UserParameters
-from sim.theatre.faults import FaultBoard
-from sim.theatre.world import World
+from sim.world.faults import FaultBoard
+from sim.world.world import World
 
 
 class Unit:

@@ -9,8 +9,8 @@ import pytest
 from kuka_clients import Cell
 from kuka_stage import Stage
 
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from waiting import STALL_OF_THE_COMPUTER_S
 
 from ronna_hw.host.child_process import STOP_TIMEOUT_S
 from ronna_hw.wire.kuka_context import context_hash, load_context
-from sim.theatre.world import World
+from sim.world.world import World
 
 
 def test_the_state_says_what_a_driver_must_know_before_it_moves(cell: Callable[..., Cell]) -> None:

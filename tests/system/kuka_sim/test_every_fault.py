@@ -12,9 +12,9 @@ import pytest
 from kuka_clients import Cell, RsiClient
 
 from ronna_hw.host.control_port import ask_control_port
-from sim.theatre.faults import FaultKind
-from sim.theatre.faults.robot import CELL_FAULTS, EKI_FAULTS, LINK_FAULTS
-from sim.theatre.world import World
+from sim.world.faults import FaultKind
+from sim.world.faults.robot import CELL_FAULTS, EKI_FAULTS, LINK_FAULTS
+from sim.world.world import World
 
 HANG_S = 60.0
 NAMES = {"mode": "T2", "trip": "velocity"}

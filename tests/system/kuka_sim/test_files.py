@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.theatre.world import World
+from sim.world.world import World
 
 FREE = "tcp://127.0.0.1:0"
 LIMIT_S = 30.0

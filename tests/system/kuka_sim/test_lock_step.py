@@ -8,8 +8,8 @@ from collections.abc import Callable
 import pytest
 from kuka_clients import LIMIT_S, Cell
 
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 
 def test_lock_step_counts_cycles_and_not_host_time(cell: Callable[..., Cell], lock_step_world: World) -> None:

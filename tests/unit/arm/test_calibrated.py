@@ -12,10 +12,10 @@ from ronna_hw.arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
-from sim.kuka.arm.true_arm import TrueArm
 from sim.theatre.arm_record import arm_values
-from sim.theatre.scene.arm_truth import draw_arm
-from sim.theatre.scene.model import ArmResidual
+from sim.world.arm.true_arm import TrueArm
+from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.model import ArmResidual
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
 EXACT = ArmResidual(link_mm=0.0, angle_rad=0.0, tool_mm=0.0)

@@ -19,7 +19,7 @@ from procedures.cli.stereo.files import KIND
 from ronna_hw.arm.errors import LimitError
 from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED
-from sim.theatre.rigid import inverse, matrix_of
+from sim.world.rigid import inverse, matrix_of
 
 BALL_MM = np.array([700.0, 20.0, 250.0])
 TOOL_DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))

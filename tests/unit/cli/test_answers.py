@@ -15,8 +15,8 @@ from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
 from procedures.steps.answer_words import ANSWER_WORDS
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.scene.named_scenes import named_scene
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
 

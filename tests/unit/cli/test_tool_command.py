@@ -22,8 +22,8 @@ from procedures.workcell.errors import ForeignTool
 from procedures.workcell.tool_records import ToolRecords
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.tool_record import ToolPurpose
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.scene.named_scenes import named_scene
 
 PLAIN = (
     *("--number", "3", "--mass-kg", "1.1", "--centre-of-gravity-mm", "100", "0", "40", "--by", "A. Nurse"),

@@ -31,7 +31,7 @@ from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.records import BadRecord, read_record
 from ronna_hw.wire.kuka_context import ContextInvalid, load_context
 from sim.errors import BadScene
-from sim.theatre.scene.model import read_scene
+from sim.world.scene.model import read_scene
 
 TOML_FILES = [
     (read_theatre_file, BadTheatreFile),

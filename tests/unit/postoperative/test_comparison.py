@@ -25,8 +25,8 @@ from procedures.postoperative.errors import (
 )
 from sim.phantom.postoperative.instruments import Instrument, Kind
 from sim.phantom.postoperative.scan import draw_scan
-from sim.theatre.scene.model import CtProtocol, Scene
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import CtProtocol, Scene
+from sim.world.scene.named_scenes import named_scene
 
 COARSE = CtProtocol(pixel_mm=1.2, slice_mm=1.5, columns=200, rows=200, slices=134)
 SEED = 7

@@ -18,10 +18,10 @@ from sim.basler.optics.lens import Lens
 from sim.basler.optics.light import Lighting
 from sim.basler.optics.picture import Optics
 from sim.basler.optics.sphere import Sphere
-from sim.theatre.noise import noise
-from sim.theatre.rigid import rotation_from_vector
-from sim.theatre.scene.model import CameraTruth
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.noise import noise
+from sim.world.rigid import rotation_from_vector
+from sim.world.scene.model import CameraTruth
+from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 

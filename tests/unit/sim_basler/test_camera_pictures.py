@@ -14,11 +14,11 @@ from sim.basler.camera.settings import FrameSettings, RampImage, Settings
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
 from sim.basler.view import View
-from sim.theatre.noise import noise
-from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.scene.seating import spheres_in_theatre
-from sim.theatre.world import ArmState, World
+from sim.world.noise import noise
+from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.seating import spheres_in_theatre
+from sim.world.world import ArmState, World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0
 AREA = Area(512, 32, 1024, 1024)

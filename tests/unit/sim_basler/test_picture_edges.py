@@ -5,10 +5,10 @@ import pytest
 
 from sim.basler.camera.photographer import Photographer
 from sim.basler.camera.settings import Settings
-from sim.theatre.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.scene.seating import spheres_in_theatre
-from sim.theatre.world import ArmState, World
+from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.seating import spheres_in_theatre
+from sim.world.world import ArmState, World
 
 
 @pytest.mark.parametrize("seed", range(6))

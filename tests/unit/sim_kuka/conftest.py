@@ -12,8 +12,8 @@ from ronna_hw.wire.kuka_context import RsiContext, load_context
 from sim.kuka.arm.manipulator import Manipulator
 from sim.kuka.controller.controller import Controller
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.theatre.scene.model import ArmTruth, LinkError
-from sim.theatre.world import ArmState
+from sim.world.scene.model import ArmTruth, LinkError
+from sim.world.world import ArmState
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 NO_ERROR = LinkError(translation_mm=(0.0, 0.0, 0.0), rotation_rad=(0.0, 0.0, 0.0))

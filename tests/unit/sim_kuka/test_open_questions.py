@@ -14,13 +14,13 @@ import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
-from sim.kuka.arm.true_arm import TrueArm
 from sim.kuka.command import kuka
 from sim.kuka.controller.autostart import Autostart
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.rsi.reply_reader import ReplyReader
-from sim.theatre.scene.model import ArmTruth
+from sim.world.arm.true_arm import TrueArm
+from sim.world.scene.model import ArmTruth
 
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from sim.theatre.scene.model import CtProtocol, Scene
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import CtProtocol, Scene
+from sim.world.scene.named_scenes import named_scene
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
 

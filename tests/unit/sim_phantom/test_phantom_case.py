@@ -11,7 +11,7 @@ import numpy as np
 import pydicom
 
 from sim.phantom.case import write_case
-from sim.theatre.scene.model import Scene
+from sim.world.scene.model import Scene
 
 
 def digest(folder: Path) -> dict[str, str]:

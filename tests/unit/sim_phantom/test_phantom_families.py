@@ -15,7 +15,7 @@ from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS
 from sim.phantom.families.drawn_scan import CLEARANCE_MM, family_scan
 from sim.phantom.head.shapes import Ball, Point, Rod
 from sim.phantom.scan import XFRAME, XFRAME_CLOSE, Scan
-from sim.theatre.scene.model import CtProtocol
+from sim.world.scene.model import CtProtocol
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
 

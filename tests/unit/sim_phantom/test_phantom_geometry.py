@@ -14,8 +14,8 @@ from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
 from sim.phantom.scanner import blur
 from sim.phantom.scanner.grid import place_grid
 from sim.phantom.scanner.painting import paint
-from sim.theatre.scene.model import CtProtocol, Scene
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import CtProtocol, Scene
+from sim.world.scene.named_scenes import named_scene
 
 AXIS = np.linspace(-20.0, 20.0, 81, dtype=np.float32)
 X, Y, Z = AXIS[None, None, :], AXIS[None, :, None], AXIS[:, None, None]

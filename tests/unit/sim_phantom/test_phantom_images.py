@@ -10,7 +10,7 @@ import pytest
 from sim.phantom.head.anatomy import METAL_HU, Anatomy, draw_anatomy
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.phantom.scanner.slice_painter import SlicePainter
-from sim.theatre.scene.model import Scene
+from sim.world.scene.model import Scene
 
 
 def painter_of(scene: Scene) -> tuple[SlicePainter, CtGrid, Anatomy]:

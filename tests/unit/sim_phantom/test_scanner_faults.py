@@ -15,7 +15,7 @@ from sim.phantom.scan import Scan
 from sim.phantom.scanner.faults import ScannerFaults
 from sim.phantom.scanner.grid import place_grid
 from sim.phantom.scanner.planes import Planes
-from sim.theatre.scene.model import Scene
+from sim.world.scene.model import Scene
 
 
 def planes_of(scene: Scene, **faults: Any) -> Planes:

@@ -15,9 +15,9 @@ from sim.polaris.tools.wired_tools import WiredPorts
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
 from sim.polaris.unit.unit import Unit
-from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.model import Scene, TrackerTool
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 POINTER = TrackerTool(
     name="pointer",

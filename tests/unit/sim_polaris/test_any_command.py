@@ -16,7 +16,7 @@ from sim.polaris.tools.wired_tools import WiredPorts, WiredTool
 from sim.polaris.unit.mode import Mode
 from sim.polaris.unit.model import SPECTRA
 from sim.polaris.unit.user_parameter_table import parameter_table
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

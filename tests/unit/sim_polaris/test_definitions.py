@@ -9,8 +9,8 @@ import pytest
 
 from ronna_hw.wire import polaris_rom
 from sim.polaris.tools.definition import BadDefinition, checksum, parse_definition, write_definition
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import robot_frame
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import robot_frame
 
 
 def changed(offset: int, value: bytes) -> bytes:

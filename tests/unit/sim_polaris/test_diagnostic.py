@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import robot_frame
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import robot_frame
 
 if TYPE_CHECKING:
     from conftest import Bench

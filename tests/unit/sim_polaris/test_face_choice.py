@@ -10,8 +10,8 @@ import pytest
 from ronna_hw.wire.polaris import PortStatus
 from sim.polaris.measurement.tracking_rules import as_asked, track
 from sim.polaris.tools.definition import ToolDefinition, parse_definition, write_definition
-from sim.theatre.rigid import rotation_from_vector
-from sim.theatre.scene.model import TrackerTool
+from sim.world.rigid import rotation_from_vector
+from sim.world.scene.model import TrackerTool
 
 FACE = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (30.0, 100.0, 0.0), (-30.0, 135.0, 0.0))
 PLACE_MM = np.array([0.0, 0.0, -1500.0])

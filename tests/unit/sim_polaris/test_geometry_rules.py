@@ -11,8 +11,8 @@ import pytest
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.tools.definition import checksum, write_definition
 from sim.polaris.unit.refusal import ErrorCode
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import robot_frame
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import robot_frame
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -10,7 +10,7 @@ import pytest
 from ronna_hw.wire.polaris import COMMAND_NAMES, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 from sim.polaris.handlers.table import COMMANDS
 from sim.polaris.unit.unit import Unit
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 
 from ronna_hw.collision_config import CollisionConfig
-from sim.kuka.arm.joint_chain import JointChain
-from sim.kuka.arm.robot_description import description
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.arm_capsules import ArmBody
 from sim.polaris.scene.disturbance import NONE
 from sim.polaris.scene.line_of_sight import Capsules, Ellipsoid, visible
 from sim.polaris.scene.true_scene import TrueScene
-from sim.theatre.rigid import matrix_of
-from sim.theatre.scene.named_scenes import SceneName, named_scene
-from sim.theatre.world import ArmState, World
+from sim.world.arm.joint_chain import JointChain
+from sim.world.arm.robot_description import description
+from sim.world.rigid import matrix_of
+from sim.world.scene.named_scenes import SceneName, named_scene
+from sim.world.world import ArmState, World
 
 EYE = np.zeros((1, 3))
 BUILT_MM = 6.0  # a mount is built beside its drawing by 2 mm per axis

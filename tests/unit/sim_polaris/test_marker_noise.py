@@ -8,9 +8,9 @@ import pytest
 from sim.polaris.optics.marker_noise import Optics
 from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, VICRA_VOLUME, Volume
 from sim.polaris.unit.model import SPECTRA
-from sim.theatre.noise import noise
-from sim.theatre.scene.model import TrackerTruth
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.noise import noise
+from sim.world.scene.model import TrackerTruth
+from sim.world.scene.named_scenes import named_scene
 
 READINGS = 30  # at each place, of which a maker takes the mean
 PLACES = 1500

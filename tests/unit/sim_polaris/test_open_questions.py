@@ -16,7 +16,7 @@ from sim.polaris.replies.bx import binary_body
 from sim.polaris.replies.tx import text_reply
 from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
 from sim.polaris.unit.refusal import ErrorCode
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -7,7 +7,7 @@ import pytest
 
 from sim.polaris.measurement.rigid_fit import fit_rigid_body
 from sim.polaris.optics.measuring_volume import EXTENDED_PYRAMID, PYRAMID, Volume
-from sim.theatre.rigid import rotation_from_vector
+from sim.world.rigid import rotation_from_vector
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 
 from sim.polaris.tools.definition import write_definition
 from sim.polaris.unit.model import SPECTRA, VICRA, UnitModel
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -21,8 +21,8 @@ from sim.polaris.line.server import EndSignal, Server
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.mode import Mode
 from sim.polaris.unit.unit import Unit
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 ANSWER_LIMIT_S = 30.0
 QUIET_S = 0.1

@@ -12,8 +12,8 @@ import pytest
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
 from sim.polaris.optics.measuring_volume import PYRAMID
 from sim.polaris.scene.extra_strays import REFLECTION_PRESENCE
-from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import Scene, TrackerTool
+from sim.world.scene.named_scenes import named_scene
 
 if TYPE_CHECKING:
     from conftest import Bench

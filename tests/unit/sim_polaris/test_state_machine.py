@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sim.polaris.unit.model import SPECTRA
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

@@ -10,18 +10,13 @@ import numpy as np
 import pytest
 from guide_frames import with_guide_frame
 
-from sim.kuka.arm.joint_chain import JointChain
-from sim.kuka.arm.robot_description import description
-from sim.theatre.rigid import (
-    apply,
-    inverse,
-    matrix_of,
-    quaternion_from_rotation,
-)
-from sim.theatre.scene.model import Scene, TrackerTool
-from sim.theatre.scene.named_scenes import frame_on_head, named_scene, robot_frame
-from sim.theatre.true_guide import TrueGuide
-from sim.theatre.world import ArmState
+from sim.world.arm.joint_chain import JointChain
+from sim.world.arm.robot_description import description
+from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
+from sim.world.scene.model import Scene, TrackerTool
+from sim.world.scene.named_scenes import frame_on_head, named_scene, robot_frame
+from sim.world.true_guide import TrueGuide
+from sim.world.world import ArmState
 
 if TYPE_CHECKING:
     from conftest import Bench

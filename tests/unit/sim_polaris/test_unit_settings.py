@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from sim.polaris.unit.model import VICRA
-from sim.theatre.scene.model import TrackerTool
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.model import TrackerTool
+from sim.world.scene.named_scenes import named_scene
 
 if TYPE_CHECKING:
     from conftest import Bench

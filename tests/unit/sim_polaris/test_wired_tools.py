@@ -12,7 +12,7 @@ from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.errors import BadWiredTool
 from sim.polaris.tools.definition import checksum, write_definition
 from sim.polaris.tools.wired_tools import WiredPorts, WiredTool, plugged_in
-from sim.theatre.scene.model import TrackerTool
+from sim.world.scene.model import TrackerTool
 
 if TYPE_CHECKING:
     from conftest import Bench

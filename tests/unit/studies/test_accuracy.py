@@ -26,8 +26,8 @@ from procedures.studies.strategies.study import PREDICTION, StrategiesStudy
 from procedures.studies.strategies.tables import plots, tables
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
-from sim.kuka.arm.true_arm import TrueArm
-from sim.theatre.scene.arm_truth import draw_arm
+from sim.world.arm.true_arm import TrueArm
+from sim.world.scene.arm_truth import draw_arm
 
 HERE = place(1)
 SMALL = phantom(Markers.FREE, (30.0, 120.0), 2)

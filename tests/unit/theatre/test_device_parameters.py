@@ -8,7 +8,7 @@ from ronna_hw.errors import EXIT_USAGE, ConfigurationError
 from sim.errors import BadDeviceParameter
 from sim.theatre.device_parameters import parameters_by_device
 from sim.theatre.launch import Theatre
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 
 def test_settings_are_sorted_by_device() -> None:

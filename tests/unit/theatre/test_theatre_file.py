@@ -11,11 +11,11 @@ from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
 from sim.theatre.calibration_files import CALIBRATION_FILE, read_calibrations
-from sim.theatre.process import load_scene
-from sim.theatre.rigid import inverse, matrix_of
-from sim.theatre.scene.model import Scene
-from sim.theatre.scene.named_scenes import named_scene
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
+from sim.world.process import load_scene
+from sim.world.rigid import inverse, matrix_of
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
 
 ENDPOINTS = {
     "polaris": "serial:///dev/pts/9",

@@ -15,10 +15,10 @@ from ronna_hw.evidence.inspection import RECORDS_FOLDER
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
-from sim.theatre.rigid import apply, inverse, matrix_of
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.truth import SCENE_FILE, TipSample, append_sample
-from sim.theatre.verify import THEATRE_FOLDER, verify_run
+from sim.theatre.verify import verify_run
+from sim.world.rigid import apply, inverse, matrix_of
+from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TipSample, append_sample
 
 SCENE = named_scene("mini")
 TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name

@@ -9,8 +9,8 @@ from procedures.workcell.errors import AnotherArm
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.config import parse_theatre
 from ronna_hw.frames import Frame
-from sim.theatre.process import load_scene
 from sim.theatre.theatre_file import theatre_content
+from sim.world.process import load_scene
 
 
 def _records():  # of a calibrated theatre

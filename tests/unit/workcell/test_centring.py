@@ -14,7 +14,7 @@ from procedures.cli.stereo.display import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from procedures.workcell.errors import SphereNotFound
 from ronna_hw.devices.readings import StereoReading, Validity
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import named_scene
 
 END_MM, STEPS = 0.03, 8
 SEARCH_LOOKS = 6 + 12 + 18

@@ -25,7 +25,7 @@ from procedures.calibration.tool_tip.record import LEAST_VALIDATION, calibrate_t
 from procedures.calibration.tool_tip.tip import LEAST_READINGS, fit_tip
 from procedures.cli.procedure import app
 from ronna_hw.frames import Frame
-from sim.theatre.rigid import matrix_of
+from sim.world.rigid import matrix_of
 
 COUNT, VALIDATION = LEAST_READINGS, LEAST_VALIDATION  # so every good calibration here passes with the fewest
 Numbers3 = tuple[float, float, float]

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from kr6_golden_poses import GOLDEN
 
-from sim.kuka.arm.joint_chain import JointChain
-from sim.kuka.arm.orientation import frame_of, pose_of_frame, status_and_turn
-from sim.kuka.arm.robot_description import Variant, description
-from sim.kuka.arm.true_arm import TrueArm
-from sim.theatre.scene.arm_truth import draw_arm
-from sim.theatre.scene.model import ArmTruth
+from sim.world.arm.joint_chain import JointChain
+from sim.world.arm.orientation import frame_of, pose_of_frame, status_and_turn
+from sim.world.arm.robot_description import Variant, description
+from sim.world.arm.true_arm import TrueArm
+from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.model import ArmTruth
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 

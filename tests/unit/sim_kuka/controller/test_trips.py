@@ -11,10 +11,10 @@ from ronna_hw.wire.kuka_eki import AckCode, RsiState
 from sim.errors import BadFaultScript
 from sim.kuka.controller.messages import TRIPS as MESSAGES
 from sim.kuka.controller_parameters import ControllerParameters
-from sim.theatre.faults import FaultBoard, check_faults, parse_faults
-from sim.theatre.faults.robot import TRIPS
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.faults import FaultBoard, check_faults, parse_faults
+from sim.world.faults.robot import TRIPS
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 NUMBERS = {
     "timeout": 29002,

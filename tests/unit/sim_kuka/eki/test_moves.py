@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState
-from sim.kuka.arm.joint_chain import JointChain
-from sim.kuka.arm.orientation import frame_of, status_and_turn
-from sim.kuka.arm.posture import axes_of_posture
-from sim.kuka.arm.robot_description import Variant, description
 from sim.kuka.eki.acknowledgement import Acknowledgement
 from sim.kuka.eki.motion import shares
 from sim.kuka.eki.move_commands import EkiMoves
+from sim.world.arm.joint_chain import JointChain
+from sim.world.arm.orientation import frame_of, status_and_turn
+from sim.world.arm.posture import axes_of_posture
+from sim.world.arm.robot_description import Variant, description
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 GOAL_DEG = (20.0, -80.0, 100.0, 30.0, 60.0, -40.0)

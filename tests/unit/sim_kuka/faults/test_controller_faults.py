@@ -12,9 +12,9 @@ from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.faults.controller_faults import ControllerFaults
 from sim.kuka.faults.fault_log import FaultLog
 from sim.kuka.faults.link_faults import LinkFaults
-from sim.theatre.faults import FaultBoard
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.world import World
+from sim.world.faults import FaultBoard
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
 
 # What is true while a fault lasts, of the controller and of a channel.
 LASTING: list[tuple[str, Callable[[Any, Any], bool]]] = [

@@ -12,7 +12,7 @@ from ronna_hw.wire.kuka_context import load_context
 from sim.kuka.faults.fault_log import FaultLog
 from sim.kuka.faults.link_faults import LinkFaults
 from sim.kuka.rsi.reply_reader import ReplyReader
-from sim.theatre.faults import parse_faults
+from sim.world.faults import parse_faults
 
 REPLY = (
     '<Sen Type="KROSHU"><Stop>0</Stop><AK A1="1.500000" A2="0" A3="0" A4="0" A5="0" A6="0"/>'

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ronna_hw.wire.kuka_context import RsiContext
-from sim.theatre.scene.model import ArmTruth
+from sim.world.scene.model import ArmTruth
 
 
 def message_of(bench: Any) -> int:

@@ -13,11 +13,11 @@ from procedures.planning.prediction.instrument_error import (
     instrument_covariance_mm2,
 )
 from ronna_hw.tool_record import GuideBore
-from sim.theatre.rigid import inverse, matrix_from, rotation_from_vector
-from sim.theatre.scene.guide import Guide
-from sim.theatre.scene.named_scenes import named_scene
-from sim.theatre.true_guide import TrueGuide
-from sim.theatre.world import ArmState, World
+from sim.world.rigid import inverse, matrix_from, rotation_from_vector
+from sim.world.scene.guide import Guide
+from sim.world.scene.named_scenes import named_scene
+from sim.world.true_guide import TrueGuide
+from sim.world.world import ArmState, World
 
 INSERTIONS = 2000
 HELD = rotation_from_vector((0.3, -2.2, 0.5))  # any

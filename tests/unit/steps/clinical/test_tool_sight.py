@@ -17,8 +17,8 @@ from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.readings import ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame
 from ronna_hw.tool_record import ToolFrame
-from sim.theatre.scene.guide_frame import MARKERS_MM, NAME
-from sim.theatre.scene.named_scenes import named_scene
+from sim.world.scene.guide_frame import MARKERS_MM, NAME
+from sim.world.scene.named_scenes import named_scene
 
 ON_TIP = with_guide_frame(named_scene("mini", seed=3)).mount.guide.tip_from_frame
 assert ON_TIP is not None

@@ -1,0 +1,300 @@
+"""The language of fault scripts: one fault per line, the same on the command line, in tests and live.
+
+    at 12.5 s: tracker occlude marker 3 for 2 s
+    when step == relocalization: robot drop 5 % for 1 s
+    at cycle 500: robot drop 100 % for 0.012 s
+    since step == relocalization:T2: room shift cart 0 2 0 mm
+    now: tracker occlude tool robot_frame for 1 s
+
+Times are theatre time. Cycles are telegrams sent by the robot's controller since its start. A fault with
+`when` acts while the step runs, one with `since` from its first start on; `relocalization:T1` is the
+step of one trajectory, `relocalization` that of each. `now` is for the control port; in a script it
+means the beginning.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ronna_hw.bounded_input import InputRefused, read_bounded
+from sim.errors import BadFaultScript
+from sim.world.faults.camera import CAMERA_FAULTS
+from sim.world.faults.fault import Fault
+from sim.world.faults.kinds import TERMINALS, FaultKind, either
+from sim.world.faults.robot import ROBOT_FAULTS
+from sim.world.faults.room import ROOM_FAULTS
+from sim.world.faults.suggestion import meant, nearest_kind
+from sim.world.faults.tracker import TRACKER_FAULTS, tool_is_there
+from sim.world.scene.model import Scene
+
+if TYPE_CHECKING:
+    from lark import Lark
+    from lark.exceptions import UnexpectedInput
+
+FAULT_KINDS: tuple[FaultKind, ...] = (*TRACKER_FAULTS, *ROBOT_FAULTS, *CAMERA_FAULTS, *ROOM_FAULTS)
+NOW, SINCE = "now", "since"
+CYCLES_OF = "robot"  # the device whose cycles a script can name
+TRIGGERS = ("at", "when", SINCE, NOW)
+DEVICES = ("tracker", "robot", "camera", "room")
+LONGEST_SCRIPT = 100_000  # characters: some two thousand faults
+MOST_MISTAKES = 20  # reported at once
+MOST_LISTED = 6  # of what is allowed at a position; with more, the closest ones are listed
+END, END_OF_TEXT = "$END", "<END-OF-FILE>"  # the parser's tokens
+BEGINS_NOW = f"{NOW}: "  # prepended to a line typed without a beginning
+EXAMPLE = "at 12.5 s: tracker occlude marker 2 for 2 s"
+READABLE = {
+    "INT": "a whole number",
+    "NUMBER": "a number",
+    "SIGNED": "a number",
+    "NAME": "a name",
+    "STEP": "the name of a step",
+}
+
+STEP = r"[A-Za-z_][A-Za-z0-9_]*(:[A-Za-z0-9][A-Za-z0-9_.-]*)?"
+_SINCE_STEP = re.compile(rf"^\s*{SINCE}\s+step\s*==\s*{STEP}\s*:")
+GRAMMAR = r"""
+start: statement?
+statement: trigger ":" fault duration?
+?trigger: "at" NUMBER "s"            -> at
+        | "at" "cycle" INT           -> at_cycle
+        | "when" "step" "==" STEP    -> when
+        | "since" "step" "==" STEP   -> since
+        | "now"                      -> now
+duration: "for" NUMBER "s"
+?fault: {faults}
+STEP: /{step}/
+NAME: /[A-Za-z0-9_][A-Za-z0-9_.-]*/
+SIGNED: /[+-]?[0-9]+([.][0-9]+)?/
+COMMENT: /#[^\n]*/
+%import common.NUMBER
+%import common.INT
+%import common.WS_INLINE
+%ignore WS_INLINE
+%ignore COMMENT
+"""
+
+
+def parse_faults(text: str) -> tuple[Fault, ...]:
+    """Parse a script; raises SIM-003 with every invalid line, and what was probably meant."""
+    from lark.exceptions import UnexpectedInput
+
+    if len(text) > LONGEST_SCRIPT:
+        raise BadFaultScript("the fault script is too long", limit=f"{LONGEST_SCRIPT} characters")
+    faults: list[Fault] = []
+    mistakes: list[Mistake] = []
+    for number, line in enumerate(text.split("\n"), 1):
+        try:
+            tree = _grammar().parse(line.rstrip())
+        except UnexpectedInput as error:
+            mistakes.append(_unexpected(error, line.rstrip(), number, advises=not mistakes))
+            if len(mistakes) == MOST_MISTAKES:
+                break
+            continue
+        for statement in tree.children:
+            fault, has_duration = _fault(statement, number)
+            faults.append(fault)
+            if has_duration and fault.kind.momentary:
+                got = f"got 'for {fault.duration_s:g} s': this fault is momentary"
+                what = f"line {number}: expected no duration, {got}"
+                mistakes.append(Mistake(what, fault.kind.example))
+    _refuse(mistakes)
+    return tuple(faults)
+
+
+def parse_request(line: str) -> Fault:
+    """The single fault in a line typed at the control port; without a beginning it begins now.
+
+    Raises SIM-003.
+    """
+    if "\n" in line:
+        raise BadFaultScript("expected one line", got=repr(line), action="Give one fault at a time.")
+    faults = parse_faults(line if _begins(line) or not line.strip() else f"{BEGINS_NOW}{line}")
+    if not faults:
+        raise BadFaultScript(f"no fault in {line!r}", action=f"Write for example: {EXAMPLE}.")
+    return faults[0]
+
+
+def at_moment(now_s: float) -> str:
+    """The beginning of a line that acts from that theatre time on, with nanosecond resolution like the clock.
+
+    Coarser rounding could place it ahead of a clock that stands still until someone advances it.
+    """
+    return f"at {now_s:.9f} s"
+
+
+def begin_now(line: str, now_s: float) -> str:
+    """The line with `now`, or a missing beginning, replaced by the present theatre time."""
+    if not _begins(line):
+        return f"{at_moment(now_s)}: {line}"
+    trigger, colon, rest = line.partition(":")
+    return f"{at_moment(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
+
+
+def begin_with_step(text: str, step: str, now_s: float) -> str:
+    """The script with the faults that last since that step starting at the present theatre time."""
+    begins = [fault.line for fault in parse_faults(text) if fault.lasts and fault.begins_in(step)]
+    lines = text.split("\n")
+    for number in begins:
+        lines[number - 1] = _SINCE_STEP.sub(f"{at_moment(now_s)}:", lines[number - 1])
+    return "\n".join(lines)
+
+
+def _begins(line: str) -> bool:
+    return line.lstrip().split(":")[0].split(maxsplit=1)[:1] in [[trigger] for trigger in TRIGGERS]
+
+
+def read_faults(path: Path, scene: Scene, devices: Sequence[str] = DEVICES) -> str:
+    """Text of a script that is valid for `scene` and the devices in it; raises SIM-003."""
+    try:
+        text = read_bounded(path, LONGEST_SCRIPT).decode()
+    except InputRefused as error:
+        raise BadFaultScript(f"{path}: {error.summary}") from error
+    except OSError as error:
+        raise BadFaultScript(f"cannot read the fault script {path}: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise BadFaultScript(f"{path.name} is not UTF-8 text: {error.reason}") from error
+    check_faults(parse_faults(text), scene, devices)
+    return text
+
+
+def check_faults(
+    faults: Iterable[Fault],
+    scene: Scene,
+    devices: Sequence[str] = DEVICES,
+    loaded: Sequence[str] | None = None,
+) -> None:
+    """Raise SIM-003 with every fault of a device, marker or tool that does not exist.
+
+    `loaded` are the tools that a client has loaded into the tracker, if known.
+    """
+    mistakes = []
+    for fault in faults:
+        found = list(_mistakes(fault, scene, devices))
+        if not found and loaded is not None:
+            found = list(tool_is_there(fault, scene, loaded))
+        here = fault.kind.device in devices
+        example = (fault.kind if here else _first_of(devices)).example
+        mistakes += [Mistake(f"line {fault.line}: {mistake}", example) for mistake in found]
+    _refuse(mistakes)
+
+
+def _first_of(devices: Sequence[str]) -> FaultKind:
+    return next(kind for kind in FAULT_KINDS if kind.device in devices)
+
+
+def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
+    if fault.kind.device not in devices:
+        yield f"expected a fault of the {either(devices)}, got {fault.phrase!r}: no other device here"
+        return
+    if fault.cycle is not None and fault.kind.device != CYCLES_OF:
+        yield f"expected a time: only the {CYCLES_OF} counts cycles, not the {fault.kind.device}"
+    yield from fault.kind.check(fault.arguments, scene)
+
+
+class Mistake(NamedTuple):
+    """What is wrong with a line, an example of a valid line, and what this one was probably meant to be.
+
+    Only the first in a script gives advice.
+    """
+
+    what: str
+    example: str = EXAMPLE
+    meant: str | None = None
+
+
+def _refuse(mistakes: list[Mistake]) -> None:
+    if mistakes:
+        what = "; ".join(mistake.what for mistake in mistakes)
+        first = mistakes[0]
+        write = f"Did you mean: {first.meant}?" if first.meant else f"Write for example: {first.example}."
+        raise BadFaultScript(what, action=f"{write} `ronna-sim fault` lists all faults.")
+
+
+def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
+    """The mistake at which the parser stopped; the intended line is only searched for if it `advises`."""
+    from lark.exceptions import UnexpectedCharacters, UnexpectedToken
+
+    names: set[str] = set()
+    ended = False
+    if isinstance(error, UnexpectedCharacters):
+        names = set(error.allowed or ())
+    elif isinstance(error, UnexpectedToken):
+        names, ended = set(error.accepts or error.expected), error.token.type == END
+    column = len(line) + 1 if ended else error.column
+    got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
+    words = sorted({_readable(name) for name in names - {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}})
+    words = words or ["the end of the line"]
+    if len(words) > MOST_LISTED:
+        words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
+    typed = line.removeprefix(BEGINS_NOW)
+    place = f"line {number}, column {column - len(line) + len(typed)}"
+    if not _begins(line) and _reads(f"{BEGINS_NOW}{line}"):
+        what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
+        return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
+    what = f"{place}: expected {either(words)}, got {got}"
+    if not advises:
+        return Mistake(what)
+    said = None
+    if any(
+        word not in READABLE.values() for word in words
+    ):  # otherwise an argument is wrong, which the parser's error says best
+        said = meant(
+            typed, FAULT_KINDS, lambda text: _reads(text if _begins(text) else f"{BEGINS_NOW}{text}")
+        )
+    nearest = None if said else nearest_kind(typed, FAULT_KINDS)
+    return Mistake(what, nearest.example if nearest else EXAMPLE, said)
+
+
+def _reads(line: str) -> bool:
+    """Whether this is a valid line."""
+    from lark.exceptions import UnexpectedInput
+
+    try:
+        _grammar().parse(line)
+    except UnexpectedInput:
+        return False
+    return True
+
+
+def _readable(terminal: str) -> str:
+    return READABLE.get(terminal) or repr(_grammar().get_terminal(terminal).pattern.value)
+
+
+@cache
+def _grammar() -> Lark:
+    from lark import Lark
+
+    alternatives = "\n      | ".join(
+        " ".join([f'"{kind.device}"', *(_symbol(word) for word in kind.phrase.split())]) + f" -> {kind.name}"
+        for kind in FAULT_KINDS
+    )
+    return Lark(GRAMMAR.replace("{faults}", alternatives).replace("{step}", STEP), parser="lalr")
+
+
+def _symbol(word: str) -> str:
+    return word if word in TERMINALS else f'"{word}"'
+
+
+def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
+    """The fault, and whether the line stated a duration."""
+    trigger, phrase, *ending = statement.children
+    kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
+    duration_s = float(ending[0].children[0]) if ending else (0.0 if kind.momentary else math.inf)
+    begin = str(trigger.children[0]) if trigger.children else "0"
+    fault = Fault(
+        kind=kind,
+        arguments=tuple(str(argument) for argument in phrase.children),
+        duration_s=duration_s,
+        at_s=float(begin) if trigger.data in ("at", NOW) else None,
+        step=begin if trigger.data in ("when", SINCE) else None,
+        lasts=trigger.data == SINCE,
+        cycle=int(begin) if trigger.data == "at_cycle" else None,
+        line=line,
+    )
+    return fault, bool(ending)

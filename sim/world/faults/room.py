@@ -1,0 +1,71 @@
+"""Faults outside the devices: the room moves, screws loosen, manual errors, altered tools.
+
+Displacements and forces are along the axes of the robot before it moved; for a tool, along
+those of its tip frame.
+"""
+
+from __future__ import annotations
+
+from sim.world.faults.kinds import DeviceFaults, OneOf, fiducial_number
+
+DEVICE = "room"
+HEAD, CART, TRACKER = "head", "cart", "tracker"
+ROOM = DeviceFaults(DEVICE)
+lasting = ROOM.lasting
+
+SHIFT = lasting(
+    "shift",
+    "shift NAME SIGNED SIGNED SIGNED mm",
+    "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
+    OneOf("to move the", (HEAD, CART, TRACKER)),
+)
+UNLOCKED = lasting(
+    "unlocked",
+    "unlocked cart SIGNED SIGNED SIGNED mm per min",
+    "The brakes of the robot's cart are open: it rolls at that rate along the robot's x, y and z, and by "
+    "one minute's worth when someone leans on it.",
+)
+LOOSEN = lasting(
+    "loosen",
+    "loosen marker INT SIGNED SIGNED SIGNED mm",
+    "The screw of one sphere gives way: the sphere is displaced by that much, along the robot's x, y and z.",
+    fiducial_number,
+)
+PUSH = lasting(
+    "push",
+    "push guide SIGNED SIGNED SIGNED N",
+    "A hand pushes or pulls the mounted tool with that force, along the robot's x, y and z; "
+    "the arm yields according to its stiffness.",
+)
+WRONG_STOP = lasting("wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep.")
+BENT_TIP = lasting(
+    "bent_tip",
+    "bent tip SIGNED SIGNED SIGNED mm",
+    "The guide, or the mandrel in it, is bent: its end is that far from its calibrated position.",
+)
+WRONG_MANDREL = lasting(
+    "wrong_mandrel",
+    "wrong mandrel SIGNED mm",
+    "Another mandrel is in the guide, longer by that much than the one used for calibration.",
+)
+BAD_SEAT = lasting(
+    "bad_seat",
+    "bad seat SIGNED mm SIGNED deg",
+    "The changer is not closed: the mounted tool is offset by that distance and tilted by that angle.",
+)
+WRONG_LOAD = lasting(
+    "wrong_load",
+    "wrong load SIGNED kg",
+    "The load on the flange exceeds the load data in the controller by that much: the arm sags.",
+)
+ROOM_FAULTS = (
+    SHIFT,
+    UNLOCKED,
+    LOOSEN,
+    PUSH,
+    WRONG_STOP,
+    BENT_TIP,
+    WRONG_MANDREL,
+    BAD_SEAT,
+    WRONG_LOAD,
+)

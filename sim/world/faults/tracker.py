@@ -1,0 +1,149 @@
+"""Faults of the optical tracker: what its sensors see, the unit itself, and its line to the host."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from ronna_hw.wire.polaris import MAXIMUM_STRAYS
+from sim.world.faults.fault import Fault
+from sim.world.faults.kinds import Arguments, DeviceFaults, OneOf, at_most, expected, fiducial_number
+from sim.world.scene.model import Scene, TrackerTool
+
+SLOW_COMMANDS = ("INIT", "PINIT", "TSTART")
+SOCKETS = ("1", "2", "3")  # of the unit for wired tools that can be connected
+# Bits of Info.Status.Alerts with a defined meaning.
+KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
+TRACKER = DeviceFaults("tracker")
+lasting, share, once = TRACKER.lasting, TRACKER.share, TRACKER.once
+
+
+def _tools(name: str, scene: Scene) -> list[TrackerTool]:
+    return [tool for tool in scene.tracker.tools if name in (tool.name, tool.part_number)]
+
+
+def _tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    # If there are places for other tools, a client may load definitions unknown to the scene.
+    if not scene.tracker.places and not _tools(arguments[0], scene):
+        yield from expected("tool", [tool.name for tool in scene.tracker.tools], arguments[0])
+
+
+def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    yield from _tool(arguments, scene)
+    for tool in _tools(arguments[0], scene):
+        numbers = [str(number) for number in range(1, len(tool.markers_mm) + 1)]
+        yield from expected(f"{tool.name} marker", numbers, arguments[1])
+
+
+def tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
+    """Check that the fault's tool is in the scene, or that a client has loaded its definition."""
+    if fault.kind.check in (_tool, _tool_marker) and not _tools(fault.argument, scene):
+        known = [*(tool.name for tool in scene.tracker.tools), *loaded]
+        yield from expected("tool", list(dict.fromkeys(known)), fault.argument)
+
+
+def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    if not scene.tracker.fiducials_visible:
+        yield f"expected a scene with markers on a head, got {scene.name}: marker {arguments[0]} is not in it"
+        return
+    yield from fiducial_number(arguments, scene)
+
+
+_few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit can report")
+_socket = OneOf("socket", SOCKETS)
+
+DISPLACED_TOOLS = (
+    lasting(
+        "bend_tool",
+        "bend tool NAME NUMBER mm",
+        "The last marker of a tool is displaced outwards by that distance.",
+        _tool,
+    ),
+    lasting(
+        "turn_tool",
+        "turn tool NAME SIGNED deg",
+        "A tool is rotated by that angle about its own x axis.",
+        _tool,
+    ),
+    lasting(
+        "move_tool",
+        "move tool NAME SIGNED SIGNED SIGNED mm",
+        "A tool is moved along x, y and z of the tracker.",
+        _tool,
+    ),
+)
+SIGHT_FAULTS = (
+    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _visible_fiducial),
+    lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _tool),
+    lasting(
+        "occlude_tool_marker",
+        "occlude tool NAME marker INT",
+        "One marker of a tool is hidden; markers count from 1.",
+        _tool_marker,
+    ),
+    *DISPLACED_TOOLS,
+    lasting("interference", "interference tool NAME", "Infrared interference on one tool.", _tool),
+    lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
+    lasting("strays", "strays INT", "That many additional spheres are in the volume.", _few),
+    lasting("reflections", "reflections INT", "That many additional surfaces reflect intermittently.", _few),
+    lasting(
+        "phantoms",
+        "phantoms NUMBER mm",
+        "Rays that pass this close to each other are taken for one marker: phantom markers.",
+    ),
+)
+
+UNIT_FAULTS = (
+    once("bump", "bump", "The unit was bumped: no poses until the host reads the alert."),
+    lasting("cold", "cold", "The unit has not warmed up: no poses."),
+    lasting("hot", "hot", "The unit is too hot: no poses."),
+    lasting(
+        "alert",
+        "alert INT",
+        "That alert bit is set; 0 to 8 are faults of the hardware.",
+        OneOf("alert", KNOWN_ALERTS),
+    ),
+    lasting("power_off", "power off", "The unit has no power; when it returns, it sends RESET at 9600 baud."),
+    once("unit_restart", "restart", "The unit restarts at once."),
+    once("watchdog", "watchdog", "The unit assumes that the host is gone and stops tracking."),
+    lasting(
+        "plug", "plug INT", "A wired tool is plugged into that socket, and unplugged at the end.", _socket
+    ),
+    lasting(
+        "unplug",
+        "unplug INT",
+        "The wired tool in that socket is unplugged, and plugged in again at the end.",
+        _socket,
+    ),
+    lasting(
+        "corrupt_definitions",
+        "corrupt definitions",
+        "A tool definition is found corrupt when it is initialised.",
+    ),
+    lasting("enabled_limit", "allow INT tools", "At most that many tools can be enabled."),
+    lasting("handle_limit", "allow INT handles", "At most that many port handles are available."),
+    lasting(
+        "wavelength", "wrong wavelength", "The selected volume does not accept the wavelength of any tool."
+    ),
+    lasting(
+        "slow",
+        "slow NAME NUMBER s",
+        "INIT, PINIT or TSTART takes that much longer.",
+        OneOf("command", SLOW_COMMANDS),
+    ),
+    lasting("repeat_frames", "repeat frames", "The unit sends the same frame repeatedly."),
+    lasting("skip_frames", "skip INT frames", "After each frame the unit skips that many."),
+)
+
+LINE_FAULTS = (
+    share(
+        "garble_commands", "garble commands NUMBER %", "That share of the commands arrives with a bit error."
+    ),
+    share("garble_replies", "garble replies NUMBER %", "That share of the replies arrives with a bit error."),
+    share("drop_bytes", "drop bytes NUMBER %", "That share of the replies loses a byte."),
+    share("double_bytes", "double bytes NUMBER %", "That share of the replies has a duplicated byte."),
+    share("cut_replies", "cut replies NUMBER %", "That share of the replies is truncated."),
+    share("lose_replies", "lose replies NUMBER %", "That share of the replies is never sent."),
+    lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
+)
+
+TRACKER_FAULTS = (*SIGHT_FAULTS, *UNIT_FAULTS, *LINE_FAULTS)

@@ -1,0 +1,121 @@
+"""The state in which a theatre left its world, for another one to continue: the arm, its tool, the time.
+
+The file is written when the theatre ends, even if its parent died, and at each tool change. It includes what
+faults have moved, bent or rotated; a continued world has no other fault until one is injected.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.calibration import Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.records import write_whole
+from sim.errors import BadLeftWorld, TheatreRunning
+from sim.world.faults import parse_faults
+from sim.world.faults.standing import standing_faults
+from sim.world.scene.model import Numbers6, Scene
+from sim.world.world import ArmState, World
+
+LEFT_WORLD_FILE = "world.json"
+END_LIMIT_S = 4.0  # host time; a theatre whose parent died notices and ends within two seconds
+LOOK_AGAIN_S = 0.02
+Count = Annotated[int, Field(ge=0)]
+
+
+class LeftArm(Strict):
+    """The last state of the robot: its encoders, and what they do not show."""
+
+    joints_rad: Numbers6 = Field(description="Encoder angles.")
+    flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
+    motion_number: Count = Field(description="Number of motions so far.")
+    moved_s: Annotated[float, Field(ge=0)] = Field(description="Time in motion so far.")
+
+
+class LeftWorld(Strict):
+    """The last state of what changes in a world."""
+
+    theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
+    mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
+    arm: LeftArm | None = Field(description="None until the robot has started.")
+    standing_faults: str = Field(
+        default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
+    )
+
+    @classmethod
+    def of(cls, world: World) -> LeftWorld:
+        """The present state of a world."""
+        arm = world.arm() if world.has_arm else None
+        return cls(
+            theatre_time_ns=world.clock.now_ns(),
+            mounted_tool=world.mounted_tool(),
+            arm=None
+            if arm is None
+            else LeftArm(
+                joints_rad=arm.joints_rad,
+                flanks=arm.flanks,
+                motion_number=arm.motion_number,
+                moved_s=arm.moved_s,
+            ),
+            standing_faults=standing_faults(world),
+        )
+
+    def go_on(self, scene: Scene, *, paced: bool) -> World:
+        """A world of that scene that starts from this state."""
+        world = World.create(scene, paced=paced, begins_ns=self.theatre_time_ns)
+        world.mount_tool(self.mounted_tool)
+        world.set_fault_script(self.standing_faults)
+        if (arm := self.arm) is not None:
+            # The robot simulator publishes the flange's true pose before anyone can read it.
+            world.publish_arm(
+                ArmState(arm.joints_rad, np.eye(4), arm.motion_number, True, arm.flanks, arm.moved_s)
+            )
+        return world
+
+
+def write_left_world(world: World, folder: Path) -> None:
+    """Save the state of a world, completely or not at all."""
+    write_whole(folder / LEFT_WORLD_FILE, LeftWorld.of(world).model_dump_json(indent=1).encode())
+
+
+def read_left_world(folder: Path) -> LeftWorld | None:
+    """The last state of the theatre there; None if it wrote nothing. Raises SIM-003, SIM-012."""
+    path = folder / LEFT_WORLD_FILE
+    if not path.exists():
+        return None
+    try:
+        left = LeftWorld.model_validate_json(read_json_bytes(path), strict=False)
+    except ValidationError as error:
+        raise BadLeftWorld(f"{path.name}: {'; '.join(describe_mistakes(error))}") from error
+    parse_faults(left.standing_faults)
+    return left
+
+
+@contextmanager
+def folder_held(folder: Path) -> Iterator[None]:
+    """Hold a folder for one theatre; raises SIM-013 when another one does not end in time."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        limit_s = time.monotonic() + END_LIMIT_S
+        while True:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > limit_s:
+                    raise TheatreRunning(f"another theatre is running in {folder}") from None
+                time.sleep(LOOK_AGAIN_S)  # a file lock cannot be awaited with a time limit
+        yield
+    finally:
+        os.close(file)

@@ -1,0 +1,153 @@
+"""What all device processes of the theatre share: find the world, print READY, end in time."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+
+from ronna_hw.errors import EXIT_FAILED
+from ronna_hw.host.descendants import descendants_of, kill_all
+from ronna_hw.host.parent_process import PARENT
+from ronna_hw.host.starting_up import end_start
+from sim.errors import BadScene
+from sim.world.control import Room
+from sim.world.control_port import ControlPort
+from sim.world.faults import DEVICES, read_faults
+from sim.world.scene.carrier import Carrier
+from sim.world.scene.model import ArmResidual, Scene, read_scene
+from sim.world.scene.named_scenes import SCENES, named_scene
+from sim.world.world import World
+
+PARENT_GONE = "stopping: the parent process has ended\n"
+END_LIMIT_S = 1.5  # then anything stuck in a system call, or waiting for a hung child, is killed
+PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's death
+
+
+def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
+    """Print the line `READY {json}`: the start is over, clients may connect."""
+    end_start()
+    content: dict[str, object] = {"device": device}
+    if endpoint is not None:
+        content["endpoint"] = endpoint
+    if control is not None:
+        content["control"] = control
+    print("READY " + json.dumps({**content, **more}), flush=True)  # noqa: T201 - this line is the contract
+
+
+def end_with_parent(end: Callable[[], None]) -> None:
+    """Call `end` once on SIGTERM or SIGINT, or when the parent process is gone.
+
+    `end` must make the process leave its main loop; if it is still running 1.5 s later, it is killed with
+    everything it has started.
+    """
+
+    def leave() -> None:
+        end()
+        timer = threading.Timer(END_LIMIT_S, end_hard)
+        timer.daemon = True
+        timer.start()
+
+    def end_hard() -> None:
+        kill_all(descendants_of(os.getpid()))
+        os._exit(0)
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        leave()
+
+    def watch() -> None:
+        while not PARENT.gone:
+            time.sleep(PARENT_CHECK_S)
+        with contextlib.suppress(OSError):  # there may be no reader left
+            sys.stderr.write(PARENT_GONE)
+            sys.stderr.flush()
+        leave()
+
+    threading.excepthook = _end_with_thread
+    signal.signal(signal.SIGTERM, on_signal)
+    signal.signal(signal.SIGINT, on_signal)
+    threading.Thread(target=watch, name="parent watch", daemon=True).start()
+
+
+def _end_with_thread(failure: threading.ExceptHookArgs) -> None:
+    """A device with a dead thread would merely fall silent: report the reason and end the process."""
+    traceback.print_exception(failure.exc_type, failure.exc_value, failure.exc_traceback)
+    sys.stderr.write(f"{failure.thread.name if failure.thread else 'a thread'} failed: {failure.exc_value}\n")
+    sys.stderr.flush()
+    os._exit(EXIT_FAILED)
+
+
+def open_world(
+    world: str | None, scene: str, faults: Path | None = None, devices: Sequence[str] = DEVICES
+) -> World:
+    """The theatre's world, or for a simulator started alone a world of its own.
+
+    A world of its own follows the host's clock. `scene` is a built-in name or a file; `devices` are
+    those simulated in it.
+    """
+    if world is not None:
+        return World.open(world)
+    truth = load_scene(scene)
+    script = read_faults(faults, truth, devices) if faults else ""
+    own = World.create(truth, paced=True)
+    if script:
+        own.set_fault_script(script)
+    return own
+
+
+def own_control_port(
+    world: str | None,
+    own: World,
+    devices: Sequence[str],
+    loaded: Callable[[], Sequence[str]] | None = None,
+) -> str | None:
+    """The control port of a simulator started alone; None in a theatre, which has its own."""
+    return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint
+
+
+def load_scene(
+    scene: str,
+    *,
+    seed: int = 0,
+    markers: int | None = None,
+    targets: int | None = None,
+    fiducials: Carrier = Carrier.FREE,
+    calibrated: bool = False,
+    first_day: bool = False,
+    target_balls: bool = False,
+) -> Scene:
+    """A named scene, or a scene file; raises SIM-001.
+
+    On request its arm has a calibration record, frame and tip have no valid one, and there is a
+    ball at each target.
+    """
+    if scene in SCENES:
+        on_frame = fiducials is Carrier.XFRAME
+        drawn = named_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
+    elif fiducials is not Carrier.FREE:
+        raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
+    else:
+        drawn = read_scene(Path(scene))
+    if target_balls:
+        head = drawn.head.model_copy(update={"target_balls": True})
+        drawn = drawn.model_copy(update={"head": head})
+    error = drawn.calibration_error
+    if calibrated and error.arm is None:
+        error = error.model_copy(update={"arm": ArmResidual()})
+    if first_day:
+        error = error.model_copy(update={"first_day": True})
+    return drawn.model_copy(update={"calibration_error": error})
+
+
+def fail(message: str, exit_code: int) -> None:
+    """Report why a device process cannot start, and exit."""
+    sys.stderr.write(message + "\n")
+    raise SystemExit(exit_code)

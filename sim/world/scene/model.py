@@ -1,0 +1,393 @@
+"""The scene: the true state of everything. Read by every simulated device, written once.
+
+Frames as in `ronna_hw.frames`; a field `a_from_b` maps b coordinates to a. Lengths mm, angles rad. `nominal`
+values are those on paper; `true` values are the real ones.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from math import dist
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, ValidationError, model_validator
+
+from ronna_hw.bounded_input import read_json_bytes, read_toml
+from ronna_hw.calibration import FocalPixels, Length, Numbers3, PoseRecord, Strict
+from ronna_hw.config import describe_mistakes
+from ronna_hw.text.counting import counted
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+from sim.errors import BadScene
+from sim.world.scene.guide import Guide, Hands
+from sim.world.scene.quantities import NotNegative, Positive
+
+Numbers6 = tuple[float, float, float, float, float, float]
+Count = Annotated[int, Field(ge=1)]
+SlicePixels = Annotated[int, Field(ge=16, le=2048)]  # no scanner reconstructs more
+HeadAxis = Annotated[float, Field(gt=0, le=1000), Length]
+Name = Annotated[str, Field(min_length=1)]
+ToolNumber = Annotated[int, Field(ge=1, le=16)]  # as reported by the controller's inputs
+SPHERE_RADIUS_MM = 5.75  # NDI passive sphere, 11.5 mm diameter
+BASE_MM = 16.0  # from a screw's head to the centre of its sphere
+MOST_WORN_PERCENT = 60.0  # of a film: with more, the sphere cannot be found
+FRAME_TOLERANCE_MM = 0.01  # on the distances within a one-piece frame
+SEATING_ERROR_MM = 0.05  # per axis, of a base that is screwed on again
+
+
+class Fiducial(Strict):
+    """A sphere on a bone screw, or on the x-shaped frame."""
+
+    number: Count = Field(description="Number that names the sphere in messages and in the ground truth.")
+    centre_ct_mm: Numbers3 = Field(description="Centre, CT frame.")
+    post_ct: Numbers3 = Field(description="Unit vector from the skull to the sphere.")
+    radius_mm: Annotated[float, Field(ge=1, le=25), Length] = Field(
+        default=SPHERE_RADIUS_MM, description="Radius of the sphere."
+    )
+    base_mm: Positive = Field(
+        default=BASE_MM, description="Length of the sphere's base at the CT, from the screw to its centre."
+    )
+    base_in_theatre: Count | None = Field(
+        default=None,
+        description="Number of the sphere whose base is now on this screw; default: its own.",
+    )
+    displaced_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="Displacement since the CT, CT axes: a loosened screw or a bent base.",
+    )
+    worn_percent: Annotated[float, Field(ge=0, le=MOST_WORN_PERCENT)] = Field(
+        default=0.0, description="Share of the retro-reflective film worn off since the CT, in spots."
+    )
+    missing: bool = Field(default=False, description="True: not refitted after the CT.")
+
+
+class Target(Strict):
+    """A planned trajectory in the CT frame."""
+
+    identifier: Name = Field(description="Name of the trajectory.")
+    entry_ct_mm: Numbers3 = Field(description="Entry point, CT frame.")
+    target_ct_mm: Numbers3 = Field(description="Target point, CT frame.")
+    free_angle_deg: float = Field(default=0.0, description="Rotation of the guide about the trajectory.")
+    margin_mm: NotNegative = Field(default=2.0, description="Margin stated in the plan.")
+
+    @property
+    def outwards_ct(self) -> Numbers3:
+        """Unit vector from the target towards the entry."""
+        length_mm = dist(self.entry_ct_mm, self.target_ct_mm)
+        x, y, z = ((e - t) / length_mm for e, t in zip(self.entry_ct_mm, self.target_ct_mm, strict=True))
+        return (x, y, z)
+
+
+class Head(Strict):
+    """The patient: the true position of the CT frame in the room, and the head's ellipsoid in it."""
+
+    robot_from_ct: PoseRecord = Field(description="Pose robot <- CT: where the patient is.")
+    centre_ct_mm: Numbers3 = Field(description="Centre of the head ellipsoid, CT frame.")
+    semi_axes_mm: tuple[HeadAxis, HeadAxis, HeadAxis] = Field(
+        description="Semi-axes of the ellipsoid: left, posterior, superior."
+    )
+    fiducials: Annotated[tuple[Fiducial, ...], Field(min_length=1)] = Field(
+        description="Spheres on bone screws or on the x-shaped frame."
+    )
+    seating_error_mm: NotNegative = Field(
+        default=SEATING_ERROR_MM,
+        description="Displacement of a refitted sphere from its CT position, per axis, one standard "
+        "deviation.",
+    )
+    x_frame: bool = Field(
+        default=False, description="True if the spheres are the four of the x-shaped frame, in its order."
+    )
+    template_mm: tuple[Numbers3, ...] | None = Field(
+        default=None, description="Sphere positions of the implantation template, CT frame."
+    )
+    targets: Annotated[tuple[Target, ...], Field(min_length=1)] = Field(
+        description="Trajectories of the plan."
+    )
+    target_balls: bool = Field(
+        default=False,
+        description="True: a ball at each target, as on a phantom, placed after the CT, too dim for the "
+        "tracker.",
+    )
+
+    @model_validator(mode="after")
+    def _identifiers_are_unique(self) -> Self:
+        numbers = [fiducial.number for fiducial in self.fiducials]
+        identifiers = [target.identifier for target in self.targets]
+        if len(set(numbers)) < len(numbers):
+            raise ValueError(f"fiducial numbers must be unique, got {numbers}")
+        if len(set(identifiers)) < len(identifiers):
+            raise ValueError(f"target identifiers must be unique, got {identifiers}")
+        return self
+
+    @model_validator(mode="after")
+    def _frame_is_the_frame(self) -> Self:
+        if self.x_frame:
+            centres = [one.centre_ct_mm for one in self.fiducials]
+            if len(centres) != len(SPHERE_CENTRES_MM):
+                raise ValueError(
+                    f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} spheres, not {len(centres)}"
+                )
+            for (one, other), (here, there) in zip(
+                combinations(SPHERE_CENTRES_MM, 2), combinations(centres, 2), strict=True
+            ):
+                if abs(dist(one, other) - dist(here, there)) > FRAME_TOLERANCE_MM:
+                    raise ValueError("the spheres do not match the x-shaped frame, in its order")
+        return self
+
+    @model_validator(mode="after")
+    def _bases_are_there_once(self) -> Self:
+        there = [one for one in self.fiducials if not one.missing]
+        bases = [one.base_in_theatre or one.number for one in there]
+        unknown = sorted(set(bases) - {one.number for one in self.fiducials})
+        if not there:
+            raise ValueError("at least one sphere must be present in the theatre")
+        if unknown:
+            raise ValueError(f"base_in_theatre names unknown spheres: {unknown}")
+        if len(set(bases)) < len(bases):
+            raise ValueError(f"a base can be on one screw only, got bases {bases}")
+        return self
+
+
+class CtProtocol(Strict):
+    """CT acquisition: voxel size, grid and noise."""
+
+    pixel_mm: Annotated[float, Field(ge=0.05, le=10)] = Field(default=0.5, description="Pixel spacing.")
+    slice_mm: Annotated[float, Field(ge=0.05, le=20)] = Field(default=1.0, description="Slice spacing.")
+    columns: SlicePixels = Field(default=512, description="Columns of a slice.")
+    rows: SlicePixels = Field(default=512, description="Rows of a slice.")
+    slices: Annotated[int, Field(ge=1, le=2000)] = Field(default=200, description="Slices of the series.")
+    noise_HU: NotNegative = Field(default=20.0, description="Noise, one standard deviation.")
+
+
+class LinkError(Strict):
+    """Deviation of one link of the true arm from the nominal one."""
+
+    translation_mm: Numbers3 = Field(description="Displacement of the next joint.")
+    rotation_rad: Numbers3 = Field(description="Rotation vector of the next joint.")
+
+
+class ArmTruth(Strict):
+    """The true arm: nominal geometry plus these errors, in the order A1..A6.
+
+    The effective joint angle is the encoder's plus offset, first and second harmonic, sag, and backlash with
+    the sign of the last motion; at rest a repeatability error is added.
+    """
+
+    variant: Literal["kr6_r900_sixx", "kr6_r900_2"] = Field(default="kr6_r900_sixx", description="Arm model.")
+    home_deg: Numbers6 = Field(description="Joint angles at the start.")
+    links: tuple[LinkError, LinkError, LinkError, LinkError, LinkError, LinkError] = Field(
+        description="Geometric errors of the links, A1 to A6."
+    )
+    joint_offset_rad: Numbers6 = Field(description="Constant error of each encoder.")
+    harmonic_1_rad: Numbers6 = Field(description="First harmonic of the encoder error: amplitude.")
+    harmonic_1_phase_rad: Numbers6 = Field(description="First harmonic of the encoder error: phase.")
+    harmonic_2_rad: Numbers6 = Field(description="Second harmonic of the encoder error: amplitude.")
+    harmonic_2_phase_rad: Numbers6 = Field(description="Second harmonic of the encoder error: phase.")
+    sag_rad: tuple[float, float] = Field(description="Sag of A2 and A3, arm stretched out horizontally.")
+    backlash_rad: Numbers6 = Field(description="Backlash, half of it to either side.")
+    repeatability_mm: NotNegative = Field(
+        description="Repeatability per axis at the tool, one standard deviation."
+    )
+    stiffness_N_mm: Positive = Field(
+        default=80.0, description="Stiffness at the tool: a hand's force displaces the mounted tool."
+    )
+    sag_mm_kg: NotNegative = Field(
+        default=0.15,
+        description="Sag of the flange per kilogram of load above the load data in the controller.",
+    )
+    thermal_drift_mm: NotNegative = Field(
+        default=0.0,
+        description="Drift of the flange when the arm is warm; driven by motion, not by time.",
+    )
+    thermal_time_s: Positive = Field(
+        default=1200.0, description="Time in motion until two thirds of the drift is reached."
+    )
+
+
+class Mount(Strict):
+    """The common mount on the flange and the tools it carries."""
+
+    flange_from_tool_nominal: PoseRecord = Field(description="Pose flange <- tool centre, as designed.")
+    flange_from_tool_true: PoseRecord = Field(description="The same for the stereo head as it really is.")
+    tool_from_tip_true: PoseRecord = Field(description="Pose of the guide's tip in the head's tool centre.")
+    tool_from_marker_true: PoseRecord = Field(
+        description="Pose of the reference frame M, which stays on the mount."
+    )
+    guide: Guide = Field(default=Guide(), description="The guide and the instrument in it.")
+    tool_number_stereo: ToolNumber = Field(
+        default=1, description="Tool number of the stereo head in the controller."
+    )
+    tool_number_guide: ToolNumber = Field(
+        default=2, description="Tool number of the guide in the controller."
+    )
+
+    @model_validator(mode="after")
+    def _two_tools(self) -> Self:
+        if self.tool_number_stereo == self.tool_number_guide:
+            raise ValueError(f"both tools have number {self.tool_number_guide}")
+        return self
+
+
+class CameraTruth(Strict):
+    """The true camera: pinhole, distortion k1 k2 p1 p2 k3, and its pose on the head."""
+
+    serial: str = Field(description="Serial number reported by the camera.")
+    focal_px: tuple[FocalPixels, FocalPixels] = Field(
+        description="Focal length along columns and along rows."
+    )
+    principal_point_px: tuple[float, float] = Field(description="Principal point on the sensor.")
+    distortion: tuple[float, float, float, float, float] = Field(
+        description="Distortion coefficients k1 k2 p1 p2 k3."
+    )
+    sensor_px: tuple[Count, Count] = Field(default=(2048, 1088), description="Sensor size, columns and rows.")
+    camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
+    read_noise_electrons: NotNegative = Field(
+        default=13.5, description="Read noise per pixel, one standard deviation."
+    )
+    full_well_electrons: Positive = Field(default=11900.0, description="Charge at which a pixel saturates.")
+
+
+class TrackerTool(Strict):
+    """A passive tool: markers and their common normal in the tool's own frame."""
+
+    name: str = Field(description="Name of the tool.")
+    part_number: str = Field(description="Part number in the tool definition.")
+    markers_mm: tuple[Numbers3, ...] = Field(description="Centres of the spheres.")
+    normal: Numbers3 = Field(default=(0.0, 0.0, 1.0), description="Direction that the markers face.")
+
+
+class TrackerTruth(Strict):
+    """The tracker: its pose, its accuracy for a single marker, and what it mistakes for one.
+
+    Noise is one standard deviation at mid volume. A bias is the rms length of the fixed, smooth field over a
+    volume: what manufacturers state as accuracy.
+    """
+
+    robot_from_tracker: PoseRecord = Field(description="Pose robot <- tracker: where the unit is.")
+    tools: Annotated[tuple[TrackerTool, ...], Field(min_length=1)] = Field(
+        description="Passive tools; the first is the reference frame M on the mount."
+    )
+    places: tuple[PoseRecord, ...] = Field(
+        default=(), description="Poses tracker <- tool for other loaded definitions, in the order of loading."
+    )
+    fiducials_visible: bool = Field(
+        default=True, description="True if the tracker sees the spheres; the bench has no head."
+    )
+    noise_xy_mm: NotNegative = Field(
+        default=0.04, description="Noise of one marker across the line of sight."
+    )
+    noise_z_mm: NotNegative = Field(default=0.14, description="The same along the line of sight.")
+    bias_mm: NotNegative = Field(default=0.25, description="Bias over the pyramid, or the only volume.")
+    bias_extended_mm: NotNegative = Field(default=0.30, description="Bias over the extended pyramid.")
+    strays_mm: tuple[Numbers3, ...] = Field(
+        default=(), description="More stray markers, fixed in the tracker frame."
+    )
+    line_separation_mm: NotNegative = Field(
+        default=0.5, description="Rays closer than this are taken for one marker (phantom markers); 0: none."
+    )
+    reflections: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Number of intermittent reflections."
+    )
+
+
+class Stand(Strict):
+    """The calibration stand on the table, empty until ball or divot is placed on it.
+
+    Divot and ball share one position to within the stand's own tolerance.
+    """
+
+    ball_mm: Numbers3 = Field(default=(563.0, -325.0, 230.0), description="Centre of the ball, robot frame.")
+    divot_from_ball_mm: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="Offset of the divot at zero from the ball centre, robot frame."
+    )
+    dials_turned_rad: Numbers3 = Field(
+        default=(0.0, 0.0, 0.0), description="Rotation vector of the dials' axes in the robot frame."
+    )
+    travel_mm: Positive = Field(default=6.0, description="Travel of the divot along each axis, either way.")
+    reading_mm: NotNegative = Field(default=0.003, description="Noise of a reading, one standard deviation.")
+    scale_mm: Positive = Field(default=0.01, description="Resolution of the dials.")
+
+
+class ArmResidual(Strict):
+    """Residual errors of a calibration of the arm in its record, one standard deviation each."""
+
+    link_mm: NotNegative = Field(default=0.06, description="Error of each link's length, per axis.")
+    angle_rad: NotNegative = Field(
+        default=1.4e-4, description="Error of each link's rotation per axis, and of each joint's offset."
+    )
+    tool_mm: NotNegative = Field(default=0.1, description="Error of the stereo head on the flange, per axis.")
+
+
+class CalibrationError(Strict):
+    """Stated errors of the calibration records that the theatre supplies, one standard deviation."""
+
+    camera_rotation_rad: NotNegative = Field(default=4e-5, description="Rotation of each camera, per axis.")
+    camera_translation_mm: NotNegative = Field(default=0.01, description="Position of each camera, per axis.")
+    focal_relative: NotNegative = Field(default=1e-4, description="Error of the focal lengths.")
+    tip_mm: NotNegative = Field(default=0.03, description="Guide tip, per axis: 0.05 mm in space.")
+    tip_direction_rad: NotNegative = Field(
+        default=2e-4, description="Direction of the guide's bore, about either axis: 0.01 mm in 60 mm."
+    )
+    marker_translation_mm: NotNegative = Field(
+        default=0.2, description="Position of the reference frame, per axis."
+    )
+    marker_rotation_rad: NotNegative = Field(
+        default=1e-3, description="Rotation of the reference frame, per axis."
+    )
+    first_day: bool = Field(
+        default=False,
+        description="True: frame and tip never measured; their records hold design values and have expired.",
+    )
+    arm: ArmResidual | None = Field(
+        default=None,
+        description="Errors of the arm's calibration record; without it the head is nominal.",
+    )
+
+
+class Scene(Strict):
+    """The complete truth about the theatre."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this file format."
+    )
+    name: str = Field(description="Name of the scene.")
+    seed: Annotated[int, Field(ge=0)] = Field(
+        default=0, description="Seed of everything drawn at random later."
+    )
+    head: Head = Field(description="The patient.")
+    ct: CtProtocol = Field(default=CtProtocol(), description="How the CT is scanned.")
+    arm: ArmTruth = Field(description="The true arm.")
+    mount: Mount = Field(description="The mount on the flange and its tools.")
+    tracker: TrackerTruth = Field(description="The true tracker and what it sees.")
+    left: CameraTruth = Field(description="The left camera.")
+    right: CameraTruth = Field(description="The right camera.")
+    stand: Stand = Field(default=Stand(), description="The calibration stand.")
+    hands: Hands = Field(default=Hands(), description="What the room's hands do by themselves.")
+    servo_area_px: tuple[Count, Count] = Field(
+        default=(1024, 1024), description="Area of interest that contains a sphere with room to move."
+    )
+    calibration_error: CalibrationError = Field(
+        default=CalibrationError(), description="Errors of the theatre's calibration records."
+    )
+
+
+def parse_scene(content: dict[str, Any], name: str) -> Scene:
+    """Check the content of a scene; raises SIM-001 with every mistake in it."""
+    try:
+        return Scene.model_validate(content, strict=False)
+    except ValidationError as error:
+        mistakes = describe_mistakes(error, Scene)
+        raise BadScene(f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)) from error
+
+
+def read_scene(path: Path) -> Scene:
+    """Read a scene file (TOML or JSON); raises SIM-001 with every mistake in it."""
+    try:
+        if path.suffix == ".json":
+            return Scene.model_validate_json(read_json_bytes(path), strict=False)
+        content = read_toml(path, BadScene)
+    except OSError as error:
+        raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
+    except ValidationError as error:
+        raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error, Scene))) from error
+    return parse_scene(content, path.name)

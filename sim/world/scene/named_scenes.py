@@ -1,0 +1,152 @@
+"""The named scenes: `default`, `mini`, `bench` and `bench-near`, each drawn from a seed.
+
+The room: the robot's base is the origin, x forward, z up. The patient is semi-reclined, the vertex up and
+towards the robot; the tracker views the head from above and the side.
+"""
+
+from __future__ import annotations
+
+from math import radians
+from typing import Literal
+
+import numpy as np
+
+from ronna_hw.marker_template import MarkerTemplate
+from ronna_hw.x_frame import NAME as X_FRAME_NAME
+from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
+from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
+from sim.errors import BadScene
+from sim.world.noise import noise
+from sim.world.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.world.scene.arm_truth import draw_arm
+from sim.world.scene.head import draw_head
+from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
+from sim.world.scene.stereo_head import draw_cameras, draw_mount
+
+SCENES = ("default", "mini", "bench", "bench-near")
+MINI_CT = CtProtocol(pixel_mm=1.0, slice_mm=1.5, columns=256, rows=256, slices=134, noise_HU=20.0)
+MINI_AREA_PX = (800, 800)
+# The tracker must see the head and, with the arm at home, the reference frame M half a metre above it.
+MARKER_FROM_HEAD_MM = (-150.0, 0.0, 500.0)
+TRACKER_DIRECTION = (500.0, 900.0, 1300.0)
+TRACKER_DISTANCE_MM = 1900.0  # from the midpoint of the two
+# Four markers whose six distances differ by at least 4 mm, so that the pose is unique.
+ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
+# The bench of a tracker: `bench-near` is within the volume of a Polaris Vicra.
+USUAL_REFLECTIONS = 2  # in a room with lamps and instruments
+# The stand is placed by hand where requested, its dials aligned with the robot's axes by eye.
+STAND_MM = (563.0, -325.0, 230.0)
+STAND_SPREAD_MM = 3.0
+DIVOT_MM = 0.005  # per axis: manufacturing tolerance of such stands
+DIALS_RAD = radians(1.0)
+BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
+
+SceneName = Literal["default", "mini", "bench", "bench-near"]
+
+
+def named_scene(
+    name: str,
+    *,
+    seed: int = 0,
+    markers: int | None = None,
+    targets: int | None = None,
+    template: MarkerTemplate | None = None,
+    x_frame: bool = False,
+) -> Scene:
+    """Draw a named scene; raises SIM-001 for an unknown name.
+
+    The default scene has 5 markers and 3 targets, the mini scene 3 and 1; with `x_frame` the four markers of
+    that frame, which the tracker knows as a tool.
+    """
+    if name not in SCENES:
+        raise BadScene(f"unknown scene {name!r}", expected=", ".join(SCENES))
+    if x_frame and markers not in (None, len(SPHERE_CENTRES_MM)):
+        raise BadScene(f"the x-shaped frame has {len(SPHERE_CENTRES_MM)} markers, not {markers}")
+    mini = name == "mini"
+    generator = np.random.Generator(np.random.Philox(key=seed))
+    head = draw_head(
+        generator,
+        (3 if mini else 5) if markers is None else markers,
+        (1 if mini else 3) if targets is None else targets,
+        template,
+        x_frame=x_frame,
+    )
+    left, right = draw_cameras(generator)
+    return Scene(
+        name=name,
+        seed=seed,
+        head=head,
+        ct=MINI_CT if mini else CtProtocol(),
+        arm=draw_arm(generator),
+        mount=draw_mount(generator),
+        tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
+        if name in BENCH_DISTANCES_MM
+        else _tracker(
+            apply(matrix_of(head.robot_from_ct), head.centre_ct_mm),
+            0 if mini else USUAL_REFLECTIONS,
+            (robot_frame(), frame_on_head()) if x_frame else (robot_frame(),),
+        ),
+        left=left,
+        right=right,
+        stand=_stand(seed),
+        servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
+    )
+
+
+def _stand(seed: int) -> Stand:
+    """As placed on the table; drawn separately, so that the rest of a scene does not depend on it."""
+    generator = noise(seed, "stand", 0)
+
+    def three(values: np.ndarray) -> tuple[float, float, float]:
+        x, y, z = values.tolist()
+        return (x, y, z)
+
+    return Stand(
+        ball_mm=three(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
+        divot_from_ball_mm=three(generator.normal(0.0, DIVOT_MM, 3)),
+        dials_turned_rad=three(generator.normal(0.0, DIALS_RAD, 3)),
+    )
+
+
+def robot_frame() -> TrackerTool:
+    """The reference frame M on the tool mount."""
+    return TrackerTool(name="robot_frame", part_number="RONNA-M", markers_mm=ROBOT_FRAME_MARKERS_MM)
+
+
+def frame_on_head() -> TrackerTool:
+    """The x-shaped frame as a tool."""
+    return TrackerTool(
+        name=X_FRAME_NAME, part_number=X_FRAME_PART_NUMBER, markers_mm=SPHERE_CENTRES_MM, normal=OUTWARD
+    )
+
+
+def _tracker(head_centre_mm: np.ndarray, reflections: int, tools: tuple[TrackerTool, ...]) -> TrackerTruth:
+    span = np.array(MARKER_FROM_HEAD_MM)
+    backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
+    position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
+    # z points backwards, away from the head; the housing's long axis y lies along head and frame.
+    rotation = rotation_towards(backwards, np.cross(span, backwards))
+    pose = pose_of(matrix_from(position, rotation))
+    return TrackerTruth(robot_from_tracker=pose, tools=tools, reflections=reflections)
+
+
+def _bench_tracker(distance_mm: float) -> TrackerTruth:
+    pose = pose_of(matrix_from((distance_mm, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
+    places = tuple(
+        pose_of(matrix_from((x, y, -distance_mm), np.eye(3)))
+        for x in (-150.0, 150.0)
+        for y in (-300.0, -100.0, 100.0, 300.0)
+    )
+    strays = (
+        (0.0, -200.0, 100.0 - distance_mm),
+        (20.0, 0.0, -100.0 - distance_mm),
+        (-20.0, 200.0, -distance_mm),
+    )
+    return TrackerTruth(
+        robot_from_tracker=pose,
+        tools=(robot_frame(),),
+        places=places,
+        strays_mm=strays,
+        line_separation_mm=0.0,
+        fiducials_visible=False,
+    )

@@ -1,0 +1,109 @@
+"""Whether the arm can carry out a drawn plan, so that every drawn scene is feasible.
+
+A trajectory is served if some turn about its axis brings the tool to every sphere in the orientation of the
+trajectory, then to where the guide is held before the entry, and also the stereo head to the target, for a
+phantom with a ball there; each from a point above, with all poses in one arm posture. At that turn no sphere
+may be in front of or behind another one in either camera. Robot frame, mm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from math import pi, radians
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sim.world.arm.posture import axes_of_status
+from sim.world.arm.robot_description import Variant, description
+from sim.world.rigid import inverse, matrix_from
+from sim.world.scene.guide import Guide
+from sim.world.scene.stereo_head import CAMERAS_IN_TOOL_MM, TOOL_IN_FLANGE_MM
+
+Vector = NDArray[np.float64]
+
+APPROACH_MM = 60.0  # of the tool, outside the sphere or the skin
+STANDOFF_MM = 30.0  # from the entry to the guide, in the plan of a phantom
+TURN_STEP_RAD, FURTHEST_TURN_RAD = radians(10.0), radians(90.0)
+# Arm postures, the usual one first. The wrist's two are equivalent: its ranges are symmetric.
+STATUSES = (2, 0, 3, 1)
+MARGIN_RAD = radians(3.0)  # to the end switches: a coarse registration is some millimetres off
+SPHERE_MM = 5.75  # radius
+BESIDE_MM = 4.0  # around each sphere: a millimetre more than the planner requires
+# A4 and A6 turn more than a full circle, so they reach every angle.
+LIMITED = (0, 1, 2, 4)
+
+
+class PlanFeasibility:
+    """The arm, and the spheres (n, 3) it must measure."""
+
+    def __init__(self, spheres_mm: Vector, variant: Variant = "kr6_r900_sixx") -> None:
+        self._arm = description(variant)
+        self._spheres_mm = spheres_mm
+        self._tool_from_flange = inverse(matrix_from(TOOL_IN_FLANGE_MM, np.eye(3)))
+        self._known: dict[tuple[int, bytes], bool] = {}
+
+    def serves(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
+        """Whether one posture reaches all trajectories, each entry (3,) and target (3,)."""
+        return any(all(self._one(*ends, status) for ends in trajectories) for status in STATUSES)
+
+    def _one(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
+        key = status, entry_mm.tobytes() + target_mm.tobytes()
+        if key not in self._known:
+            way = target_mm - entry_mm
+            depth_mm = float(np.linalg.norm(way))
+            axis = way / depth_mm
+            places = [(point, APPROACH_MM) for point in self._spheres_mm]
+            places.append((target_mm, depth_mm + APPROACH_MM))
+            places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
+            tips = np.array([tip for place, back in places for tip in (place, place - back * axis)])
+            self._known[key] = any(
+                self._sees(orientation) and self._serves(tips, orientation, status)
+                for orientation in _orientations(axis, target_mm)
+            )
+        return self._known[key]
+
+    def _sees(self, orientation: Vector) -> bool:
+        """Whether each sphere, with the tool on it, is clear of the others in both cameras."""
+        others = ~np.eye(len(self._spheres_mm), dtype=bool)
+        for camera_mm in CAMERAS_IN_TOOL_MM:
+            eyes = self._spheres_mm + orientation @ np.array(camera_mm)
+            rays = self._spheres_mm[None] - eyes[:, None]
+            distances = np.linalg.norm(rays, axis=2)
+            radii = np.arcsin(np.minimum(1.0, (SPHERE_MM + BESIDE_MM) / distances))
+            directions = rays / distances[:, :, None]
+            looked_at = np.einsum("ijk,ik->ij", directions, np.einsum("iik->ik", directions))
+            gaps = np.arccos(np.clip(looked_at, -1.0, 1.0)) - radii - np.diag(radii)[:, None]
+            if (gaps[others] < 0.0).any():
+                return False
+        return True
+
+    def _serves(self, tips_mm: Vector, orientation: Vector, status: int) -> bool:
+        return all(
+            self._within(matrix_from(tip, orientation) @ self._tool_from_flange, status) for tip in tips_mm
+        )
+
+    def _within(self, flange: Vector, status: int) -> bool:
+        axes = axes_of_status(self._arm, flange, status)
+        if axes is None:
+            return False
+        for number in LIMITED:
+            joint = self._arm.joints[number]
+            angle = (axes[number] + pi) % (2.0 * pi) - pi
+            low, high = radians(joint.lower_deg) + MARGIN_RAD, radians(joint.upper_deg) - MARGIN_RAD
+            if not (low <= angle <= high or low <= angle - 2.0 * pi):
+                return False
+        return True
+
+
+def _orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
+    """Rotations robot <- tool: z along the trajectory, x away from the robot's base, then turned from it."""
+    radial = np.array([at_mm[0], at_mm[1], 0.0])
+    across = radial - axis * float(axis @ radial)
+    x_zero = across / np.linalg.norm(across)
+    y_zero = np.cross(axis, x_zero)
+    steps = round(FURTHEST_TURN_RAD / TURN_STEP_RAD)
+    for step in sorted(range(-steps, steps + 1), key=abs):
+        turn = step * TURN_STEP_RAD
+        x = np.cos(turn) * x_zero + np.sin(turn) * y_zero
+        yield np.column_stack([x, np.cross(axis, x), axis])

@@ -1,0 +1,89 @@
+"""Ground truth of the instrument's tip, for the verifier only."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from pydantic import AwareDatetime, ValidationError
+
+from ronna_hw.bounded_input import read_json_lines
+from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.config import describe_mistakes
+from sim.errors import BadTruth
+from sim.world.room_shift import STILL, ShiftedRoom
+from sim.world.true_guide import TrueGuide
+from sim.world.world import World
+
+TRUTH_FILE = "truth.jsonl"
+SCENE_FILE = "scene.json"
+THEATRE_FOLDER = "theatre"
+LARGEST_TRUTH_BYTES = 1_000_000  # for four thousand samples
+MOST_MISTAKES = 5  # listed in an error
+
+
+class TipSample(Strict):
+    """True position of the instrument's tip at one moment, robot frame."""
+
+    target: str
+    theatre_time_s: float
+    host_time: AwareDatetime | None = None  # none in samples of earlier versions
+    mounted_tool: int
+    arm_at_rest: bool
+    tip_mm: Numbers3
+    axis: Numbers3  # direction of the guide's bore, unit vector
+    head_shift_mm: Numbers3 = STILL  # displacement of the head from its place in the scene, robot frame
+
+
+def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: float, draw: int) -> TipSample:
+    """Sample the true tip of an instrument inserted up to its stop, at a target of the plan by any name.
+
+    `draw` distinguishes insertions there: each has a different position within the bore's play.
+    """
+    return TipSample(
+        target=target,
+        theatre_time_s=world.clock.now_s(),
+        host_time=datetime.now(UTC),
+        mounted_tool=world.mounted_tool(),
+        arm_at_rest=world.arm().at_rest,
+        tip_mm=_three(guide.instrument_tip_mm(stop_mm, target, draw)),
+        axis=_three(guide.tip_frame()[:3, 2]),
+        head_shift_mm=ShiftedRoom(world).now().head_mm,
+    )
+
+
+def append_sample(sample: TipSample, folder: Path) -> None:
+    """Add a sample to the theatre's truth file."""
+    with (folder / TRUTH_FILE).open("a", encoding="utf-8") as file:
+        file.write(sample.model_dump_json() + "\n")
+
+
+def read_samples(folder: Path) -> list[TipSample]:
+    """All samples of a theatre, in order; an empty list when none was taken. Raises SIM-007."""
+    path = folder / TRUTH_FILE
+    if not path.exists():
+        return []
+    try:
+        lines = read_json_lines(path, LARGEST_TRUTH_BYTES).decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTruth(f"{path.name} is not UTF-8 text: {error.reason}") from error
+    except OSError as error:
+        raise BadTruth(f"cannot read {path.name}: {error.strerror}") from error
+    samples: list[TipSample] = []
+    mistakes: list[str] = []
+    for number, line in enumerate(lines, 1):
+        try:
+            samples.append(TipSample.model_validate_json(line))
+        except ValidationError as error:
+            mistakes.append(f"line {number}: {', '.join(describe_mistakes(error))}")
+            if len(mistakes) >= MOST_MISTAKES:
+                break
+    if mistakes:
+        raise BadTruth(f"{path.name} has invalid lines: {'; '.join(mistakes)}")
+    return samples
+
+
+def _three(vector: np.ndarray) -> Numbers3:
+    x, y, z = (float(value) for value in vector)
+    return (x, y, z)

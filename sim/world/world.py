@@ -1,0 +1,227 @@
+"""The shared world: the scene, the clock, and what changes while the theatre runs.
+
+One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`: it
+disappears with the last process that holds it, however that process ends. The clock has a block of its own,
+so that the procedure can open the clock without access to the scene.
+
+Each changing part has a single writer: the robot simulator writes the arm, the theatre's control port the
+mounted tool, the step and the fault script.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import weakref
+from dataclasses import dataclass
+from typing import Annotated, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ronna_hw.clock import SharedClock
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.memory_map import MemoryMap
+from ronna_hw.host.shared_layout import text
+from ronna_hw.wire.theatre_clock import CLOCK
+from sim.errors import WorldUnavailable
+from sim.world.on_stand import OnStand
+from sim.world.rigid import matrix_of
+from sim.world.scene.model import Numbers6, Scene
+
+LOOKS_AT_ARM = 100_000  # a write takes microseconds
+FAULTS_CAPACITY_BYTES = 32 * 1024
+
+
+class ClockRow(NamedTuple):
+    """Location of the clock's own block."""
+
+    path: Annotated[str, text(100)]
+
+
+class ArmRow(NamedTuple):
+    """An `ArmState` in plain numbers; the flange pose by rows."""
+
+    joints_rad: Annotated[Numbers6, "6d"]
+    flange_rows: Annotated[tuple[float, ...], "12d"]
+    motion_number: Annotated[int, "Q"]
+    at_rest: Annotated[bool, "?"]
+    flanks: Annotated[Numbers6, "6d"]
+    moved_s: Annotated[float, "d"]
+
+
+class StepRow(NamedTuple):
+    """The running step."""
+
+    started_ns: Annotated[int, "q"]  # theatre time
+    name: Annotated[str, text(64)]
+
+
+_MAP = MemoryMap(b"RONNAWLD")
+_CLOCK = _MAP.rows(ClockRow)
+_ARM_SEQUENCE = _MAP.word()  # odd while the arm is being written
+_ARM = _MAP.rows(ArmRow)
+_TOOL = _MAP.word("I")  # number of the mounted tool, 0 for none
+_STAND = _MAP.word("I")  # content of the calibration stand: index in `OnStand`
+_STEP = _MAP.rows(StepRow)
+_FAULTS_VERSION = _MAP.word()
+_FAULTS = _MAP.checked_bytes(FAULTS_CAPACITY_BYTES)
+_SCENE_LENGTH = _MAP.word()
+_SCENE_OFFSET = _MAP.size_bytes  # the scene is the rest of the block
+
+
+@dataclass(frozen=True)
+class ArmState:
+    """The arm's true state: encoder angles, and the flange in the robot frame."""
+
+    joints_rad: Numbers6
+    robot_from_flange: NDArray[np.float64]  # (4, 4)
+    motion_number: int
+    at_rest: bool
+    flanks: Numbers6 = (0.0,) * 6  # position of each joint in its backlash, -1 to 1
+    moved_s: float = 0.0  # time in motion so far
+
+
+class World:
+    """A view of the shared block. Made by `create` in the owning process, by `open` elsewhere."""
+
+    def __init__(self, path: str, scene: Scene | None = None) -> None:
+        self._path = path
+        try:
+            file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            try:
+                self._memory = mmap.mmap(file, os.fstat(file).st_size)
+            finally:
+                os.close(file)
+        except (OSError, ValueError) as error:
+            raise WorldUnavailable(f"cannot open the world at {path}: {error}") from error
+        if not _MAP.is_marked(self._memory):
+            raise WorldUnavailable(f"{path} is not a world file of this version")
+        self._clock_path = _CLOCK.read(self._memory).path
+        self.clock = SharedClock(self._clock_path)
+        self.scene = scene or self._read_scene()
+
+    @classmethod
+    def create(cls, scene: Scene, *, paced: bool, begins_ns: int = 0) -> World:
+        """Make a world of `scene`; `paced` worlds follow the host's clock. `begins_ns` is its start time.
+
+        Others can open it as long as this object exists.
+        """
+        content = scene.model_dump_json(by_alias=True).encode()
+        clock_file, clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
+        with clock_memory:
+            SharedClock.initialise(clock_memory, paced=paced, begins_ns=begins_ns)
+        file, path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
+        with memory:
+            _CLOCK.write(memory, ClockRow(clock_path))
+            _SCENE_LENGTH.write(memory, len(content))
+            memory[_SCENE_OFFSET : _SCENE_OFFSET + len(content)] = content
+            _TOOL.write(memory, scene.mount.tool_number_stereo)
+            _MAP.mark_memory(memory)
+        world = cls(path, scene)
+        for block in (clock_file, file):
+            weakref.finalize(world, os.close, block)
+        return world
+
+    @classmethod
+    def open(cls, endpoint: str) -> World:
+        """Open the world of a theatre by its `shm://` endpoint; raises SIM-002."""
+        return cls(parse_endpoint(endpoint).require("shm").path)
+
+    @property
+    def endpoint(self) -> str:
+        """Endpoint of this world for devices."""
+        return f"shm://{self._path}"
+
+    @property
+    def clock_endpoint(self) -> str:
+        """Endpoint of this world's clock alone."""
+        return f"shm://{self._clock_path}"
+
+    def publish_arm(self, state: ArmState) -> None:
+        """Publish the arm's state. For the robot simulator only."""
+        memory = self._memory
+        sequence = _ARM_SEQUENCE.read(memory)
+        _ARM_SEQUENCE.write(memory, sequence + 1)
+        rows = tuple(state.robot_from_flange[:3].ravel().tolist())
+        row = ArmRow(state.joints_rad, rows, state.motion_number, state.at_rest, state.flanks, state.moved_s)
+        _ARM.write(memory, row)
+        _ARM_SEQUENCE.write(memory, sequence + 2)
+
+    def arm(self) -> ArmState:
+        """The arm's true state, read consistently (seqlock); its writer may have died while writing."""
+        for _ in range(LOOKS_AT_ARM):
+            before = _ARM_SEQUENCE.read(self._memory)
+            row = _ARM.read(self._memory)
+            if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
+                break
+        matrix = np.eye(4)
+        matrix[:3] = np.reshape(row.flange_rows, (3, 4))
+        return ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest, row.flanks, row.moved_s)
+
+    @property
+    def has_arm(self) -> bool:
+        """Whether the arm's pose has been set."""
+        return _ARM_SEQUENCE.read(self._memory) > 0
+
+    def robot_from_tool(self) -> NDArray[np.float64]:
+        """True pose (4, 4) of the stereo head's tool centre point: moves with the arm."""
+        pose: NDArray[np.float64] = self.arm().robot_from_flange @ matrix_of(
+            self.scene.mount.flange_from_tool_true
+        )
+        return pose
+
+    def mounted_tool(self) -> int:
+        """Number of the mounted tool."""
+        return _TOOL.read(self._memory)
+
+    def mount_tool(self, number: int) -> None:
+        """Mount another tool. For the control port only."""
+        _TOOL.write(self._memory, number)
+
+    def on_stand(self) -> OnStand:
+        """The object on the calibration stand."""
+        return tuple(OnStand)[_STAND.read(self._memory)]
+
+    def put_on_stand(self, what: OnStand) -> None:
+        """Put something else on it. For the control port only."""
+        _STAND.write(self._memory, tuple(OnStand).index(what))
+
+    def step(self) -> tuple[str, int]:
+        """Name of the running step and the theatre time of its start in ns."""
+        row = _STEP.read(self._memory)
+        return row.name, row.started_ns
+
+    def enter_step(self, name: str) -> None:
+        """Set the running step. For the control port only."""
+        _STEP.write(self._memory, StepRow(self.clock.now_ns(), name))
+
+    def fault_version(self) -> int:
+        """Version of the fault script; it changes with every change of the text."""
+        return _FAULTS_VERSION.read(self._memory)
+
+    def fault_script(self) -> tuple[int, str]:
+        """Version and text of the fault script; the version changes with every change of the text."""
+        while True:
+            version, content = _FAULTS_VERSION.read(self._memory), _FAULTS.read(self._memory)
+            if content is not None:
+                return version, content.decode()
+
+    def set_fault_script(self, script: str) -> None:
+        """Replace the fault script. For the control port only; the text was checked before."""
+        content = script.encode()
+        if len(content) > FAULTS_CAPACITY_BYTES:
+            raise WorldUnavailable("the fault script is too long", limit=f"{FAULTS_CAPACITY_BYTES} bytes")
+        _FAULTS.write(self._memory, content)
+        _FAULTS_VERSION.write(self._memory, _FAULTS_VERSION.read(self._memory) + 1)
+
+    def _read_scene(self) -> Scene:
+        end = _SCENE_OFFSET + _SCENE_LENGTH.read(self._memory)
+        return Scene.model_validate_json(self._memory[_SCENE_OFFSET:end], strict=False)
+
+
+def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
+    """A new anonymous block: its file, its path for other processes while that is open, and its memory."""
+    file = os.memfd_create(name, os.MFD_CLOEXEC)
+    os.ftruncate(file, size)
+    return file, f"/proc/{os.getpid()}/fd/{file}", mmap.mmap(file, size)

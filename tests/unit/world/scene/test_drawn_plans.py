@@ -1,0 +1,91 @@
+"""Drawn plans are within the arm's reach: judged by the simulator's arm, and by the planner's own check."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from procedures.planning.reach.free_angle import choose_free_angles
+from procedures.planning.reach.visits import ArmSetting
+from procedures.planning.sight.stereo_head import StereoSight
+from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.frames import Frame
+from sim.world.rigid import apply, inverse, matrix_of
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.plan_feasibility import PlanFeasibility
+
+ONCE_HIDDEN = (0, 2, 10)  # with eight markers one hid another for some of ten trajectories
+ONCE_OUT_OF_REACH = 104  # the third trajectory drawn for this seed asked more of A5 than it has
+
+
+def turned(vector: np.ndarray, about_z_rad: float) -> np.ndarray:
+    cosine, sine = np.cos(about_z_rad), np.sin(about_z_rad)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]]) @ vector
+
+
+def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.ndarray]]]:
+    """The reach question of a scene, and its trajectories in the robot frame."""
+    place = matrix_of(scene.head.robot_from_ct)
+    spheres = apply(place, [fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
+    ends = [(apply(place, t.entry_ct_mm), apply(place, t.target_ct_mm)) for t in scene.head.targets]
+    return PlanFeasibility(spheres), ends
+
+
+@pytest.mark.parametrize("markers", [3, 5, 8])
+def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
+    for seed in range(100, 112):
+        reach, ends = reach_of(named_scene("default", seed=seed, markers=markers))
+        assert reach.serves(ends)
+
+
+def test_a_trajectory_from_below_is_out_of_reach() -> None:
+    reach, ends = reach_of(named_scene("default", seed=0))
+    (entry, target), *_ = ends
+    assert reach.serves([(entry, target)])
+    assert not reach.serves([(target, entry)])  # the same line from the other side of the head
+    assert not reach.serves([ends[0], (target, entry)])
+
+
+@pytest.mark.slow  # 13 s of CPU
+def test_eight_markers_and_ten_targets_are_drawn_within_reach_and_sight_for_a_hundred_seeds() -> None:
+    for seed in range(100):
+        scene = named_scene("default", seed=seed, markers=8, targets=10)
+        reach, ends = reach_of(scene)
+        assert (len(scene.head.fiducials), len(ends)) == (8, 10)
+        assert reach.serves(ends)
+
+
+def test_a_turn_in_which_a_sphere_hides_another_serves_nothing() -> None:
+    """Two spheres in line with a camera: no turn about a vertical trajectory may use that line."""
+    apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
+    crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
+    down = (below + np.array([20.0, 20.0, 80.0]), below + np.array([20.0, 20.0, 20.0]))
+    assert not PlanFeasibility(crowded).serves([down])
+    assert PlanFeasibility(crowded[:2]).serves([down])
+
+
+@pytest.mark.parametrize(
+    ("seed", "markers", "targets"),
+    [
+        (0, 5, 3),
+        (ONCE_OUT_OF_REACH, 5, 3),
+        *(pytest.param(seed, 8, 10, marks=pytest.mark.slow) for seed in ONCE_HIDDEN),
+    ],
+)
+def test_the_planner_agrees(seed: int, markers: int, targets: int) -> None:
+    scene = named_scene("default", seed=seed, markers=markers, targets=targets)
+    robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
+    tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
+    arm = kr6_r900(scene.arm.variant)
+    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad)
+    trajectories = [
+        Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm)
+        for target in scene.head.targets
+    ]
+    left, right = (inverse(matrix_of(camera.camera_from_tool))[:3, 3] for camera in (scene.left, scene.right))
+    fiducials = [fiducial.centre_ct_mm for fiducial in scene.head.fiducials]
+    turned = choose_free_angles(setting, trajectories, fiducials, StereoSight(left, right))
+    turned.check.require()

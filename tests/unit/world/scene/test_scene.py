@@ -1,0 +1,122 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
+from sim.errors import BadScene
+from sim.world.scene.head import SMALLEST_DISTANCE_MM
+from sim.world.scene.model import parse_scene, read_scene
+from sim.world.scene.named_scenes import named_scene
+
+
+def test_the_same_seed_draws_the_same_scene_and_another_seed_another() -> None:
+    assert named_scene("default", seed=3) == named_scene("default", seed=3)
+    assert named_scene("default", seed=3) != named_scene("default", seed=4)
+
+
+@pytest.mark.parametrize(("name", "markers", "targets"), [("default", 5, 3), ("mini", 3, 1)])
+def test_the_built_in_scenes_have_their_promised_size(name: str, markers: int, targets: int) -> None:
+    scene = named_scene(name)
+    assert (len(scene.head.fiducials), len(scene.head.targets)) == (markers, targets)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_three_spheres_can_be_told_apart_by_their_distances(seed: int) -> None:
+    head = named_scene("mini", seed=seed).head
+    centres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials])
+    sides = sorted(np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1))
+    assert sides[0] >= SMALLEST_DISTANCE_MM
+    assert min(np.diff(sides)) >= 6.0
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
+    head = named_scene("default", seed=seed).head
+    for target in head.targets:
+        relative = [np.subtract(p, head.centre_ct_mm) for p in (target.entry_ct_mm, target.target_ct_mm)]
+        entry, inside = (float(np.linalg.norm(p / np.array(head.semi_axes_mm))) for p in relative)
+        assert entry == pytest.approx(1.0, abs=1e-6)
+        assert inside < 0.95
+
+
+def test_an_unknown_scene_names_those_that_exist() -> None:
+    with pytest.raises(BadScene, match="default, mini, bench"):
+        named_scene("theatre royal")
+
+
+@pytest.mark.parametrize(("markers", "targets"), [(2, 1), (9, 1), (4, 0), (4, 11)])
+def test_impossible_numbers_of_markers_or_targets_are_refused(markers: int, targets: int) -> None:
+    with pytest.raises(BadScene):
+        named_scene("default", markers=markers, targets=targets)
+
+
+def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
+    content = named_scene("mini").model_dump(by_alias=True)
+    content["colour"] = "green"
+    content["seed"] = "x"
+    with pytest.raises(BadScene, match=r"2 mistakes"):
+        parse_scene(content, "scene.toml")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        (("seed",), -1, "seed"),
+        (("head", "fiducials"), [], "head.fiducials"),
+        (("head", "targets"), [], "head.targets"),
+        (("head", "fiducials", 0, "radius_mm"), -5.75, "head.fiducials 1.radius_mm"),
+        (("head", "fiducials", 0, "number"), 2, "head: fiducial numbers must be unique"),
+        (("head", "seating_error_mm"), -0.05, "head.seating_error_mm"),
+        (("head", "fiducials", 0, "worn_percent"), 61.0, "head.fiducials 1.worn_percent"),
+        (("head", "fiducials", 0, "base_in_theatre"), 9, r"base_in_theatre names unknown spheres: \[9\]"),
+        (("head", "fiducials", 0, "base_in_theatre"), 2, "head: a base can be on one screw only"),
+        (("head", "x_frame"), True, "head: the x-shaped frame has 4 spheres, not 3"),
+        (("head", "centre_ct_mm"), [float("nan"), 0.0, 0.0], "head.centre_ct_mm 1"),
+        (("mount", "tool_number_guide"), 1, "mount: both tools have number 1"),
+        (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
+    ],
+)
+def test_an_impossible_scene_is_refused_by_name(
+    path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
+) -> None:
+    content = json.loads(named_scene("mini").model_dump_json(by_alias=True))
+    place = content
+    for part in path[:-1]:
+        place = place[part]
+    place[path[-1]] = value
+    file = tmp_path / "scene.json"
+    file.write_text(json.dumps(content))
+    with pytest.raises(BadScene, match=f"SIM-001: .*{said}"):
+        read_scene(file)
+
+
+def test_every_built_in_scene_survives_its_file(tmp_path: Path) -> None:
+    for name in ("default", "mini", "bench"):
+        file = tmp_path / "scene.json"
+        file.write_text(named_scene(name).model_dump_json(by_alias=True))
+        assert read_scene(file) == named_scene(name)
+
+
+def test_a_frame_whose_spheres_lie_otherwise_is_refused() -> None:
+    content = json.loads(named_scene("mini", x_frame=True).model_dump_json(by_alias=True))
+    content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
+    with pytest.raises(BadScene, match="do not match the x-shaped frame"):
+        parse_scene(content, "scene.json")
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_guide_has_room_beside_the_frame(seed: int) -> None:
+    head = named_scene("default", seed=seed, x_frame=True).head
+    place, _ = Rotation.align_vectors(
+        np.diff([one.centre_ct_mm for one in head.fiducials], axis=0), np.diff(SPHERE_CENTRES_MM, axis=0)
+    )
+    origin = np.array(head.fiducials[0].centre_ct_mm) - place.apply(SPHERE_CENTRES_MM[0])
+    for target in head.targets:
+        for body in bodies():
+            along = np.linspace(place.apply(body.start_mm), place.apply(body.end_mm), 40) + origin
+            apart = np.linalg.norm(np.cross(along - target.entry_ct_mm, target.outwards_ct), axis=1)
+            assert apart.min() > 20.0

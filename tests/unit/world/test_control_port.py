@@ -1,0 +1,195 @@
+import json
+import socket
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from user_commands import in_this_process, one_error
+
+from ronna_hw.endpoints import BadEndpoint
+from ronna_hw.host.control_port import (
+    LONGEST_LINE,
+    ControlAddress,
+    ControlPortClient,
+    ControlRequestRefused,
+    ask_control_port,
+)
+from sim.cli import app as ronna_sim
+from sim.world.control import Room
+from sim.world.control_port import MOST_CONNECTIONS, ControlPort
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
+
+RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset
+GUIDE = named_scene("mini").mount.tool_number_guide
+SOON_S = 0.1
+MOUNT = b'{"do": "mount", "number": %d}\n' % GUIDE
+
+
+@pytest.fixture
+def world() -> World:
+    return World.create(named_scene("mini"), paced=False)
+
+
+@pytest.fixture
+def room(world: World, tmp_path: Path) -> Room:
+    return Room(world, tmp_path)
+
+
+@pytest.fixture
+def port(room: Room) -> Iterator[ControlPort]:
+    port = ControlPort(room, first_line_limit_s=SOON_S, idle_limit_s=SOON_S)
+    yield port
+    port.close()
+
+
+def _connected(port: ControlPort) -> socket.socket:
+    where = ControlAddress.parse(port.endpoint).endpoint
+    return socket.create_connection((where.host, where.port), timeout=5)
+
+
+def _token(port: ControlPort) -> bytes:
+    return json.dumps({"token": ControlAddress.parse(port.endpoint).token}).encode() + b"\n"
+
+
+def _said(line: socket.socket) -> bytes:
+    """Everything until the port hangs up, which it must."""
+    said = b""
+    try:
+        while more := line.recv(65536):
+            said += more
+    except ConnectionResetError:  # what it did not read was thrown away
+        pass
+    return said
+
+
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Type: text/plain\r\n\r\nTOKEN" + MOUNT,
+        MOUNT,
+        b'{"token": "guessed"}\n' + MOUNT,
+        b'{"token": ["\\ud800"]}\n' + MOUNT,
+        b"[" * 60_000 + b"\nTOKEN" + MOUNT,
+        b"\nTOKEN" + MOUNT,
+        b"TOKEN" + b"tea\n" + MOUNT,
+        b"TOKEN" + b"[1]\n" + MOUNT,
+        b"TOKEN" + b'{"do": "mount", "number": Infinity}\n' + MOUNT,
+        b"TOKEN" + b'{"do": "mount", "number": 1e400}\n' + MOUNT,
+        b"TOKEN" + b'{"do": "mount", "number": 1%s}\n' % (b"0" * 400) + MOUNT,
+        b"TOKEN" + b"[" * (LONGEST_LINE - 1) + b"\n" + MOUNT,
+        b"TOKEN" + b'{"do": "' + b"x" * LONGEST_LINE + b'"}\n' + MOUNT,
+    ],
+    ids=lambda sent: repr(sent[:24]),
+)
+def test_a_connection_that_begins_or_goes_on_otherwise_carries_nothing_out_and_is_ended(
+    port: ControlPort, world: World, sent: bytes, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with _connected(port) as line:
+        line.sendall(sent.replace(b"TOKEN", _token(port)))
+        said = _said(line)
+    assert world.mounted_tool() != GUIDE
+    assert b'"ok": true' not in said.removeprefix(b'{"ok": true}\n')
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("number", ['"\\ud800"', "-1", "null", '{"a": 1}'])
+def test_a_request_with_a_strange_value_is_answered_with_the_reason(
+    port: ControlPort, world: World, number: str
+) -> None:
+    with _connected(port) as line:
+        line.sendall(_token(port) + b'{"do": "mount", "number": %s}\n' % number.encode())
+        answers = [json.loads(answer) for answer in _said(line).splitlines()]
+    assert [answer["ok"] for answer in answers] == [True, False]
+    assert len(answers[1]["reason"]) <= 500
+    assert world.mounted_tool() != GUIDE
+
+
+@pytest.mark.parametrize("sent", [b"", b'{"tok', b"TOKEN", b"TOKEN{"])
+def test_whoever_sends_no_line_is_hung_up_on(port: ControlPort, sent: bytes) -> None:
+    with _connected(port) as line:
+        line.sendall(sent.replace(b"TOKEN", _token(port)))
+        assert _said(line) in (b"", b'{"ok": true}\n')
+
+
+def test_a_line_in_drips_has_the_time_of_one_line(room: Room) -> None:
+    port = ControlPort(room, first_line_limit_s=SOON_S)
+    with _connected(port) as line:
+        line.settimeout(SOON_S / 4)
+        for _ in range(20):
+            try:
+                line.sendall(b" ")
+                if not line.recv(1):
+                    break
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+        else:
+            pytest.fail("the port still listens to drips")
+    port.close()
+
+
+def test_those_without_the_token_keep_nobody_out_who_has_it(room: Room, world: World) -> None:
+    port = ControlPort(room)
+    strangers = [_connected(port) for _ in range(3 * MOST_CONNECTIONS)]
+    ask_control_port(port.endpoint, "mount", number=GUIDE)
+    assert world.mounted_tool() == GUIDE
+    trusted = [ControlPortClient(port.endpoint) for _ in range(MOST_CONNECTIONS)]
+    with _connected(port) as line:
+        assert _said(line) == b""
+    for each in (*strangers, *trusted):
+        each.close()
+    port.close()
+
+
+def test_a_reset_connection_leaves_no_trace_and_the_next_is_served(
+    port: ControlPort, capfd: pytest.CaptureFixture[str]
+) -> None:
+    for _ in range(5):
+        line = _connected(port)
+        line.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, RESET)
+        line.sendall(_token(port) + b'{"do": "step", "name": "set_up"}\n' * 50)
+        line.close()
+    ask_control_port(port.endpoint, "step", name="set_up")
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_each_port_has_a_token_of_its_own_and_tells_who_brings_another(port: ControlPort, room: Room) -> None:
+    another = ControlPort(room)
+    stale = ControlAddress(
+        ControlAddress.parse(port.endpoint).endpoint, ControlAddress.parse(another.endpoint).token
+    )
+    another.close()
+    with pytest.raises(ControlRequestRefused, match="token from the READY line"):
+        ControlPortClient(stale.text())
+
+
+def test_an_endpoint_without_a_token_is_refused_before_anything_is_sent() -> None:
+    with pytest.raises(BadEndpoint, match=r"tcp://127\.0\.0\.1:9 has no token"):
+        ControlPortClient("tcp://127.0.0.1:9")
+
+
+def test_the_endpoint_is_taken_from_the_environment(
+    port: ControlPort, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
+    assert in_this_process(ronna_sim, "mount", GUIDE).returncode == 0
+    assert world.mounted_tool() == GUIDE
+    (refused,) = one_error(in_this_process(ronna_sim, "mount", 7).stderr)[:1]
+    assert f"no tool 7: 0 removes the tool, 1 is the stereo head, {GUIDE} the" in refused
+    monkeypatch.delenv("RONNA_CONTROL")
+    assert "RONNA_CONTROL" in " ".join(one_error(in_this_process(ronna_sim, "mount", GUIDE).stderr))
+
+
+@pytest.mark.parametrize(
+    "line",
+    ["at 0 s: tracker occlude marker 99 for 1 s", "tea"],
+)
+def test_a_live_fault_that_cannot_happen_is_refused_with_its_code(room: Room, line: str) -> None:
+    answer: dict[str, Any] = room.answer({"do": "fault", "line": line})
+    assert not answer["ok"]
+    assert "SIM-003" in answer["reason"]
+    assert room.answer({"do": "fault", "line": "at 0 s: tracker occlude marker 1 for 1 s"})["ok"]

@@ -1,0 +1,221 @@
+from pathlib import Path
+
+import pytest
+
+from sim.errors import BadFaultScript
+from sim.world.faults import (
+    FAULT_KINDS,
+    FaultBoard,
+    begin_now,
+    check_faults,
+    parse_faults,
+    parse_request,
+    read_faults,
+)
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import World
+
+
+def arguments(board: FaultBoard, kind: str) -> tuple[str, ...]:
+    return tuple(fault.argument for fault in board.active(kind))
+
+
+def test_a_script_is_read_line_by_line_with_comments() -> None:
+    faults = parse_faults(
+        "# a bad day\nat 12.5 s: tracker occlude marker 3 for 2 s\n\n"
+        "when step == relocalization:T1: robot drop 5 % for 1 s  # burst\n"
+    )
+    assert [(f.kind.device, f.kind.name, f.argument, f.duration_s) for f in faults] == [
+        ("tracker", "occlude_marker", "3", 2.0),
+        ("robot", "drop", "5", 1.0),
+    ]
+    assert (faults[0].at_s, faults[1].step) == (12.5, "relocalization:T1")
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        (
+            "at 3 s robot drop 5 %",
+            "line 2, column 8: expected ':', got 'robot'. Write for example: at 12.5 s: ",
+        ),
+        (
+            "at 3 s: tea for 2 s",
+            "line 2, column 9: expected 'camera', .*, got 'tea'. Write for example: at 12.5 s: ",
+        ),
+        (
+            "at 3 s:",
+            "line 2, column 8: expected 'camera', .*, got the end of the line. Write for example: at 12.5",
+        ),
+        (
+            "at 3 s: robot dorp 5 %",
+            "line 2, column 15: expected 'drop', .*, got 'dorp'. Did you mean: at 3 s: robot drop 5 %",
+        ),
+        (
+            "at 3 s: room shift head 1 2 3",
+            "line 2, .*'mm', .* Did you mean: at 3 s: room shift head 1 2 3 mm",
+        ),
+        (
+            "when step == relocalization:T1: robot dorp 5 % for 1 s",
+            "line 2, .* Did you mean: when step == relocalization:T1: robot drop 5 % for 1 s",
+        ),
+        (
+            "since step == relocalization: robot dorp 5 % for 1 s",
+            "line 2, .* Did you mean: since step == relocalization: robot drop 5 % for 1 s",
+        ),
+        ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
+        (
+            "robot drop 5 %",
+            "line 2, column 1: expected 'at' or 'when', to say when the fault begins, got 'robot'. "
+            "Did you mean: at 12.5 s: robot drop 5 %",
+        ),
+        (
+            "at 3 s: tracker occlude marker x",
+            "line 2, column 32: expected a whole number, got 'x'. Write for example: ",
+        ),
+    ],
+)
+def test_a_wrong_line_is_refused_with_its_place_what_was_expected_and_what_to_write(
+    line: str, said: str
+) -> None:
+    with pytest.raises(BadFaultScript, match=f"SIM-003: {said}"):
+        parse_faults("# first\n" + line)
+
+
+def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    board = FaultBoard(world, "tracker")
+    world.set_fault_script("at 1 s: tracker occlude marker 2 for 0.5 s")
+    seen = []
+    for _ in range(4):
+        seen.append(arguments(board, "occlude_marker"))
+        world.clock.sleep(0.5)
+    assert seen == [(), (), ("2",), ()]
+
+
+def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    world.set_fault_script("when step == relocalization: robot drop 5 % for 1 s")
+    robot, tracker = FaultBoard(world, "robot"), FaultBoard(world, "tracker")
+    assert robot.active("drop") == ()
+    world.clock.sleep(3.0)
+    world.enter_step("relocalization:T1")
+    assert arguments(robot, "drop") == ("5",)
+    assert tracker.active("drop") == ()
+    world.clock.sleep(1.0)
+    assert robot.active("drop") == ()
+
+
+def test_every_wrong_line_is_named() -> None:
+    script = "at 1 s: tea for 2 s\nat 2 s: robot drop 5 % for 1 s\nat 3 s robot drop 5 % for 1 s\nnow: tea"
+    with pytest.raises(BadFaultScript, match=r"SIM-003: line 1, .*; line 3, .*; line 4, ") as caught:
+        parse_faults(script)
+    assert "line 2" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ("at 1 s: tracker occlude marker 99 for 1 s", "expected marker 1, 2 or 3, got 99"),
+        ("at 1 s: tracker occlude tool spoon for 1 s", "expected tool robot_frame, got spoon"),
+        ("at 3 s: robot drop 500 % for 1 s", "expected at most 100 %, got 500"),
+        ("at cycle 5: tracker cold", "expected a time: only the robot counts cycles"),
+    ],
+)
+def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
+    with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: {said}"):
+        check_faults(parse_faults("\n" + line), named_scene("mini"))
+
+
+@pytest.mark.parametrize(
+    ("line", "devices", "said"),
+    [
+        (
+            "robot drop 2 %",
+            ("tracker", "room"),
+            "of the tracker or room, got 'robot drop 2 %': no other device here",
+        ),
+        ("camera forget left", ("robot",), "of the robot, got 'camera forget left'"),
+        ("tracker occlude tool spoon", ("tracker",), "expected tool robot_frame or fork, got spoon"),
+        ("tracker occlude marker 1", ("tracker",), "expected a scene with markers on a head, got bench"),
+    ],
+)
+def test_a_simulator_alone_has_only_faults_of_what_is_there(
+    line: str, devices: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(BadFaultScript, match=said):
+        check_faults([parse_request(line)], named_scene("bench"), devices, loaded=["fork"])
+
+
+def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
+    (fault,) = parse_faults("at 3 s: robot drop 5 % for 2 s")
+    assert fault.effect == (
+        "robot drop 5 %, from theatre time 3.000 s on, for 2 s. That share of the RSI replies never arrives."
+    )
+    assert parse_request("when step == set_up: tracker bump").effect.startswith(
+        "tracker bump, whenever step set_up begins, once. "
+    )
+    assert parse_request("when step == registration: room loosen marker 2 1 0 0 mm").effect.startswith(
+        "room loosen marker 2 1 0 0 mm, whenever step registration begins, until that step ends. "
+    )
+
+
+@pytest.mark.parametrize("step", ["tea", "relocalization:left-STN"])
+def test_a_step_of_any_name_is_taken(step: str) -> None:
+    check_faults(parse_faults(f"when step == {step}: robot drop 5 % for 1 s"), named_scene("mini"))
+
+
+def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
+    path = tmp_path / "faults.txt"
+    path.write_text(
+        "at 0 s: tracker occlude marker 3 for 1 s\nat 1 s: tracker occlude tool robot_frame for 1 s\n"
+        "when step == at_target:T1: camera drop 100 % for 1 s\n"
+    )
+    assert read_faults(path, named_scene("mini")) == path.read_text()
+
+
+def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "faults.txt"
+    path.write_bytes(b"at 0 s: \xff\xfe")
+    with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not UTF-8 text"):
+        read_faults(path, named_scene("mini"))
+    with pytest.raises(BadFaultScript, match="cannot read"):
+        read_faults(tmp_path, named_scene("mini"))
+
+
+def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    world.set_fault_script("now: robot drop 5 %")
+    world.clock.sleep(1e6)
+    assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
+
+
+def test_now_becomes_the_moment_at_which_it_was_said() -> None:
+    assert begin_now("now: robot drop 5 % for 1 s", 12.5) == "at 12.500000000 s: robot drop 5 % for 1 s"
+    assert begin_now("at 1 s: robot drop 5 %", 12.5) == "at 1 s: robot drop 5 %"
+
+
+def test_what_begins_now_acts_on_a_clock_that_stands() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    world.clock.sleep(1 / 60)  # as after a frame of the tracker: no whole microsecond
+    world.set_fault_script(begin_now("robot drop 5 %", world.clock.now_s()))
+    assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
+
+
+def test_what_was_cleared_and_asked_for_again_happens_again_though_the_clock_stands() -> None:
+    world = World.create(named_scene("mini"), paced=False)
+    board = FaultBoard(world, "robot")
+    happened = []
+    for script in ("at 0 s: robot collision", "", "at 0 s: robot collision", "at 0 s: robot drives off"):
+        world.set_fault_script(script)
+        happened.append(len(board.happened("collision")) + len(board.happened("drives_off")))
+    assert happened == [1, 0, 1, 1]
+
+
+def test_the_example_of_every_kind_is_a_line_that_the_language_reads() -> None:
+    for kind in FAULT_KINDS:
+        (fault,) = parse_faults(kind.example)
+        check_faults((fault,), named_scene("mini"))
+        assert fault.kind is kind
+        assert kind.meaning.endswith(".")
+    assert len({kind.name for kind in FAULT_KINDS}) == len(FAULT_KINDS)

@@ -1,0 +1,67 @@
+"""What the gauge finds of a wrong tip, and how often it accuses a right one: 1,000 trials each."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import radians
+
+import numpy as np
+import pytest
+
+from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, TIP_LIMIT_MM, compared
+from ronna_hw.tool_record import Gauge
+from ronna_hw.wire.room_tasks import GAUGE
+from sim.world.arm.true_arm import TrueArm
+from sim.world.hands import Hands
+from sim.world.scene.model import Scene
+from sim.world.scene.named_scenes import named_scene
+from sim.world.world import ArmState, World
+
+TRIALS = 1000
+GAUGE_AT = Gauge(joints_deg=(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
+A1, A2, A3, A4, A5, A6 = (radians(angle) for angle in GAUGE_AT.joints_deg)
+JOINTS_RAD = (A1, A2, A3, A4, A5, A6)
+ALL_FROM_BELOW = (1.0,) * 6
+
+
+@cache
+def base() -> Scene:
+    return named_scene("mini", seed=3)
+
+
+def refused(seed: int, **of_the_guide: object) -> bool:
+    """Whether a freshly mounted guide is refused: another seat, arrival and reading for each seed."""
+    scene = base().model_copy(update={"seed": seed})
+    guide = scene.mount.guide.model_copy(update=of_the_guide)
+    scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
+    world = World.create(scene, paced=False)
+    arm, hands, read = TrueArm(scene.arm, seed), Hands(world, None), []
+    for motion in range(APPROACHES):
+        flange = arm.at_rest(JOINTS_RAD, ALL_FROM_BELOW, motion)
+        world.publish_arm(ArmState(JOINTS_RAD, flange, motion, True, ALL_FROM_BELOW))
+        read.append(hands.work(GAUGE, "", (*GAUGE_AT.joints_deg, GAUGE_AT.base_mm)))
+    offset_mm, tilt_deg = compared(GAUGE_AT, read)
+    return bool(np.linalg.norm(offset_mm) > TIP_LIMIT_MM or tilt_deg > TILT_LIMIT_DEG)
+
+
+def share_refused(**of_the_guide: object) -> float:
+    return float(np.mean([refused(seed, **of_the_guide) for seed in range(TRIALS)]))
+
+
+@pytest.mark.hazard(47)
+def test_a_tip_that_is_wrong_by_a_tenth_is_caught_in_95_of_100() -> None:
+    directions = np.random.default_rng(7).normal(size=(TRIALS, 3))
+    bent_mm = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    caught = np.mean([refused(seed, bent_mm=tuple(way)) for seed, way in enumerate(bent_mm.tolist())])
+    assert caught >= 0.95
+
+
+@pytest.mark.hazard(47)
+def test_a_right_tip_is_accused_at_most_once_in_a_hundred() -> None:
+    assert share_refused() <= 0.01
+
+
+@pytest.mark.hazard(47)
+@pytest.mark.parametrize("wrong", [{"bent_mm": (0.0, 0.0, 5.0)}, {"tilt_deg": (0.3, 0.0)}])
+def test_another_tool_is_always_caught(wrong: dict[str, object]) -> None:
+    assert all(refused(seed, **wrong) for seed in range(100))

@@ -1,0 +1,124 @@
+"""What hands do in the simulated room: the depth stop, the instrument, a push, by the faults that act."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, INSERT, SKIN
+from sim.world.control import Room
+from sim.world.hands import Hands
+from sim.world.rigid import matrix_of
+from sim.world.room_shift import ShiftedRoom
+from sim.world.scene.guide import Guide
+from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import read_samples
+from sim.world.world import ArmState, World
+
+SCENE = named_scene("mini", seed=3)
+EXACT = SCENE.mount.guide.model_copy(update={"play_mm": 0.0, "depth_stop_mm": 0.0, "seat_mm": 0.0})
+FLANGE = np.diag([1.0, -1.0, -1.0, 1.0])  # pointing down, at the robot's origin
+STOP_MM = 165.0
+
+
+def a_world(guide: Guide = EXACT) -> World:
+    mount = SCENE.mount.model_copy(update={"guide": guide})
+    world = World.create(SCENE.model_copy(update={"mount": mount}), paced=False)
+    world.publish_arm(ArmState((0.0,) * 6, FLANGE, 1, True))
+    world.mount_tool(mount.tool_number_guide)
+    return world
+
+
+def tip_mm(world: World, folder: Path) -> np.ndarray:
+    hands = Hands(world, folder)
+    hands.work(DEPTH_STOP, "T1", (STOP_MM,))
+    hands.work(INSERT, "T1", ())
+    return np.array(read_samples(folder)[-1].tip_mm)
+
+
+def planned_mm() -> np.ndarray:
+    """On the axis of the bore, as deep as the depth stop says."""
+    tip = FLANGE @ matrix_of(SCENE.mount.flange_from_tool_true) @ matrix_of(SCENE.mount.tool_from_tip_true)
+    beyond_mm = STOP_MM - EXACT.bore_mm - EXACT.reach_mm
+    return np.asarray((tip @ np.array([0.0, 0.0, beyond_mm, 1.0]))[:3])
+
+
+def test_an_instrument_goes_down_the_bore_as_deep_as_its_stop(tmp_path: Path) -> None:
+    assert tip_mm(a_world(), tmp_path) == pytest.approx(planned_mm(), abs=1e-9)
+
+
+def test_in_a_bore_with_play_it_lies_beside_the_axis_by_no_more_than_the_play_allows(tmp_path: Path) -> None:
+    guide = EXACT.model_copy(update={"play_mm": 0.1})
+    beyond_mm = STOP_MM - guide.bore_mm
+    most_mm = 0.05 * (1.0 + 2.0 * beyond_mm / guide.bore_mm)
+    away = [float(np.linalg.norm(tip_mm(a_world(guide), tmp_path) - planned_mm()))]
+    assert 0.0 < max(away) <= most_mm
+
+
+@pytest.mark.parametrize(
+    ("fault", "moved_mm"),
+    [
+        ("push guide 8 0 -4 N", (0.1, 0.0, -0.05)),  # over 80 N/mm
+        ("wrong load 1 kg", (0.0, 0.0, -0.15)),
+        ("depth stop off by 2 mm", (0.0, 0.0, -2.0)),
+        ("wrong mandrel 5 mm", (0.0, 0.0, 0.0)),  # that is not the instrument
+        ("bad seat 0.1 mm 0 deg", (0.0, 0.0, 0.1)),
+    ],
+)
+def test_faults_move_the_tip_as_they_say(
+    tmp_path: Path, fault: str, moved_mm: tuple[float, float, float]
+) -> None:
+    world = a_world()
+    world.set_fault_script(f"at 0 s: room {fault}")
+    assert tip_mm(world, tmp_path) - planned_mm() == pytest.approx(moved_mm, abs=1e-9)
+
+
+def test_a_depth_stop_that_is_set_wrong_is_read_as_it_is() -> None:
+    world = a_world()
+    world.set_fault_script("at 0 s: room depth stop off by -2 mm")
+    assert Hands(world, None).work(DEPTH_STOP, "T1", (STOP_MM,)) == (STOP_MM - 2.0,)
+
+
+def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> None:
+    room = Room(a_world(), tmp_path)
+    assert room.answer({"do": "work", "task": SKIN})["readings"] == []
+    for request, reason in (
+        ({"do": "work", "task": INSERT}, "bad request"),
+        ({"do": "work", "task": "tea"}, "unknown task 'tea'"),
+        ({"do": "work"}, "bad request"),
+    ):
+        answer = room.answer(request)
+        assert not answer["ok"]
+        assert reason in answer["reason"]
+
+
+def shift_mm(world: World) -> tuple[float, float, float]:
+    """Of the head, as the robot sees it."""
+    return ShiftedRoom(world).now().head_mm
+
+
+def test_a_locked_cart_stands_when_somebody_leans_on_it() -> None:
+    world = a_world()
+    Hands(world, None).work(CART_PUSH, "", ())
+    assert shift_mm(world) == (0.0, 0.0, 0.0)
+
+
+def test_a_cart_that_is_not_locked_rolls_and_stays_where_it_was_pushed_to() -> None:
+    world = a_world()
+    world.set_fault_script("at 0 s: room unlocked cart 6 0 -3 mm per min")
+    world.clock.advance_cycle(30_000_000_000)
+    assert shift_mm(world) == pytest.approx((-3.0, 0.0, 1.5))
+    Hands(world, None).work(CART_PUSH, "", ())
+    assert shift_mm(world) == pytest.approx((-9.0, 0.0, 4.5))
+
+
+def test_a_fault_since_a_step_begins_with_it_and_outlasts_it() -> None:
+    world = a_world()
+    room = Room(world, None)
+    world.set_fault_script("since step == relocalization:T2: room shift cart 0 2 0 mm  # kicked")
+    for step, moved_mm in (("relocalization:T1", 0.0), ("relocalization:T2", -2.0), ("retreat:T1", -2.0)):
+        assert room.answer({"do": "step", "name": step})["ok"]
+        assert shift_mm(world)[1] == moved_mm, step
+    assert "since" not in world.fault_script()[1]
