@@ -72,6 +72,8 @@ def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases,
     os.kill(case.console_pid, signal.SIGKILL)
     page.wait_for_selector("#lost:not([hidden])")
     assert "past" in page.evaluate("document.body.className")
+    page.wait_for_selector("#popup[aria-hidden=false]", state="attached")
+    assert not page.locator("#popup").is_visible()
     assert case.ended() == 0
     assert "the console has ended" in case.said
     assert outcome_of(case)["targets"]
