@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import os
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -192,7 +193,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         try:
             record = read_record(folder / name)
         except BadRecord as problem:
-            there = (folder / name).exists()
+            there = os.path.exists(folder / name)  # a name from a file may be too long to ask pathlib
             problems.append(Problem(name, problem.what if there else "missing: named in the journal"))
             series = None
         else:

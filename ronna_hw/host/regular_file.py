@@ -17,7 +17,10 @@ def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
     Without `linked` also for a link.
     """
     follow = 0 if linked else os.O_NOFOLLOW
-    file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)
+    except ValueError as error:  # a zero byte, which no name of a file has
+        raise OSError(errno.ENOENT, str(error), str(path)) from error
     mode = os.fstat(file).st_mode
     if not stat.S_ISREG(mode):
         os.close(file)

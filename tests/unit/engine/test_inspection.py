@@ -299,6 +299,15 @@ def test_a_line_of_endless_brackets_is_found_like_any_other(run: Path) -> None:
     assert changed_files(run) == {JOURNAL_FILE}
 
 
+@pytest.mark.parametrize("name", ["9" * 300, "a\0b"], ids=["too long", "with a zero byte"])
+def test_a_journal_may_name_files_that_no_disk_can_hold(tmp_path: Path, name: str) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: "0"})
+    cell.journal.write(Entry.CLOSED, 0.0, files={name: "0"})
+    wrong = {problem.file for problem in inspected(cell.folder).changes}
+    assert wrong >= {f"records/{name}.json", f"pictures/{name}", name}
+
+
 def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -> None:
     order = plain_order("T1", image=seen)
     engine = cell.engine(order)
