@@ -91,7 +91,7 @@ class BaslerStereoPair(PairDevice[Camera]):
             facts.append(
                 Fact(
                     f"packets of the {side} camera",
-                    f"{counters.packets} came, {counters.resend_requests} requests to send some again",
+                    f"{counters.packets} received, {counters.resend_requests} resend requests",
                     counters.incomplete_frames == 0,
                     "Use jumbo frames, another cable or port, a larger receive buffer.",
                 )

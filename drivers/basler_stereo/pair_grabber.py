@@ -170,7 +170,7 @@ class PairGrabber:
         """The error for a trigger without any image, with what is known about the reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
-            return TriggerMissed("no pulse came on the trigger line", expected=expected, action=NO_PULSE)
+            return TriggerMissed("no pulse arrived on the trigger line", expected=expected, action=NO_PULSE)
         if any(camera.receiver.begun for camera in self._cameras):
             return TriggerMissed(
                 "no complete image after a trigger", expected=expected, got="some of its packets"

@@ -47,10 +47,10 @@ from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
 RUNS_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 UNVERIFIED = (
-    "the controller does not say which program it runs: each axis in turn goes out and back by less than "
-    "0.05 mm at the flange to show it, with a person beside the arm"
+    "the controller does not report which program it runs: to verify it, each axis in turn moves out and "
+    "back by less than 0.05 mm at the flange, with a person next to the arm"
 )
-IN_T1 = "the controller is in T1: somebody with the pendant stands beside the arm"
+IN_T1 = "the controller is in T1: someone holding the pendant is next to the arm"
 
 _STOP_ORDERS = {
     StopKind.HOLD: StopOrder.HOLD,

@@ -55,7 +55,7 @@ def theatre_of(
 def require_theatre_options(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> None:
-    """Raises CLI-001 and STR-002 for options that do not go together or are nonsense."""
+    """Raises CLI-001 and STR-002 for conflicting or invalid options."""
     from procedures.strategies.catalogue import strategy_named
 
     strategy_named(strategy)

@@ -19,8 +19,8 @@ from ronna_hw.clock import Clock
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
 GO_ON, WAIT, ABORT, LEAVE = "continue", "wait", "abort", "leave"
-CHOICES = "wait goes on as soon as it is as it must be, leave ends the step here with the arm at rest"
-WITHOUT = "continue goes on without it for {:.0f} s of the next motion or wait, then it is asked again"
+CHOICES = "wait continues as soon as the condition is met, leave ends the step here with the arm at rest"
+WITHOUT = "continue proceeds without it for {:.0f} s of the next motion or wait, then asks again"
 LOOK_AGAIN_S = 0.05  # theatre time between two looks at a guard
 PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the operator is asked
 

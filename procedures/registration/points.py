@@ -31,7 +31,7 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
     farthest_mm = float(np.abs(values).max(initial=0.0))
     if farthest_mm > COORDINATE_LIMIT_MM:
         raise BadPoints(
-            f"the {name} points are farther away than any theatre is large",
+            f"the {name} points are farther away than any theatre is wide",
             limit=f"{COORDINATE_LIMIT_MM:g} mm",
             got=f"{farthest_mm:g} mm",
         )

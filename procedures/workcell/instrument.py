@@ -42,5 +42,5 @@ class Instrument:
         if self._inside is not None:
             raise InstrumentInGuide(
                 f"{what}: an instrument is in the guide, and in {self._inside}",
-                expected="it to be out, and confirmed to be",
+                expected="the instrument removed, and confirmed to be out",
             )

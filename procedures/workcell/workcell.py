@@ -370,6 +370,6 @@ class Workcell:
         self.instrument.require_out(what)
         if self._insertion is not None:
             raise InstrumentInside(
-                f"{what}: the guide is held before the entry of {self._insertion.trajectory}",
+                f"{what}: the guide is held in front of the entry of {self._insertion.trajectory}",
                 expected=f"a retreat along {self._insertion.trajectory}",
             )

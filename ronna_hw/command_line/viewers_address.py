@@ -102,7 +102,7 @@ def viewers_address(bind: str | None, certificate: Path | None, key: Path | None
     """The address from the options, checked; None without them. Raises CLI-001."""
     if bind is None:
         if certificate is not None or key is not None:
-            raise UsageMistake("--certificate and --key go with --bind")
+            raise UsageMistake("--certificate and --key require --bind")
         return None
     if certificate is None or key is None:
         raise UsageMistake(

@@ -109,7 +109,7 @@ def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path)
     for more in (("--first-day",), ("--calibration", tmp_path)):
         done = in_this_process(app, "calibrate", "tool-tip", "--config", theatre, *more)
         assert done.returncode == 2
-        assert f"{more[0]} and --config do not go together" in " ".join(one_error(done.stderr))
+        assert f"{more[0]} and --config cannot be combined" in " ".join(one_error(done.stderr))
 
 
 @pytest.mark.parametrize("text", [None, "calibration = 3", "[calibration.tip]\nx = 1"])

@@ -20,24 +20,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MeasuringOptions(TheatreOptions):
-    """What is measured in a theatre, and the folder that it leaves."""
+    """What is measured in a theatre, and the output folder."""
 
-    out: Annotated[Path, typer.Option(help="Folder for what is written.")] = Path("calibrations")
+    out: Annotated[Path, typer.Option(help="Output folder.")] = Path("calibrations")
     as_json: JsonOption = False
 
 
 @dataclass(frozen=True)
 class CalibrationOptions(MeasuringOptions):
-    """A calibration: where its looks come from, and what becomes of its records."""
+    """A calibration: the source of its measurements, and the use of its records."""
 
     recorded: Annotated[
         Path | None,
-        typer.Option("--from", metavar="FOLDER", help="Compute again from the looks in this folder."),
+        typer.Option("--from", metavar="FOLDER", help="Recompute from the measurements in this folder."),
     ] = None
-    days: Annotated[int, typer.Option(min=1, max=366, help="How long the records hold.")] = 30
+    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the records, in days.")] = 30
     write: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write the theatre file with the new records, beside --config."),
+        typer.Option(metavar="FILE", help="Write the theatre file with the new records, next to --config."),
     ] = None
 
     def request(self) -> CalibrationRequest:

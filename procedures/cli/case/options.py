@@ -59,14 +59,14 @@ class TheatreOptions:
         bool,
         typer.Option(
             "--first-day",
-            help="With --sim: frame and guide are as drawn, without records that are valid.",
+            help="With --sim: frame and guide are as drawn, without valid records.",
         ),
     ] = False
     calibration: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FOLDER",
-            help="With --sim: records that a calibration left, instead of the theatre's own; repeatable.",
+            help="With --sim: records from a calibration, instead of the theatre's own; repeatable.",
         ),
     ] = None
     answers: Annotated[
@@ -93,7 +93,7 @@ class TheatreOptions:
         return read_answers(self.answers)
 
     def theatre(self) -> TheatreRequest:
-        """The theatre of a calibration. Raises CLI-001 for what does not go together, CFG-001, CAL-005."""
+        """The theatre of a calibration. Raises CLI-001 for conflicting options, CFG-001, CAL-005."""
         from procedures.cli.case.request import TheatreRequest, check_theatre
 
         self.check()
@@ -104,17 +104,17 @@ class TheatreOptions:
     def check(self) -> None:
         """Raise CLI-001 unless they name one theatre, and nothing that it does not have."""
         if self.sim and self.config is not None:
-            raise UsageMistake("--sim and --config do not go together")
+            raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
             raise UsageMistake("choose one: --sim, or --config FILE")
         if self.config is not None and (given := self._given(SIMULATED)):
             raise UsageMistake(
-                f"{given} and --config do not go together",
-                action="Leave it out: the theatre file names the devices of the theatre.",
+                f"{given} and --config cannot be combined",
+                action="Omit it: the theatre file names the devices of the theatre.",
             )
         if Path(self.scene).suffix and (given := self._given(DRAWN)):
             raise UsageMistake(
-                f"{given} and a scene file do not go together", action="The file holds its own."
+                f"{given} and a scene file cannot be combined", action="The scene file defines its own."
             )
         if self.sim:
             self.choice.check()
@@ -139,7 +139,7 @@ class CaseOptions(TheatreOptions):
     markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")] = None
     targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")] = None
     fiducials: Annotated[
-        FiducialChoice, typer.Option(help="What the spheres stand on: screws, or the x-shaped frame.")
+        FiducialChoice, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
     ] = FiducialChoice.FREE
     strategy: Annotated[
         str,
@@ -174,16 +174,16 @@ class CaseOptions(TheatreOptions):
         )
 
     def request(self) -> CaseRequest:
-        """What they ask for. Raises CLI-001 for what does not go together, PRO-026 for the answers."""
+        """What they ask for. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
         from procedures.cli.case.request import CaseRequest
 
         if self.config is not None and not self.sim and self.case is None:
             raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
         self.check()
         if self.config is None and self.case is not None:
-            raise UsageMistake("--case goes with --config", action="A simulated case brings its own patient.")
+            raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
         if self.config is not None and self.plan is not None:
-            raise UsageMistake("--plan goes with --sim", action="With --config the plan is in --case DIR.")
+            raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
         return CaseRequest(
             answers=self.scripted_operator(),
             out=self.out,

@@ -39,7 +39,7 @@ class ConsoleOptions:
         """What they ask for. Raises PRO-040 where the console is not installed, CLI-001 for a slip."""
         if not self.console:
             if self.console_port or self.bind or self.certificate or self.key:
-                raise UsageMistake("--console-port, --bind, --certificate and --key go with --console")
+                raise UsageMistake("--console-port, --bind, --certificate and --key require --console")
             return None
         from procedures.cli.console.attaching import ConsoleRequest, check_console, check_port
 

@@ -362,7 +362,7 @@ class Scene(Strict):
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")
-    hands: Hands = Field(default=Hands(), description="What the room's hands do by themselves.")
+    hands: Hands = Field(default=Hands(), description="Accuracy of manual tasks.")
     servo_area_px: tuple[Count, Count] = Field(
         default=(1024, 1024), description="Area of interest that contains a sphere with room to move."
     )

@@ -136,7 +136,7 @@ def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_holds
 ) -> None:
     arm = _configured(make_arm)
     assert isinstance(arm, ConfirmedStart)
-    assert "does not say which program it runs" in str(arm.to_confirm)
+    assert "does not report which program it runs" in str(arm.to_confirm)
     arm.confirm_start("Ana")
     arm.activate()
     assert all(any(reply[1][axis] for reply in silent_controller.replies) for axis in range(6))
@@ -162,7 +162,7 @@ def test_in_T1_a_start_is_confirmed_by_who_stands_beside_the_arm(controller: Any
     arm = make_arm()
     arm.connect()
     arm.configure()
-    assert arm.to_confirm == "the controller is in T1: somebody with the pendant stands beside the arm"
+    assert arm.to_confirm == "the controller is in T1: someone holding the pendant is next to the arm"
     arm.confirm_start("Ana")
     arm.activate()
     assert arm.state is Lifecycle.ACTIVE

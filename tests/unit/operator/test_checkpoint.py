@@ -124,7 +124,7 @@ def test_for_how_long_a_guard_is_done_without_is_said() -> None:
     rig = Rig(lambda _question: "continue")
     rig.checkpoint.guards.append(Dispensable(float("inf")))
     rig.checkpoint.here("at the target")
-    assert "continue goes on without it for 10 s of the next motion or wait" in rig.asked[0].value
+    assert "continue proceeds without it for 10 s of the next motion or wait" in rig.asked[0].value
 
 
 def test_a_pause_is_met_while_a_guard_waits() -> None:

@@ -11,7 +11,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from ronna_hw.devices.lifecycle import Lifecycle
 
-WORDS = "the controller does not say which program it runs"
+WORDS = "the controller does not report which program it runs"
 
 
 @dataclass
