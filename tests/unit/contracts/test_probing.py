@@ -60,8 +60,10 @@ def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_named(
     assert CLOSED == ["force", "force"]
 
 
-def test_a_driver_that_is_not_installed_is_a_diagnostic() -> None:
-    assert "DEV-002" in probed("abacus").seen
+def test_a_driver_that_is_not_installed_is_a_diagnostic_that_names_those_that_are() -> None:
+    seen = probed("abacus").seen
+    assert "DEV-002" in seen
+    assert "expected one of" in seen
 
 
 def test_all_endpoints_of_a_device_are_listed() -> None:
