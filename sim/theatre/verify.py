@@ -19,6 +19,7 @@ from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import Scene, read_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TipSample, read_samples
 
+WHERE_IT_WAS_MADE = "Give the folder of the theatre in which the run was made."
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
 
 
@@ -34,7 +35,13 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     """
     place = run / THEATRE_FOLDER if theatre is None else theatre
     if not (place / SCENE_FILE).exists():
-        raise NothingToVerify(f"{place if theatre else run} has no simulated theatre")
+        if theatre is None:
+            raise NothingToVerify(f"{run} has no simulated theatre")
+        raise NothingToVerify(
+            f"{theatre} is not the folder of a simulated theatre",
+            expected=f"a folder with {SCENE_FILE}",
+            action=WHERE_IT_WAS_MADE,
+        )
     found = inspected(run).require_unchanged()
     scene = read_scene(place / SCENE_FILE)
     taken = read_samples(place) if theatre is None else _during(found, read_samples(place))
@@ -46,7 +53,7 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
     if theatre is not None and ct is not None and not ct["found"]:
         raise NothingToVerify(
             f"{theatre} has another patient than {run}: none of the spheres found is there",
-            action="Give the folder of the theatre in which the run was made.",
+            action=WHERE_IT_WAS_MADE,
         )
     return {
         "ct": ct,
