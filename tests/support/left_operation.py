@@ -1,0 +1,76 @@
+"""The operation of a case, left after a step, and what may be swapped before it is resumed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from clinical_case import FIRST, ClinicalCell, given
+from prepared_results import (
+    checked_paths,
+    checked_plan,
+    checked_set_up,
+    checked_tool,
+    correspondence,
+    global_localization,
+    localized_fiducials,
+    mounted_guide,
+    registered_robot,
+    relocalization,
+)
+from run_again import broken_off, opened_again
+
+from procedures.engine.engine import Engine
+from procedures.engine.left_run import LeftRun
+from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.step import Scope, StepSpec
+from procedures.results.result import StepResult
+from procedures.steps.clinical import at_target, positioning, retreat
+from procedures.steps.clinical.set_up import DeviceIdentity
+from ronna_hw.config import Calibrations
+from ronna_hw.devices.lifecycle import Identity
+
+
+def per_trajectory(result: StepResult) -> StepSpec[StepResult]:
+    return replace(given(result), scope=Scope.LOCALIZATION)
+
+
+def case_order(cell: ClinicalCell) -> CaseOrder:
+    """The operation of a case, with everything before it given."""
+    set_up = checked_set_up(cell).model_copy(
+        update={
+            "identities": {
+                role: DeviceIdentity.of(Identity("Test", f"a {role}", "1", "0"))
+                for role in ("tracker", "arm", "stereo")
+            }
+        }
+    )
+    before = [
+        given(one)
+        for one in (localized_fiducials(), checked_plan(), set_up, global_localization(), correspondence())
+    ]
+    localized = [per_trajectory(one) for one in (relocalization(), registered_robot())]
+    steps = [*before, given(checked_paths(cell)), *localized, given(mounted_guide()), given(checked_tool())]
+    return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP], [FIRST])
+
+
+def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, LeftRun]:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find(last))
+    broken_off(cell)
+    return opened_again(cell, order)
+
+
+def other_arm(cell: ClinicalCell) -> None:
+    cell.arm.name = "another arm"
+
+
+def other_calibration(cell: ClinicalCell) -> None:
+    calibrations: Calibrations = cell.calibrations
+    tip = calibrations.tool_tip.model_copy(update={"stated_error_mm": 0.5})
+    cell.workcell.calibrations = calibrations.model_copy(update={"tool_tip": tip})
+
+
+def other_frame(cell: ClinicalCell) -> None:
+    calibrations: Calibrations = cell.calibrations
+    frame = calibrations.tracker_frame.model_copy(update={"identifier": "renewed"})
+    cell.workcell.calibrations = calibrations.model_copy(update={"tracker_frame": frame})

@@ -1,0 +1,109 @@
+"""Only the arm of a case is brought home: by what the way needs, and nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from clinical_case import FIRST, ClinicalCell
+from left_operation import case_order, left_after, other_arm, other_calibration, other_frame
+from run_again import broken_off, opened_again
+
+from procedures.engine.errors import RecoveryRefused
+from procedures.operator.topic import Topic
+from procedures.recovery import bring_home, recover
+from ronna_hw.calibration import CalibrationExpired, DatedRecord
+from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.errors import LinkTimeout
+from ronna_hw.evidence.inspection import Problem
+
+
+@pytest.mark.hazard(2)
+def test_nothing_moves_before_it_is_accepted(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    again.operator.refusing = (Topic.RESUME,)
+    with pytest.raises(RecoveryRefused, match="PRO-032"):
+        bring_home(engine, left)
+    assert again.arm.motions == []
+    assert "activate" not in again.arm.calls
+
+
+@pytest.mark.hazard(2)
+def test_the_guide_comes_back_first_and_the_run_is_resumed_as_it_was(cell: ClinicalCell) -> None:
+    order = case_order(cell)
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    assert bring_home(engine, left)
+    assert [kind for kind, _ in again.arm.motions] == ["line", "joints"]
+    assert again.workcell.at_home
+    assert again.entries("accepted", "home", "result")[-2:] == [("accepted", ""), ("home", "")]
+    broken_off(again)
+    later, engine, left = opened_again(again, order)
+    recover(engine, left)
+    assert later.arm.motions == []
+    assert str(engine.upcoming) == f"positioning:{FIRST}"
+    engine.run_to()
+
+
+def test_an_arm_that_is_home_stays_there_unasked(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    assert not bring_home(engine, left)
+    assert again.operator.asked == []
+
+
+def test_neither_a_silent_tracker_nor_an_expired_record_keeps_the_arm_over_the_head(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def silent(timeout_s: float = 10.0) -> Identity:
+        raise LinkTimeout("the tracker is silent")
+
+    def expired(*_: object) -> None:
+        raise CalibrationExpired("it expired in the night")
+
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    monkeypatch.setattr(again.tracker, "connect", silent)
+    monkeypatch.setattr(DatedRecord, "check_valid_at", expired)
+    assert bring_home(engine, left)
+    (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
+    assert "the tracker is silent" in asked.value
+    assert "it expired in the night" in asked.value
+
+
+def test_a_renewed_record_of_the_tracker_s_frame_does_not_keep_the_arm_over_the_head(
+    cell: ClinicalCell,
+) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    other_frame(again)
+    assert bring_home(engine, left)
+    (asked,) = (one for one in again.operator.asked if one.topic is Topic.RESUME)
+    assert "calibration tracker_frame: not needed on the way home" in asked.value
+
+
+def test_another_tracker_does_not_keep_the_arm_over_the_head(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    again.tracker.name = "another tracker"
+    assert bring_home(engine, left)
+
+
+def test_changes_that_do_not_concern_the_way_home_are_shown_before_it_is_accepted(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    changed = replace(left, changes=(Problem("notes.txt", "added: not part of the run"),))
+    assert bring_home(engine, changed)
+    assert "not as the run left it: notes.txt: added" in again.operator.asked[0].value
+
+
+@pytest.mark.hazard(2)
+def test_another_tip_is_not_led_out_along_the_axis(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    other_calibration(again)
+    with pytest.raises(RecoveryRefused, match="tool_tip"):
+        bring_home(engine, left)
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(2)
+def test_another_arm_is_not_moved(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    other_arm(again)
+    with pytest.raises(RecoveryRefused, match="arm"):
+        bring_home(engine, left)
+    assert again.arm.motions == []
