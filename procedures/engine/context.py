@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from procedures.engine.case import Case
+from procedures.engine.case_memory import CaseMemory
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
 from procedures.engine.step import StepKey, StepSpec
-from procedures.engine.workspace import Workspace
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.evidence import Evidence
@@ -70,7 +70,7 @@ class CaseSetting:
     settings: ProcedureSettings
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
-    workspace: Workspace = field(default_factory=Workspace)
+    memory: CaseMemory = field(default_factory=CaseMemory)
     left_away: str | None = None  # what an earlier run says of where the arm is
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so

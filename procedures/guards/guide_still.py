@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.engine.workspace import Workspace
+from procedures.engine.case_memory import CaseMemory
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose
 from ronna_hw.clock import Clock
@@ -73,17 +73,17 @@ class GuideAtRest:
 
 @dataclass
 class GuideStill:
-    """Asked at checkpoints while the workspace keeps a `GuideAtRest` through which someone works."""
+    """Asked at checkpoints while the case remembers a `GuideAtRest` through which someone works."""
 
     workcell: Workcell
     clock: Clock
-    workspace: Workspace
+    memory: CaseMemory
     name: str = "guide"
     looks_again_s: float = 0.0  # theatre time, while it is pushed
 
     def unmet(self) -> str | None:
         """By how much it is pushed. Raises what the tracker raises."""
-        rest = self.workspace.find(GuideAtRest)
+        rest = self.memory.find(GuideAtRest)
         if rest is None or not rest.worked:
             return None
         if rest.fresh or self.clock.now_s() >= self.looks_again_s:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from procedures.engine.workspace import Workspace
+from procedures.engine.case_memory import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
@@ -36,7 +36,7 @@ class HeadInSight:
 
     workcell: Workcell
     clock: Clock
-    workspace: Workspace
+    memory: CaseMemory
     void: Callable[[RonnaError], None]
     name: str = "head"
     topic: Topic = Topic.HEAD_UNSEEN
@@ -44,19 +44,19 @@ class HeadInSight:
     @property
     def patience_s(self) -> float:
         """How long to wait before the operator is asked."""
-        room = self.workspace.find(RoomWatch)
+        room = self.memory.find(RoomWatch)
         return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
 
     def unmet(self) -> str | None:
         """Why the head is not watched, once that has lasted. Raises PRO-019, PRO-020, PRO-022."""
-        room = self.workspace.find(RoomWatch)
+        room = self.memory.find(RoomWatch)
         if room is None or not room.overdue(self.clock.now_s()):
             return None
         try:
             room.check(read_room(self.workcell, self.clock, room.robot_from_tracker), self.clock.now_s())
         except (BaseShifted, PatientMoved, PatientUnseen) as moved:
             if not isinstance(moved, PatientUnseen):
-                self.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
+                self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
                 self.void(moved)
             raise
         now_s = self.clock.now_s()
@@ -72,6 +72,6 @@ class HeadInSight:
 
     def excuse(self) -> None:
         """The operator continues without sight."""
-        room = self.workspace.find(RoomWatch)
+        room = self.memory.find(RoomWatch)
         if room is not None:
             room.excuse()

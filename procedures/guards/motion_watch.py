@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
-from procedures.engine.workspace import Workspace
+from procedures.engine.case_memory import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames
@@ -47,7 +47,7 @@ class MotionWatch:
 
     workcell: Workcell
     clock: Clock
-    workspace: Workspace
+    memory: CaseMemory
     when: WatchPatient
     find: Callable[[str], None]
     tell: Callable[[str], object]
@@ -60,7 +60,7 @@ class MotionWatch:
     @contextmanager
     def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
         """Around a motion or a wait. Raises PRO-020 when the head has moved; the arm is at rest then."""
-        room = self.workspace.find(RoomWatch)
+        room = self.memory.find(RoomWatch)
         if room is None or not self._wanted:
             yield
             return
@@ -74,7 +74,7 @@ class MotionWatch:
             self._head,
             lambda why, stop: self._alarm(what, why, stop),
             self.tell,
-            guide=self.workspace.find(GuideAtRest),
+            guide=self.memory.find(GuideAtRest),
         )
         room.begin_motion(self.clock.now_s())
         looking.begin()
@@ -106,7 +106,7 @@ class MotionWatch:
     def _conclude(self, seen: _Looking, what: str) -> None:
         if seen.moved_mm is not None:
             moved = self._named(seen.room, seen.moved_mm, what)
-            self.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
+            self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
             self.void(moved)
             raise moved
         if seen.problem is not None:

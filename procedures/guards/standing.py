@@ -41,7 +41,7 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
     return MotionWatch(
         setting.workcell,
         setting.clock,
-        setting.workspace,
+        setting.memory,
         setting.settings.watch_patient,
         find=engine.find,
         tell=lambda text: engine.events.publish(Finding(text=text)),
@@ -53,4 +53,4 @@ def patient_watch(engine: Engine, void: Void) -> MotionWatch:
 def sight_guard(engine: Engine, void: Void) -> HeadInSight:
     """The guard that bounds how long a guide approaches a head that nothing sees; `void` as there."""
     setting = engine.setting
-    return HeadInSight(setting.workcell, setting.clock, setting.workspace, void)
+    return HeadInSight(setting.workcell, setting.clock, setting.memory, void)

@@ -32,7 +32,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
             else:
                 comparison.same("CT series")
                 if engine.case.find(CheckedPlan, None) is None:
-                    engine.setting.workspace.keep(volume)
+                    engine.setting.memory.keep(volume)
     if checked := engine.case.find(CheckedPlan, None):
         try:
             plan = read_plan(clinical.plan)

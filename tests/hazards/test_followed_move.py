@@ -108,7 +108,7 @@ def test_the_guide_goes_where_the_head_is_now_and_a_second_move_is_noticed(tmp_p
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     run(engine, NAME)
-    engine.setting.workspace.clear()  # as after a restart
+    engine.setting.memory.clear()  # as after a restart
     run(engine, f"positioning:{FIRST}")
     tip_mm = cell.workcell.tool_pose().translation_mm
     target_mm = ROBOT_FROM_CT.apply(checked_plan().trajectory(FIRST).target_mm)

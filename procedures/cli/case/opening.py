@@ -359,6 +359,6 @@ def _make_engine(
             engine.checkpoint.guards.append(UnchangedInputs(engine, wanted.clinical))
         void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
         engine.checkpoint.guards.append(sight_guard(engine, void))
-        engine.checkpoint.guards.append(GuideStill(workcell, theatre.clock, engine.setting.workspace))
+        engine.checkpoint.guards.append(GuideStill(workcell, theatre.clock, engine.setting.memory))
         engine.checkpoint.watching = patient_watch(engine, void).watching
     return engine

@@ -145,7 +145,7 @@ def measure(
     with leaving_report(folder, with_truth=False):
         with console.progress_bar("measuring with the stereo head") as bar:
             engine = run_steps(theatre, folder, steps, bar, title="A measurement of the stereo head")
-        seen = engine.setting.workspace.find(Look)
+        seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"
         if picture is not None:
             from procedures.workcell.stereo_picture import pair_picture

@@ -160,7 +160,7 @@ class _Replay:
     def _take_up(self, line: int) -> None:
         """As a new program takes up the arm that the lines before this one left."""
         workcell = self._engine.setting.workcell
-        self._engine.setting.workspace.clear()
+        self._engine.setting.memory.clear()
         with suppress(StepRefused):  # it had no home yet, and had not moved
             workcell.take_up(left_arm(self._run.journal[:line]), workcell.home_rad)
 

@@ -54,7 +54,7 @@ def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
 
 
 def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
-    context.setting.workspace.keep(seen)  # for whoever wants to see the pictures
+    context.setting.memory.keep(seen)  # for whoever wants to see the pictures
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     point = seen.point
     return Outcome(

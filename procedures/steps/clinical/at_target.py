@@ -157,11 +157,11 @@ def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
 
     Raises PRO-019 and PRO-020 where it was left because of a push that was none.
     """
-    workspace = context.setting.workspace
-    rest = workspace.find(GuideAtRest)
+    memory = context.setting.memory
+    rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
         rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory)
-        workspace.keep(rest)
+        memory.keep(rest)
     if rest.frame_mm is None:
         context.find(
             f"at {context.trajectory} the tracker does not see the frame on the arm: only the joints "

@@ -63,7 +63,7 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
     volume = read_series(
         context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
-    context.setting.workspace.keep(volume)
+    context.setting.memory.keep(volume)
     imported = ImportedCt.of(volume)
     slices, rows, columns = imported.shape
     return Outcome(
@@ -77,7 +77,7 @@ def volume_of(context: StepContext) -> Volume:
     Raises PRO-007 when the folder no longer holds the series that was imported.
     """
     imported = context.result(ImportedCt)
-    kept = context.setting.workspace.find(Volume)
+    kept = context.setting.memory.find(Volume)
     if kept is not None:
         return kept
     volume = read_series(context.clinical.series)

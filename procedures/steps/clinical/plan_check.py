@@ -66,7 +66,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     _confirm_patient(context, plan)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
-    context.setting.workspace.drop(Volume)  # the largest input is not needed after this
+    context.setting.memory.drop(Volume)  # the largest input is not needed after this
     return Outcome(
         CheckedPlan(
             plan=plan,

@@ -93,7 +93,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             context.progress(0.5, f"moving along {trajectory}")
             reached = workcell.insert(insertion)
         check_room(context, f"at {trajectory}")
-    context.setting.workspace.keep(guide_at_rest(workcell, context.setting.clock, trajectory))
+    context.setting.memory.keep(guide_at_rest(workcell, context.setting.clock, trajectory))
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",

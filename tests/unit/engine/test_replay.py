@@ -122,7 +122,7 @@ def restarted(recorded: Recorded) -> None:
     """As a new program finds the devices: connected and configured, and nothing confirmed."""
     recorded.cell.arm.state = Lifecycle.CONFIGURED
     recorded.cell.workcell.stop()
-    recorded.engine.setting.workspace.clear()
+    recorded.engine.setting.memory.clear()
     recorded.engine.machine.hold()
     recorded.cell.journal.write(Entry.RESTARTED, 0.0)
 
@@ -132,9 +132,9 @@ def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> Non
     def rests_and_moves(context: StepContext) -> Outcome[Localization]:
         if context.done_before:
             context.workcell.rest()  # nothing streams in a new program
-        if context.setting.workspace.find(int) is not None:
+        if context.setting.memory.find(int) is not None:
             context.workcell.joints_rad()
-        context.setting.workspace.keep(1)  # a new program has kept nothing
+        context.setting.memory.keep(1)  # a new program has kept nothing
         moves(context)
         return looks(context)
 
@@ -221,8 +221,8 @@ def test_where_a_guard_ended_a_step_before_the_instrument_went_in_the_way_home_i
     tmp_path: Path,
 ) -> None:
     def goes_in(context: StepContext) -> Outcome[Approach]:
-        outcome, first = moves(context), context.setting.workspace.find(int) is None
-        context.setting.workspace.keep(1)
+        outcome, first = moves(context), context.setting.memory.find(int) is None
+        context.setting.memory.keep(1)
         context.progress(0.5, "before it goes in")
         if first:
             context.workcell.instrument.goes_in("T1")

@@ -63,9 +63,9 @@ def begun_work(context: StepContext) -> BegunWork:
 
     If work was done there before, the operator chooses the stage to continue from; raises PRO-002 otherwise.
     """
-    workspace, instrument = context.setting.workspace, context.workcell.instrument
+    memory, instrument = context.setting.memory, context.workcell.instrument
     trajectory = context.trajectory
-    begun = workspace.find(BegunWork)
+    begun = memory.find(BegunWork)
     if begun is not None and begun.trajectory == trajectory == instrument.inside:
         return begun
     context.have_instrument_out()
@@ -78,7 +78,7 @@ def begun_work(context: StepContext) -> BegunWork:
         return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
     instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
-    workspace.keep(begun)
+    memory.keep(begun)
     context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
     instrument.goes_in(trajectory)
     return begun

@@ -121,7 +121,7 @@ def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | 
         if move is not None:
             _have_agreed(context, move, places_mm)
     except (BaseShifted, PatientMoved) as moved:
-        context.setting.workspace.drop(RoomWatch)
+        context.setting.memory.drop(RoomWatch)
         context.void(GlobalLocalization, moved)
         raise
     return move

@@ -34,7 +34,7 @@ def check_room(context: StepContext, where: str) -> None:
     except (BaseShifted, PatientMoved) as moved:
         from procedures.steps.clinical.validity.moved_head import void_moved  # as in `_watch`
 
-        context.setting.workspace.drop(RoomWatch)  # the way out is not to be stopped by the same
+        context.setting.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
         void_moved(context, moved)
         raise
     for finding in findings:
@@ -52,7 +52,7 @@ def require_head_seen(context: StepContext, where: str) -> None:
 
 def head_hidden(context: StepContext) -> bool:
     """Whether the tracker's last reading saw too little of the head past the arm in its present pose."""
-    watch, workcell = context.setting.workspace.find(RoomWatch), context.workcell
+    watch, workcell = context.setting.memory.find(RoomWatch), context.workcell
     if watch is None or watch.hidden_from is None:
         return False
     return watch.hides_head(workcell.flange_pose(workcell.joints_rad()))
@@ -87,7 +87,7 @@ def expected_sight(context: StepContext, surroundings: Surroundings) -> Expected
 @contextmanager
 def head_must_show(context: StepContext) -> Iterator[None]:
     """Within, the head may go unseen for a bounded time only; then the case suspends."""
-    watch = context.setting.workspace.find(RoomWatch)
+    watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
     if approach is None:
         yield
@@ -109,9 +109,9 @@ def _watch(context: StepContext) -> RoomWatch:
 
     localized = context.result(GlobalLocalization)
     name = context.identifier(GlobalLocalization)
-    watch = context.setting.workspace.find(RoomWatch)
+    watch = context.setting.memory.find(RoomWatch)
     if watch is None or watch.localization != name:
         watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
-        context.setting.workspace.keep(watch)
+        context.setting.memory.keep(watch)
     watch.follow(spheres_followed(context.standing(RegisteredRobot), context.key.trajectory))
     return watch

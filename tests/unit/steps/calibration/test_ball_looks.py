@@ -158,7 +158,7 @@ def test_a_look_with_the_calibration_of_other_cameras_is_refused(cell: ClinicalC
 def test_the_pictures_of_a_look_are_at_hand_for_whoever_wants_to_see_them(cell: ClinicalCell) -> None:
     engine = cell.begin(look_step(over_ball=False))
     engine.run_to()
-    assert engine.setting.workspace.find(Look) is not None
+    assert engine.setting.memory.find(Look) is not None
 
 
 def test_a_check_looks_from_the_joints_of_the_baseline_and_goes_home(

@@ -52,9 +52,9 @@ def checked(
         tomli_w.dumps((planned or plan()).model_dump(mode="json", by_alias=True, exclude_none=True))
     )
     engine = cell.begin(imported_ct(), localized_fiducials(spheres_mm), STEP)
-    engine.setting.workspace.keep(head_volume(series))
+    engine.setting.memory.keep(head_volume(series))
     engine.run_to()
-    assert engine.setting.workspace.find(Volume) is None, "the largest input is still in memory"
+    assert engine.setting.memory.find(Volume) is None, "the largest input is still in memory"
     return cell.case.get(CheckedPlan).result
 
 

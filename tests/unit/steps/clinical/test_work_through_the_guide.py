@@ -48,7 +48,7 @@ def before_the_entry(cell: ClinicalCell) -> Engine:
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideStill(setting.workcell, setting.clock, setting.workspace))
+    engine.checkpoint.guards.append(GuideStill(setting.workcell, setting.clock, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     return engine

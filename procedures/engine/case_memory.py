@@ -1,4 +1,4 @@
-"""Large inputs that several steps use and that are not results, such as the voxels of the CT."""
+"""What a case keeps in memory apart from its results, such as the voxels of the CT. A restart loses it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TypeVar, cast
 T = TypeVar("T")
 
 
-class Workspace:
+class CaseMemory:
     """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
 
     def __init__(self) -> None:
