@@ -14,13 +14,13 @@ from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Journal
+from procedures.workcell.arm_as_left import ArmAsLeft
 from procedures.workcell.arm_view import ArmView
 from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
 from procedures.workcell.cell_motion import CellMotion
 from procedures.workcell.errors import InstrumentInside
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.instrument import Instrument
-from procedures.workcell.left_arm import LeftArm
 from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.sensors import Sensors
 from procedures.workcell.starting import start
@@ -181,7 +181,7 @@ class Workcell:
         """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
         return self._way_home.set_home()
 
-    def take_up(self, left: LeftArm, home_rad: JointVector) -> None:
+    def take_up(self, left: ArmAsLeft, home_rad: JointVector) -> None:
         """Take for true how a run that is taken up again left the arm. Moves nothing."""
         self._way_home.take_up(home_rad, left.trail)
         self._insertion, self._withdrawn_from = left.insertion, left.withdrawn_from

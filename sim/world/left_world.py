@@ -33,7 +33,7 @@ LOOK_AGAIN_S = 0.02
 Count = Annotated[int, Field(ge=0)]
 
 
-class LeftArm(Strict):
+class ArmAsLeft(Strict):
     """The last state of the robot: its encoders, and what they do not show."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
@@ -47,7 +47,7 @@ class LeftWorld(Strict):
 
     theatre_time_ns: Count = Field(description="Time since the theatre was first started.")
     mounted_tool: Count = Field(description="Mounted tool as the controller's inputs report it.")
-    arm: LeftArm | None = Field(description="None until the robot has started.")
+    arm: ArmAsLeft | None = Field(description="None until the robot has started.")
     standing_faults: str = Field(
         default="", description="Script of the faults with lasting effects: what was moved, bent or turned."
     )
@@ -61,7 +61,7 @@ class LeftWorld(Strict):
             mounted_tool=world.mounted_tool(),
             arm=None
             if arm is None
-            else LeftArm(
+            else ArmAsLeft(
                 joints_rad=arm.joints_rad,
                 flanks=arm.flanks,
                 motion_number=arm.motion_number,

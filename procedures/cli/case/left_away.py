@@ -8,7 +8,7 @@ from pathlib import Path
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.workcell.left_arm import left_arm
+from procedures.workcell.arm_as_left import arm_as_left
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
@@ -27,7 +27,7 @@ def left_away(request: CaseRequest, folder: Path) -> str | None:
             config = read_request(other).config
             if config is None or config.resolve() != request.config.resolve():
                 continue
-            away = left_arm(read_chain(other / JOURNAL_FILE).lines).away
+            away = arm_as_left(read_chain(other / JOURNAL_FILE).lines).away
         except (RonnaError, OSError):  # no run, or one that cannot be read
             continue
         home = f"ronna-procedure home {shlex.quote(str(other.resolve()))}"

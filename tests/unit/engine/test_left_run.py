@@ -17,7 +17,7 @@ from procedures.engine.step import Outcome, StepKey
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
-from procedures.workcell.left_arm import left_arm
+from procedures.workcell.arm_as_left import arm_as_left
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.errors import JournalCorrupt
@@ -190,4 +190,4 @@ def test_a_run_is_open_to_one_program_at_a_time(tmp_path: Path) -> None:
 def test_a_motion_that_does_not_say_where_the_instrument_went_is_refused() -> None:
     line = {"entry": "motion", "sequence": 4, "what": "insert", "trajectory": "T1", "to": [0, 0, 0]}
     with pytest.raises(JournalCorrupt, match="PRO-011"):
-        left_arm([json.loads(json.dumps(line))])
+        arm_as_left([json.loads(json.dumps(line))])

@@ -55,7 +55,7 @@ from procedures.steps.clinical.registration import RegisteredRobot
 from procedures.steps.clinical.tools.depth_stop import DepthStop
 from procedures.strategies.nos import NeutralOrientation
 from procedures.workcell import MountedTool
-from procedures.workcell.left_arm import left_arm
+from procedures.workcell.arm_as_left import arm_as_left
 from ronna_hw.evidence.inspection import closed_files
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.seal import seal
@@ -247,7 +247,7 @@ def test_a_restart_while_the_arm_is_still_out_brings_it_home(tmp_path: Path) -> 
         engine.run_to()
     broken_off(cell)
     again, engine, left = opened_again(cell, engine.order)
-    again.workcell.take_up(left_arm(left.run.journal), HOME_RAD)
+    again.workcell.take_up(arm_as_left(left.run.journal), HOME_RAD)
     again.workcell.identify_mounted()
     assert head_moved_since(engine)
     assert not engine.over

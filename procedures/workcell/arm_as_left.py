@@ -15,7 +15,7 @@ from ronna_hw.evidence.errors import JournalCorrupt
 
 
 @dataclass(frozen=True)
-class LeftArm:
+class ArmAsLeft:
     """`trail` is where the arm was since it left home, `motions` how many it made.
 
     A guide counts as on its axis from the intent to approach along it to the end of its withdrawal, an
@@ -37,7 +37,7 @@ class LeftArm:
         return self.insertion is not None or bool(self.trail)
 
 
-def left_arm(lines: Iterable[Line]) -> LeftArm:
+def arm_as_left(lines: Iterable[Line]) -> ArmAsLeft:
     """Follow the motions of a journal; raises PRO-011 when one is not as this version writes it."""
     trail: list[JointVector] = []
     insertion: Insertion | None = None
@@ -71,7 +71,7 @@ def left_arm(lines: Iterable[Line]) -> LeftArm:
                 trail.clear()
             elif what != "insert":
                 trail.append(cast("JointVector", tuple(cast("list[float]", line["joints_rad"]))))
-    return LeftArm(
+    return ArmAsLeft(
         tuple(trail), insertion, withdrawn_from, motions, instrument_in, instrument_out, stages, stops
     )
 
