@@ -27,7 +27,7 @@ if str(ROOT) not in sys.path:
     sys.path.append(str(ROOT))  # benchmarks are not installed; our packages are
 
 from benchmarks.figures import Figure  # noqa: E402
-from ronna_hw.command_line.console import message_console, on_terminal, run  # noqa: E402
+from ronna_hw.command_line.terminal import message_console, on_terminal, run  # noqa: E402
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"

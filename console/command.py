@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line.console import run
 from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.terminal import run
 from ronna_hw.command_line.viewers_address import (
     BindOption,
     CertificateOption,

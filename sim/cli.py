@@ -8,7 +8,7 @@ import ronna_hw.host.parent_process  # noqa: F401 - first of all: a parent that 
 # isort: split
 import typer
 
-from ronna_hw.command_line.console import run
+from ronna_hw.command_line.terminal import run
 from ronna_hw.host.starting_up import begin_start
 
 app = typer.Typer(

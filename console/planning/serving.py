@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 
 FORM_BYTES = 10_000  # in addition to an imported file
 
@@ -33,7 +33,7 @@ def open_planner(
     if asked.config is not None and asked.robot_from_ct is not None:
         strategy = strategy_named(asked.strategy)
         theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
-    with console.progress_bar("reading the CT series") as advance:
+    with terminal.progress_bar("reading the CT series") as advance:
         volume = read_series(asked.series, progress=advance)
     desk = PlanDesk(volume, asked.plan, theatre)
     try:
@@ -41,13 +41,13 @@ def open_planner(
             lambda application: add_planner(application, desk),
             asked.port,
             desk.work,
-            lambda ready: console.tell(f"CONSOLE {json.dumps(ready)}"),
+            lambda ready: terminal.tell(f"CONSOLE {json.dumps(ready)}"),
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,
         )
     finally:
         if (kept := desk.close()) is not None:
-            console.tell(f"unsaved changes kept in {kept}: open the plan again to continue")
+            terminal.tell(f"unsaved changes kept in {kept}: open the plan again to continue")
 
 
 if __name__ == "__main__":
-    console.run(app)
+    terminal.run(app)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
 
@@ -41,7 +41,7 @@ def make(
         Path, typer.Argument(metavar="TOML", help="Tool description: part_number, markers_mm, ...")
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write the .rom to.")],
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> int:
     """Write a definition from marker coordinates.
 
@@ -61,7 +61,7 @@ def make(
     if tool.unique_geometry and alike_segments_mm(tool):
         warnings.append("the definition claims unique geometry; set unique_geometry = false")
     if as_json:
-        console.print_json(
+        terminal.print_json(
             {
                 "file": str(out),
                 "bytes": len(block),
@@ -71,9 +71,9 @@ def make(
             }
         )
     else:
-        console.tell(f"{out}: {tool.part_number}, {len(tool.markers_mm)} markers, {len(block)} bytes")
+        terminal.tell(f"{out}: {tool.part_number}, {len(tool.markers_mm)} markers, {len(block)} bytes")
     for warning in warnings:
-        console.tell(f"warning: {warning}")
+        terminal.tell(f"warning: {warning}")
     return EXIT_DONE
 
 
@@ -83,7 +83,7 @@ def show(
     as_toml: Annotated[
         bool, typer.Option("--toml", help="Print the description, in the format read by make.")
     ] = False,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> int:
     """Show the content of a definition. Exit codes: 0 shown, 1 not a usable definition."""
     import sys
@@ -103,14 +103,14 @@ def show(
     segments = segment_lengths_mm(tool.markers_mm)
     if as_json:
         lengths = [round(length, 3) for length in segments]
-        console.print_json({**_as_data(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
+        terminal.print_json({**_as_data(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
         return EXIT_DONE
     per_marker = ("markers_mm", "normals", "faces")
     content = {name: value for name, value in describe(tool).items() if name not in per_marker}
     content["segments_mm"] = ", ".join(f"{length:.2f}" for length in segments)
     content["sha256"] = definition_hash(tool)
-    console.print_table(rom.name, ("property", "value"), list(content.items()))
-    console.print_table(
+    terminal.print_table(rom.name, ("property", "value"), list(content.items()))
+    terminal.print_table(
         "Markers",
         ("marker", "x mm", "y mm", "z mm", "normal", "face"),
         [
@@ -132,7 +132,7 @@ def show(
 def compare(
     first: RomArgument,
     second: RomArgument,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> int:
     """Show the differences between two definitions.
 
@@ -147,7 +147,7 @@ def compare(
     differences = compare_definitions(*tools)
     shape_mm = largest_segment_difference_mm(*tools)
     if as_json:
-        console.print_json(
+        terminal.print_json(
             {
                 "same": not differences,
                 "largest_segment_difference_mm": shape_mm,
@@ -155,7 +155,7 @@ def compare(
             }
         )
     elif differences:
-        console.print_table(
+        terminal.print_table(
             f"{first.name} and {second.name}",
             ("field", first.name, second.name, "apart mm"),
             [
@@ -165,7 +165,7 @@ def compare(
         )
     summary = "no difference" if not differences else counted(len(differences), "difference")
     shape = "" if shape_mm is None else f"; marker distances differ by at most {shape_mm:.3f} mm"
-    console.tell(summary + shape)
+    terminal.tell(summary + shape)
     return EXIT_FAILED if differences else EXIT_DONE
 
 
@@ -173,7 +173,7 @@ def compare(
 def check(
     roms: Annotated[list[Path], typer.Argument(metavar="ROM...", help="Definitions used together.")],
     tolerance_mm: ToleranceOption = None,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> int:
     """Check that marker distances are unique.
 
@@ -194,7 +194,7 @@ def check(
         (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shared_triangle(first, second)
     ]
     if as_json:
-        console.print_json(
+        terminal.print_json(
             {
                 "tolerance_mm": tolerance,
                 "alike": [asdict(pair) for pair in alike],
@@ -203,11 +203,11 @@ def check(
         )
     else:
         for a, b in triangles:
-            console.tell(f"{a} and {b} share a triangle of markers: the driver refuses to load both")
+            terminal.tell(f"{a} and {b} share a triangle of markers: the driver refuses to load both")
         for pair in alike:
-            console.tell(str(pair))
+            terminal.tell(str(pair))
         if not alike:
-            console.tell(f"{counted(len(tools), 'tool')}: all distances differ by at least {tolerance:g} mm")
+            terminal.tell(f"{counted(len(tools), 'tool')}: all distances differ by at least {tolerance:g} mm")
     return EXIT_FAILED if alike or triangles else EXIT_DONE
 
 
@@ -231,7 +231,7 @@ def _as_data(tool: ToolDefinition) -> dict[str, Any]:
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.option_records import with_option_records
 from ronna_hw.text.counting import counted
@@ -43,7 +43,7 @@ class StudyOptions:
     out: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder of the study [campaigns/<name>].")
     ] = None
-    as_json: console.JsonOption = False
+    as_json: terminal.JsonOption = False
 
 
 OwnOption = Annotated[
@@ -132,7 +132,7 @@ def correspondence(
         implanted = by_template.TemplateStudy(runs, asked.seed)
         _run(implanted, by_template.tables, by_template.plots, asked)
         return
-    chosen, own = chosen_methods(methods or (), console.tell)
+    chosen, own = chosen_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(runs, asked.seed, chosen, values_mm, own=own)
     if sweep:
@@ -152,7 +152,7 @@ def _clinical(
     from procedures.studies.correspondence.frame_readings import recorded_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
-    with console.progress_bar("readings of the tracker") as progress:
+    with terminal.progress_bar("readings of the tracker") as progress:
         taken = recorded_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
     study = clinical.ClinicalStudy(taken, asked.seed)
     _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
@@ -295,7 +295,7 @@ def _own(kind: str, names: list[str] | None) -> tuple[OwnMethod, ...]:
     from procedures.studies.own.contracts import MethodKind
     from procedures.studies.own.trial import tried_apart
 
-    return tuple(tried_apart(MethodKind[kind], name, console.tell) for name in dict.fromkeys(names))
+    return tuple(tried_apart(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
 def _run(
@@ -312,48 +312,48 @@ def _run(
     folder = asked.out or Path("campaigns") / study.name
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
-        console.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
+        terminal.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
     if ledger.damaged:
         again = "its unit is rerun" if ledger.damaged == 1 else "their units are rerun"
-        console.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
+        terminal.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
     try:
-        with console.progress_bar(study.name) as progress:
+        with terminal.progress_bar(study.name) as progress:
             run_study(
                 study,
                 ledger,
                 workers=asked.workers,
                 scheduler=asked.scheduler,
                 progress=progress,
-                tell=console.tell,
+                tell=terminal.tell,
             )
     except KeyboardInterrupt:
         units = counted(len(ledger.finished), "unit")
-        console.tell(f"{units} kept in {folder}; the same command continues")
+        terminal.tell(f"{units} kept in {folder}; the same command continues")
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
     report = publish(folder, study.name, study.parameters(), found, plots(sums))
     if asked.as_json:
-        console.print_json(
+        terminal.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
         )
         return
     for table in found:
         _show(table)
-    console.tell(f"report: {report}")
+    terminal.tell(f"report: {report}")
 
 
 @app.command()
 def times(
     runs: Annotated[list[Path], typer.Argument(metavar="RUN...", help="Folders of runs.")],
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
     from procedures.studies.times import times_of
 
     found = times_of(runs)
     if as_json:
-        console.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
+        terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})
         return
     for table in found:
         _show(table)
@@ -362,14 +362,14 @@ def times(
 def _show(table: Table) -> None:
     from procedures.studies.campaign.table import shown
 
-    console.print_table(
+    terminal.print_table(
         table.title, list(table.columns), [[shown(value) for value in row] for row in table.rows]
     )
 
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

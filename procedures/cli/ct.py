@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from procedures.cli.postoperative import postoperative
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -112,7 +112,7 @@ def localize(
             help="Include the patient's identity in the output and in .dcm files; left out by default.",
         ),
     ] = False,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Find the centres of all marker spheres, in patient coordinates (LPS, mm).
 
@@ -131,9 +131,9 @@ def localize(
     picks_mm = None if pick is None else imaging.read_picks(pick)
     layout_mm = None if layout is None else _layout_mm(layout)
     refused: MarkerCountWrong | None = None
-    with console.progress_bar("reading and localizing") as advance:
+    with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
-        log = console.command_logger()
+        log = terminal.command_logger()
         log.info("series read", shape=volume.geometry.shape, spacing_mm=volume.geometry.spacing_mm.tolist())
         patient = imaging.read_identity(series_dir) if identity else None
         began_s = time.perf_counter()
@@ -153,13 +153,13 @@ def localize(
         elapsed_s = time.perf_counter() - began_s
         log.info("localized", method=method, refused=refused, elapsed_s=round(elapsed_s, 3))
     if patient is not None and not as_json:
-        console.tell(f"patient: {patient.describe()}")
+        terminal.tell(f"patient: {patient.describe()}")
     for sentence in volume.warnings:
-        console.tell(f"warning: {sentence}")
+        terminal.tell(f"warning: {sentence}")
     if refused is not None:
         likely = imaging.likeliest_first(refused.candidates)
         if show_candidates and as_json:
-            console.print_json({"candidates": _listed(likely)})
+            terminal.print_json({"candidates": _listed(likely)})
         elif show_candidates:
             _print_candidates(likely)
         if pictures is not None:
@@ -183,15 +183,15 @@ def localize(
         document = _document(result, elapsed_s, patient, candidates)
         if found is not None:
             document["layout"] = {"residual_rms_mm": found.residual_rms_mm, "others": len(found.others)}
-        console.print_json(document)
+        terminal.print_json(document)
         return
     if found is not None:
-        console.tell(
+        terminal.tell(
             f"the layout was found to {found.residual_rms_mm:.3f} mm rms; other spheres: {len(found.others)}"
         )
     _print_markers(result)
     for one in result.doubtful:
-        console.tell(f"not in the layout: {one.describe()}")
+        terminal.tell(f"not in the layout: {one.describe()}")
     if candidates is not None:
         _print_candidates(candidates)
 
@@ -217,7 +217,7 @@ def view(
     from procedures.imaging.errors import MarkerCountWrong
     from procedures.imaging.page.ct_page import ct_page
 
-    with console.progress_bar("reading and localizing") as advance:
+    with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
         markers: Sequence[Marker] = ()
         try:
@@ -230,7 +230,7 @@ def view(
         outcome = f"{len(markers)} markers found, {rejected} other candidates examined."
         page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
     out.write_text(page, encoding="utf-8")
-    console.tell(f"{outcome} Page {out}")
+    terminal.tell(f"{outcome} Page {out}")
 
 
 def _layout_mm(layout: str) -> Any:
@@ -284,7 +284,7 @@ def _print_markers(result: Localization) -> None:
         lengths_mm = (*marker.centre_mm, sigma_mm, marker.agreement_mm)
         sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
         rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
-    console.print_table(
+    terminal.print_table(
         f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
         ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"],
         rows,
@@ -298,7 +298,7 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         radius = "" if one.radius_mm is None else f"{one.radius_mm:.2f}"
         odds = f"{one.odds:.2f}"
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
-    console.print_table(
+    terminal.print_table(
         f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
         ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"],
         rows,
@@ -313,7 +313,7 @@ def _write_pictures(folder: Path, name: str, pictures: Sequence[bytes]) -> None:
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

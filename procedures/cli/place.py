@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from procedures.cli.planning_inputs import HomeOption, SixNumbers, read_ct, theatre_of
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def place(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Write place.json and the picture place.svg into DIR."),
     ] = None,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Map possible cart positions and propose the one with the largest tolerance.
 
@@ -104,7 +104,7 @@ def place(
     tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
     trajectories = held_trajectories(plan, theatre.bore)
     case = CartCase(setting, trajectories, tuple(fiducials_mm), theatre.sight, tracker)
-    with console.progress_bar("mapping cart positions") as advance, judging(case) as judge:
+    with terminal.progress_bar("mapping cart positions") as advance, judging(case) as judge:
         found = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
     payload = {
         "series_instance_uid": plan.series_instance_uid,
@@ -116,7 +116,7 @@ def place(
     if out is not None:
         _write(out, payload, found, case)
     if as_json:
-        console.print_json(payload)
+        terminal.print_json(payload)
         return
     _print(found)
 
@@ -150,8 +150,8 @@ def _print(found: PlaceProposal) -> None:
     at_assumed = "the assumed position works"
     if not found.assumed.serves:
         at_assumed = f"the assumed position does not work: {found.assumed.pose}: {found.assumed.reason}"
-    console.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
-    console.print_table(
+    terminal.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
+    terminal.print_table(
         "push the cart from the assumed position by",
         ["x mm", "y mm", "turned deg", "tolerance mm", "or half that, turned by deg"],
         [

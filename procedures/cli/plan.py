@@ -14,7 +14,7 @@ from procedures.cli.place import place
 from procedures.cli.plan_new import new
 from procedures.cli.plan_open import open_plan
 from procedures.cli.planning_inputs import HeadOption, HomeOption, StrategyOption, read_ct, theatre_of
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def check(
     strategy: StrategyOption = "ocs",
     robot_from_ct: HeadOption = None,
     home: HomeOption = None,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Check a plan against its CT series and, given the pose of the head, every motion of the arm.
 
@@ -92,9 +92,9 @@ def check(
     )
     result = replace(result, warnings=(*result.warnings, *uncounted))
     for sentence in (*volume.warnings, *result.warnings):
-        console.tell(f"warning: {sentence}")
+        terminal.tell(f"warning: {sentence}")
     if as_json:
-        console.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
+        terminal.print_json({**result.as_payload(), "elapsed_s": round(time.perf_counter() - began_s, 3)})
     elif result.passed:
         _print_trajectories(result)
         if result.distances:
@@ -123,7 +123,7 @@ def template(
         ),
     ] = 10.0,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Propose positions for three or four markers on a head, for a template that guides their implantation.
 
@@ -145,17 +145,17 @@ def template(
         from procedures.planning.head.shape import head_shape
 
         assert series_dir is not None
-        with console.progress_bar("reading the series") as advance:
+        with terminal.progress_bar("reading the series") as advance:
             volume = read_series(series_dir, progress=advance)
         found = propose_template(head_shape(volume), markers, margin_mm, volume=volume, seed=seed)
     write_template(out, found)
     if as_json:
-        console.print_json(
+        terminal.print_json(
             {**found.model_dump(mode="json", by_alias=True), "least_difference_mm": found.least_difference_mm}
         )
         return
     distances = ", ".join(f"{value:.1f}" for value in found.distances_mm)
-    console.print_table(
+    terminal.print_table(
         f"{out}: {markers} markers; their distances, {distances} mm, differ by at least "
         f"{found.least_difference_mm:.1f} mm",
         ["marker", "centre LPS mm", "post"],
@@ -191,7 +191,7 @@ def marker_places(
         ),
     ] = 0.1,
     seed: Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")] = 0,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Propose marker positions on the head that minimize the error at the planned targets.
 
@@ -215,7 +215,7 @@ def _print_trajectories(result: PlanCheck) -> None:
         ]
         for one in result.plan.trajectories
     ]
-    console.print_table(
+    terminal.print_table(
         f"plan accepted: {result.plan.implanted} fiducials, tool {result.plan.tool}",
         ["trajectory", "entry LPS mm", "target LPS mm", "depth mm", "free angle deg", "margin mm"],
         rows,
@@ -223,7 +223,7 @@ def _print_trajectories(result: PlanCheck) -> None:
 
 
 def _print_distances(result: PlanCheck) -> None:
-    console.print_table(
+    terminal.print_table(
         "structures that the trajectories avoid",
         ["structure", "trajectory", "distance mm", "margin mm"],
         [
@@ -237,7 +237,7 @@ def _print_motions(result: PlanCheck) -> None:
     turned = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
     about = f"; rotated about the axis: {', '.join(turned)}" if turned else ""
     duration_s = sum(motion.preview.duration_s for motion in result.motions)
-    console.print_table(
+    terminal.print_table(
         f"motions of the arm, {duration_s:.0f} s in total{about}",
         ["from", "to", "kind", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
         [_motion_row(motion) for motion in result.motions],
@@ -266,7 +266,7 @@ app.command("open")(open_plan)
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from procedures.planning.markers.sites import ProposedMarkers, propose_markers
 from procedures.planning.markers.template_file import head_of_scene
 from procedures.planning.plan.file import read_plan
 from procedures.reporting.marker_picture import marker_picture
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.records import write_whole
 
@@ -46,7 +46,7 @@ def propose(
         from procedures.imaging import read_series
 
         assert series_dir is not None
-        with console.progress_bar("reading the series") as advance:
+        with terminal.progress_bar("reading the series") as advance:
             volume = read_series(series_dir, progress=advance)
         if plan.series_instance_uid != volume.series_instance_uid:
             raise WrongSeries(
@@ -61,13 +61,13 @@ def propose(
     write_whole(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
     write_whole(picture, marker_picture(found, head, trajectories))
     if as_json:
-        console.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
+        terminal.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
         return
     _show(out, found)
 
 
 def _show(out: Path, found: ProposedMarkers) -> None:
-    console.print_table(
+    terminal.print_table(
         f"{out}: {len(found.markers)} markers",
         ["marker", "centre LPS mm", "post"],
         [
@@ -79,7 +79,7 @@ def _show(out: Path, found: ProposedMarkers) -> None:
             for number, one in enumerate(found.markers, start=1)
         ],
     )
-    console.print_table(
+    terminal.print_table(
         f"expected from marker errors of {found.marker_error_mm:g} mm each",
         ["target", "rms mm", "random mm"],
         [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the spheres
@@ -29,7 +29,7 @@ def new(
 
     if out.exists():
         raise UsageMistake(f"{out} exists and was not changed", action="Name a new file with --out.")
-    with console.progress_bar("reading the series") as advance:
+    with terminal.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
         found = localize(
             volume, progress=lambda share: advance(READING_SHARE + (1.0 - READING_SHARE) * share)
@@ -37,5 +37,5 @@ def new(
     centres_mm = [marker.centre_mm.tolist() for marker in found.markers]
     text = new_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
     write_whole(out, text.encode(), exclusive=True)
-    console.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
-    console.say(f"then: ronna-plan check {out} --ct {series_dir}")
+    terminal.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
+    terminal.say(f"then: ronna-plan check {out} --ct {series_dir}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.errors import RonnaError
 
@@ -76,7 +76,7 @@ def read_ct(
     """The series, the centres of its markers and, where they cannot be had and need not be, why not."""
     from procedures.imaging import localize, read_series
 
-    with console.progress_bar("reading the series") as advance:
+    with terminal.progress_bar("reading the series") as advance:
         volume = read_series(series_dir, progress=lambda share: advance(share * READING_SHARE))
         try:
             found = localize(

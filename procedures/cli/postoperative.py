@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ def postoperative(
         Path | None,
         typer.Option("--run", metavar="RUN", help="Add the result to the report of this run."),
     ] = None,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Register both CTs on bone, find the inserted instruments and report their errors against the plan.
 
@@ -57,14 +57,14 @@ def postoperative(
     if run is not None:
         _require_same_ct(run, plan.series_instance_uid)
     warnings = _same_patient(pre_dir, post_dir)
-    with console.progress_bar("reading and comparing") as advance:
+    with terminal.progress_bar("reading and comparing") as advance:
         pre = imaging.read_series(pre_dir, progress=lambda share: advance(READING_SHARE * share))
         post = imaging.read_series(post_dir, progress=lambda share: advance(READING_SHARE * (1.0 + share)))
         require_series(plan, pre, post)
         proof = compare(plan, pre, post, only or ())
     found = summary_of(proof, plan, pre, post, warnings)
     for sentence in found.warnings:
-        console.tell(f"warning: {sentence}")
+        terminal.tell(f"warning: {sentence}")
     pictures = {}
     if out is not None or run is not None:
         from procedures.postoperative.pictures import trajectory_picture
@@ -79,9 +79,9 @@ def postoperative(
         from procedures.cli.runs.report import make_report
         from procedures.reporting.postoperative import AfterTheOperation
 
-        console.tell(f"report {make_report(run, after=AfterTheOperation(found, pictures))}")
+        terminal.tell(f"report {make_report(run, after=AfterTheOperation(found, pictures))}")
     if as_json:
-        console.print_json(found.model_dump(mode="json", by_alias=True))
+        terminal.print_json(found.model_dump(mode="json", by_alias=True))
         return
     _print(found)
 
@@ -128,7 +128,7 @@ def _write(out: Path, found: PostoperativeCheck, pictures: dict[str, bytes], fra
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     write_postoperative(found, frames, out)
     if frames[0] == frames[1]:
-        console.tell(
+        terminal.tell(
             "warning: both CTs claim the same frame of reference; no registration object was written"
         )
 
@@ -137,7 +137,7 @@ def _print(found: PostoperativeCheck) -> None:
     def text(value: float | None) -> str:
         return "-" if value is None else f"{value:.2f}"
 
-    console.print_table(
+    terminal.print_table(
         f"skulls agree to {found.bone_agreement:.3f} over {found.bone_overlap:.0%} of the bone",
         ["trajectory", "found", "entry mm", "target mm", "across mm", "depth mm", "angle deg"],
         [

@@ -12,8 +12,8 @@ from procedures.cli.console.options import ConsoleOptions
 from procedures.cli.mount.command import app as calibrate_app
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
-from ronna_hw.command_line.console import JsonOption, run
 from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.terminal import JsonOption, run
 
 app = typer.Typer(
     name="ronna-procedure",
@@ -49,7 +49,7 @@ def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure and what each one needs."""
     from procedures.engine.step import Scope
     from procedures.steps.catalogue import CLINICAL_STEPS
-    from ronna_hw.command_line.console import print_json, print_table
+    from ronna_hw.command_line.terminal import print_json, print_table
 
     if as_json:
         rows = [
@@ -113,7 +113,7 @@ def doctor_command(
     theatre file or this computer.
     """
     from procedures.cli.doctor.report import examine, show
-    from ronna_hw.command_line.console import progress_bar
+    from ronna_hw.command_line.terminal import progress_bar
 
     with progress_bar("probing the devices") as progress:
         report = examine(config, endpoint or (), progress)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ronna_hw.command_line.console import (
+from ronna_hw.command_line.terminal import (
     JsonOption,
     on_terminal,
     print_json,

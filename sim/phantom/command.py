@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from ronna_hw.command_line.console import JsonOption, print_json, progress_bar
+from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text.counting import counted
 from sim.world.scene.carrier import Carrier

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import typer
 
-from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.command_line.terminal import exit_code_of
 
 TOKEN = "RONNA_TEST_TOKEN"
 ENDED_S = 30.0  # on a busy computer; children end within 2 s of their parent where there is none

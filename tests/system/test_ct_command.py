@@ -259,7 +259,7 @@ def test_bad_input_is_one_clear_message_with_its_code(
 def test_help_imports_nothing_heavy(command: tuple[str, str]) -> None:
     module, name = command
     script = (
-        "import sys; from ronna_hw.command_line.console import exit_code_of; "
+        "import sys; from ronna_hw.command_line.terminal import exit_code_of; "
         f"from procedures.cli.{module} import app; "
         f"code = exit_code_of(app, ['{name}', '--help']); "
         "print(code, sorted({'numpy', 'scipy', 'pydicom', 'cv2', 'matplotlib'} & set(sys.modules)))"

@@ -23,7 +23,7 @@ from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.cli.stereo.command import app
 from procedures.reporting.report import REPORT_FILE
 from ronna_hw.calibration import StereoHeadCalibration
-from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.frames import Transform

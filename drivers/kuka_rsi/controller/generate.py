@@ -10,7 +10,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ronna_hw.arm.angles import degrees6
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.wire import kuka_eki
 from ronna_hw.wire.kuka_context import AXES, ContextInvalid, RsiContext, context_hash, load_context
 
@@ -109,4 +109,4 @@ def generate(
 if __name__ == "__main__":
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
     app.command()(generate)
-    console.run(app)
+    terminal.run(app)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
@@ -89,11 +89,11 @@ def check(
     finally:
         for result in results:
             if asked.as_json:
-                console.print_json(files.check_payload(result))
+                terminal.print_json(files.check_payload(result))
             else:
                 print_check(result)
 
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)

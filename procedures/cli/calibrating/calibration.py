@@ -23,7 +23,7 @@ from procedures.engine.run_lock import held_run
 from procedures.reporting.calibration import Figure
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.calibration import Strict
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.config import Calibrations
 from ronna_hw.records import write_whole
 
@@ -130,10 +130,10 @@ def show(
 ) -> None:
     """The figures of a calibration that is finished, and the theatre file that was `written` with it."""
     if as_json:
-        console.print_json({**payload, "folder": str(folder)})
+        terminal.print_json({**payload, "folder": str(folder)})
         return
     rows = [[one.name, one.value, one.spread] for one in kind.figures(payload)]
-    console.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
+    terminal.print_table(f"calibration {payload['calibration']}", ["", "value", "standard error"], rows)
     told = (
         f"written to {written}"
         if written
@@ -142,9 +142,9 @@ def show(
             f"--calibration {folder}"
         )
     )
-    console.tell(f"records in {folder}: {told}")
+    terminal.tell(f"records in {folder}: {told}")
     for warning in kind.warnings(payload):
-        console.tell(f"warning: {warning}")
+        terminal.tell(f"warning: {warning}")
 
 
 def observe(
@@ -160,7 +160,7 @@ def observe(
     def judge(engine: Engine) -> None:
         conclude(kind.observed(engine.case))
 
-    with console.progress_bar(kind.activity) as bar:
+    with terminal.progress_bar(kind.activity) as bar:
         engine = run_steps(
             theatre,
             folder,
@@ -173,4 +173,4 @@ def observe(
             resumption=resumption,
         )
     for remark in kind.remarks(engine.case):
-        console.tell(remark)
+        terminal.tell(remark)

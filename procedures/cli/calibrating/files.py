@@ -15,7 +15,7 @@ from procedures.calibration.errors import BadObservations
 from procedures.cli.calibrating.replaced_tables import with_tables
 from procedures.reporting.calibration import RESULT_FILE
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
 from ronna_hw.records import write_whole
 
@@ -70,7 +70,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any]) -> None:
     tip = records.get("tool_tip", {}).get("identifier")
     for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():
         if tip is not None and tool.get("tip", tip) != tip:
-            console.tell(
+            terminal.tell(
                 f"record {tool['identifier']} refers to the former tip, so no case can start with it: "
                 f"read the gauge with this {name}, then ronna-tool renew {name} --config {target.name} "
                 "--write FILE --by NAME --gauge-mm X Y Z UPPER_X UPPER_Y"

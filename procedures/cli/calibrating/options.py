@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.case.options import TheatreOptions
-from ronna_hw.command_line.console import JsonOption
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.terminal import JsonOption
 
 if TYPE_CHECKING:
     from procedures.cli.calibrating.calibration import CalibrationRequest

@@ -26,7 +26,7 @@ from procedures.cli.case.request import (
 )
 from procedures.engine.events import Event
 from procedures.engine.run_lock import held_run
-from ronna_hw.command_line.console import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 
 if TYPE_CHECKING:
     from procedures.cli.console.attaching import ConsoleRequest

@@ -16,7 +16,7 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import WritePrompt, write_prompt
-from ronna_hw.command_line.console import on_terminal
+from ronna_hw.command_line.terminal import on_terminal
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

@@ -17,8 +17,8 @@ from procedures.operator.checkpoint import ABORT
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Question
 from procedures.results.errors import StepRefused
-from ronna_hw.command_line.console import fail_with, on_terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:

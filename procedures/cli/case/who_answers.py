@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.operators import AtPause, ScriptedOperator, TerminalOperator
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.operator.topic import Topic
-from ronna_hw.command_line.console import on_terminal
 from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.terminal import on_terminal
 
 if TYPE_CHECKING:
     from procedures.cli.case.answers import Answers

@@ -15,7 +15,7 @@ from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.running_case import RUN, running_case
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
-from ronna_hw.command_line.console import Progress, print_json, print_table
+from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
 from ronna_hw.devices.probing import Diagnostic, Inspection
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -75,7 +75,7 @@ def new_theatre(
         "host:"
     ),
     check: Annotated[bool, typer.Option(help="Check the file as ronna-procedure doctor does.")] = True,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Create the theatre file of your own devices: find them, write every option, check the file.
 
@@ -106,7 +106,7 @@ def new_theatre(
     )
     searching.clock(clock)
     tables = {} if records is None else taken_over.read_tables(records)
-    with console.progress_bar("looking for the devices") as advance:
+    with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
     if records is not None:
         found = taken_over.with_tools_of(records, found)
@@ -128,15 +128,15 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
     for one in found:
         addresses = ", ".join(one.proposal.endpoints.values())
         what = f"{one.proposal.what} at {addresses}" if one.there else one.proposal.absent or "not found"
-        console.tell(f"{one.table}: {what}")
+        terminal.tell(f"{one.table}: {what}")
     complete = all(one.there for one in found)
     if not check:
-        console.tell(f"{out} was written; check it with ronna-procedure doctor --config {out}")
+        terminal.tell(f"{out} was written; check it with ronna-procedure doctor --config {out}")
         return complete
-    with console.progress_bar("checking the file") as progress:
+    with terminal.progress_bar("checking the file") as progress:
         report = examine(out, progress=progress)
     show_findings(report, as_json=as_json)
-    console.tell(f"{out} was written; it lists what is missing")
+    terminal.tell(f"{out} was written; it lists what is missing")
     return complete and all(one.well for one in report.devices)
 
 
@@ -144,8 +144,8 @@ def _interfaces() -> list[str]:
     """Ask which networks may be searched; none without a terminal."""
     from ronna_hw.host.network_interfaces import interfaces
 
-    if not console.on_terminal(sys.stdin):
-        console.tell("no --interface: no network is searched for cameras or controller")
+    if not terminal.on_terminal(sys.stdin):
+        terminal.tell("no --interface: no network is searched for cameras or controller")
         return []
     known = ", ".join(f"{each.name} ({each.address})" for each in interfaces())
     answer: str = typer.prompt(f"Network cards to search, of {known}", default=NO_CARD, err=True)
@@ -154,10 +154,10 @@ def _interfaces() -> list[str]:
 
 def _choose(question: str, words: Sequence[str]) -> int | None:
     """Ask a person; None without a terminal."""
-    if not console.on_terminal(sys.stdin):
+    if not terminal.on_terminal(sys.stdin):
         return None
     for number, one in enumerate(words, start=1):
-        console.tell(f"{number}: {one}")
+        terminal.tell(f"{number}: {one}")
     while True:
         answer: int = typer.prompt(question, type=int, err=True)
         if 1 <= answer <= len(words):

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from ronna_hw.command_line.console import Progress
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.terminal import Progress
 from ronna_hw.devices.discovery import Finder, Proposal, Search
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network_interfaces import Interface, interfaces

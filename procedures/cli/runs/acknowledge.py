@@ -13,7 +13,7 @@ from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
 from procedures.engine.device_faults import acknowledged
-from ronna_hw.command_line.console import on_terminal, print_json, tell
+from ronna_hw.command_line.terminal import on_terminal, print_json, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
 

@@ -9,8 +9,8 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from ronna_hw.command_line.console import tell
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.terminal import tell
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.recording.byte_lines import BYTES_FOLDER, LinkLine, links_of, read_link
 

@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 
 from procedures.cli.console.options import ConsoleOptions
-from ronna_hw.command_line.console import JsonOption
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.option_records import with_option_records
+from ronna_hw.command_line.terminal import JsonOption
 
 
 def _run_folder(folder: Path) -> Path:
@@ -136,7 +136,7 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
     """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
     from procedures.cli.runs.report import make_report
-    from ronna_hw.command_line.console import print_json
+    from ronna_hw.command_line.terminal import print_json
 
     path = make_report(run_folder, out)
     if as_json:
@@ -152,7 +152,7 @@ def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: J
     Written to the run's folder `export` by default.
     """
     from procedures.exchange.run_export import export_run
-    from ronna_hw.command_line.console import print_json, tell
+    from ronna_hw.command_line.terminal import print_json, tell
 
     written = export_run(run_folder, out or run_folder / "export")
     if as_json:
@@ -215,7 +215,7 @@ def raw_command(
     it refuses a run that was changed after it ended.
     """
     from procedures.exchange.raw_readings import write_raw
-    from ronna_hw.command_line.console import print_json, tell
+    from ronna_hw.command_line.terminal import print_json, tell
     from ronna_hw.evidence.inspection import inspected
 
     inspected(run_folder).require_unchanged()

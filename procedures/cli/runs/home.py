@@ -11,7 +11,7 @@ from procedures.cli.case.opening import Resumption
 from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import Entry
-from ronna_hw.command_line.console import print_json
+from ronna_hw.command_line.terminal import print_json
 
 
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:

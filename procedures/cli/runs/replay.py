@@ -20,7 +20,7 @@ from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.strategies.catalogue import strategy_named
-from ronna_hw.command_line.console import print_json, print_table, progress_bar
+from ronna_hw.command_line.terminal import print_json, print_table, progress_bar
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.evidence.inspection import inspected
 

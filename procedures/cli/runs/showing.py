@@ -12,7 +12,7 @@ from procedures.journal.journal import Entry
 from procedures.reporting.ending import ending_of
 from procedures.reporting.files import kept_truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from ronna_hw.command_line.console import print_json, print_table, say
+from ronna_hw.command_line.terminal import print_json, print_table, say
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable
 

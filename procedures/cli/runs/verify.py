@@ -6,7 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
-from ronna_hw.command_line.console import print_json, say
+from ronna_hw.command_line.terminal import print_json, say
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import files_of

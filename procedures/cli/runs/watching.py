@@ -9,7 +9,7 @@ from pathlib import Path
 from procedures.cli.case.case_view import entry_of, in_words
 from procedures.engine.events import CaseState, Event, Questioned, Refusal
 from procedures.engine.events.followed_run import FollowedRun
-from ronna_hw.command_line.console import message_console, on_terminal, tell
+from ronna_hw.command_line.terminal import message_console, on_terminal, tell
 from ronna_hw.text.printable import printable
 
 

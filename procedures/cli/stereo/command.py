@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, finite_ball
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.option_records import with_option_records
 
 if TYPE_CHECKING:
@@ -104,12 +104,12 @@ def check(
     with leaving_report(folder, with_truth=False):
         title = "Check of the stereo head"
         try:
-            with console.progress_bar("measuring the ball") as bar:
+            with terminal.progress_bar("measuring the ball") as bar:
                 run_steps(theatre, folder, head_check(then, visits), bar, title=title, judge=judge)
         finally:
             for result in found:
                 if asked.as_json:
-                    console.print_json(files.check_payload(result, then))
+                    terminal.print_json(files.check_payload(result, then))
                 else:
                     from procedures.cli.stereo.display import print_check
 
@@ -143,7 +143,7 @@ def measure(
     steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
     folder = new_folder(asked.out, "measure")
     with leaving_report(folder, with_truth=False):
-        with console.progress_bar("measuring with the stereo head") as bar:
+        with terminal.progress_bar("measuring with the stereo head") as bar:
             engine = run_steps(theatre, folder, steps, bar, title="A measurement of the stereo head")
         seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"
@@ -160,4 +160,4 @@ def measure(
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)

@@ -8,7 +8,7 @@ from procedures.calibration import CheckResult
 from procedures.relocalization import SphereImage, StereoPoint
 from procedures.relocalization.errors import NoSphere, NotTrusted
 from procedures.workcell.stereo_look import Look
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 
 
 def print_check(result: CheckResult) -> None:
@@ -24,7 +24,7 @@ def print_check(result: CheckResult) -> None:
         ]
         for sign in result.signs
     ]
-    console.print_table(
+    terminal.print_table(
         f"{result.looks} measurements; arm repeatability {1000 * result.repeatability_mm:.0f} um per axis",
         ["test", "change", "standard error", "chi-square", "limit", ""],
         rows,
@@ -46,9 +46,9 @@ def show_look(seen: Look, *, as_json: bool) -> dict[str, Any]:
         raise seen.problem or NotTrusted("no ball was measured in this image pair")
     payload = {**_point_payload(point), **{side: _outline_payload(one) for side, one in sides.items()}}
     if as_json:
-        console.print_json(payload)
+        terminal.print_json(payload)
         return payload
-    console.print_table(
+    terminal.print_table(
         "the ball in the tool frame",
         ["x y z mm", "standard error um", "ray gap um", "radius mm"],
         [
@@ -77,7 +77,7 @@ def _print_outlines(sides: dict[str, SphereImage]) -> None:
         ]
         for side, one in sides.items()
     ]
-    console.print_table(
+    terminal.print_table(
         "the ball in both images",
         ["camera", "centre px", "semi-axes px", "rim", "scatter px", "blur px", "quality", ""],
         rows,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from procedures.cli.tool.purposes import Purpose
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 app = typer.Typer(
@@ -68,7 +68,7 @@ def define(
         float, typer.Option(help="Distance between the two heights of the gauge's dials.")
     ] = 60.0,
     days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
 
@@ -113,7 +113,7 @@ def renew(
     ],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
     days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
-    as_json: console.JsonOption = False,
+    as_json: terminal.JsonOption = False,
 ) -> None:
     """After a tip calibration: renew a tool's record for the new tip and the present gauge readings.
 
@@ -150,7 +150,7 @@ def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_j
 
     write_theatre_tables(config, write, {"tools": {name: record}})
     if as_json:
-        console.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
+        terminal.print_json({"name": name, "identifier": record["identifier"], "theatre_file": str(write)})
     else:
         typer.echo(f"{record['identifier']} written to {write}; until {record['expires']:%Y-%m-%d}")
 
@@ -173,7 +173,7 @@ def check(config: ConfigOption) -> None:
 
 
 @app.command(name="list")
-def list_tools(config: ConfigOption, as_json: console.JsonOption = False) -> None:
+def list_tools(config: ConfigOption, as_json: terminal.JsonOption = False) -> None:
     """List the tools of a theatre file."""
     from procedures.cli.tool.records import row_of
     from ronna_hw.config import read_theatre_file
@@ -181,9 +181,9 @@ def list_tools(config: ConfigOption, as_json: console.JsonOption = False) -> Non
     theatre, now = read_theatre_file(config), datetime.now(UTC)
     rows = [row_of(name, record, theatre.flange, now) for name, record in theatre.tools.items()]
     if as_json:
-        console.print_json({"flange": theatre.flange, "tools": rows})
+        terminal.print_json({"flange": theatre.flange, "tools": rows})
         return
-    console.print_table(
+    terminal.print_table(
         f"tools on {theatre.flange or 'an unnamed flange'}",
         list(rows[0]) if rows else ["name"],
         [[str(value) for value in row.values()] for row in rows],
@@ -192,4 +192,4 @@ def list_tools(config: ConfigOption, as_json: console.JsonOption = False) -> Non
 
 def main() -> None:
     """Entry point of the console script."""
-    console.run(app)
+    terminal.run(app)

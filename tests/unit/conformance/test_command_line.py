@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.conformance import cli
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
 

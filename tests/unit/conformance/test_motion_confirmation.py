@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.conformance import cli
 from ronna_hw.conformance.report import Report
 from ronna_hw.devices.lifecycle import Identity

@@ -12,7 +12,7 @@ from drivers.ndi_polaris.rom.description import describe
 from drivers.ndi_polaris.rom_command import app
 from drivers.ndi_polaris.tools.shipped import FOLDER, shipped_definitions
 from ronna_hw.clock import HostClock
-from ronna_hw.command_line.console import exit_code_of
+from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
 
 Rom = Callable[..., tuple[int, str, str]]

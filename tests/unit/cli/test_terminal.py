@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from ronna_hw.command_line import console, tables
+from ronna_hw.command_line import tables, terminal
 from ronna_hw.command_line.errors import (
     DiskFull,
     InternalFault,
@@ -79,7 +79,7 @@ class TooFar(LimitError):
 def test_an_operating_system_error_becomes_one_line_with_a_code(
     number: int, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code = console.exit_code_of(raising(OSError(number, "text", "/some/folder")), [])
+    code = terminal.exit_code_of(raising(OSError(number, "text", "/some/folder")), [])
     out, err = capsys.readouterr()
     assert (code, out) == (kind.exit_code, "")
     assert err.startswith(f"{kind.code}: /some/folder: ")
@@ -90,19 +90,19 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
 def test_an_unforeseen_error_has_a_code_and_no_trace(
     problem: Exception, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert console.exit_code_of(raising(problem), []) == 1
+    assert terminal.exit_code_of(raising(problem), []) == 1
     err = capsys.readouterr().err
     assert err.startswith(f"{kind.code}: ")
     assert "Traceback" not in err
 
 
 def test_an_error_of_ours_keeps_its_exit_code_and_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
-    assert console.exit_code_of(raising(TooFar("reach\nexceeded", limit="0.9 m")), []) == 6
+    assert terminal.exit_code_of(raising(TooFar("reach\nexceeded", limit="0.9 m")), []) == 6
     assert capsys.readouterr().err == "TEST-001: reach exceeded; limit 0.9 m. Come closer.\n"
 
 
 def test_verbose_shows_the_trace(capsys: pytest.CaptureFixture[str]) -> None:
-    assert console.exit_code_of(raising(TooFar("reach exceeded")), ["--verbose"]) == 6
+    assert terminal.exit_code_of(raising(TooFar("reach exceeded")), ["--verbose"]) == 6
     assert "Traceback" in capsys.readouterr().err
 
 
@@ -110,7 +110,7 @@ def test_verbose_shows_the_trace(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_wrong_command_line_is_a_usage_mistake(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert console.exit_code_of(app_that(lambda: None), arguments) == 2
+    assert terminal.exit_code_of(app_that(lambda: None), arguments) == 2
     err = capsys.readouterr().err
     assert err.startswith(f"{UsageMistake.code}: ")
     assert "--help" in err
@@ -121,7 +121,7 @@ def test_a_command_without_arguments_shows_its_help_as_it_is(capsys: pytest.Capt
     app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
     for name in ("make", "show"):
         app.command(name)(lambda: None)
-    assert console.exit_code_of(app, []) == 2
+    assert terminal.exit_code_of(app, []) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith("Usage: ")
@@ -135,25 +135,25 @@ def test_a_command_without_arguments_shows_its_help_as_it_is(capsys: pytest.Capt
 def test_a_command_that_leaves_early_ends_with_its_exit_code(
     leaving: BaseException, code: int, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert console.exit_code_of(raising(leaving), []) == code
+    assert terminal.exit_code_of(raising(leaving), []) == code
     assert capsys.readouterr().err == said
 
 
 def test_a_table_off_a_terminal_is_tab_separated(capsys: pytest.CaptureFixture[str]) -> None:
-    console.print_table("title", ["id", "note"], [[1, "[red]text"]])
+    terminal.print_table("title", ["id", "note"], [[1, "[red]text"]])
     assert capsys.readouterr().out == "id\tnote\n1\t[red]text\n"
 
 
 def test_json_is_one_object_of_finite_numbers(capsys: pytest.CaptureFixture[str]) -> None:
-    console.print_json({"a": [1.5]})
+    terminal.print_json({"a": [1.5]})
     assert json.loads(capsys.readouterr().out) == {"a": [1.5]}
     with pytest.raises(ValueError, match="JSON"):
-        console.print_json({"a": float("nan")})
+        terminal.print_json({"a": float("nan")})
 
 
 SCRIPT = """
 import sys, time, typer
-from ronna_hw.command_line import console
+from ronna_hw.command_line import terminal
 app = typer.Typer()
 @app.command()
 def only(wait: bool = False) -> None:
@@ -164,7 +164,7 @@ def only(wait: bool = False) -> None:
             time.sleep(30)
         finally:
             print("closed", file=sys.stderr)
-console.run(app)
+terminal.run(app)
 """
 
 
@@ -205,7 +205,7 @@ def test_a_signal_unwinds_the_command(script: list[str], number: signal.Signals)
 
 
 SPEAKING = (
-    "import sys, typer; from ronna_hw.command_line import console; from ronna_hw.logs import logger\n"
+    "import sys, typer; from ronna_hw.command_line import terminal; from ronna_hw.logs import logger\n"
     "app = typer.Typer()\n"
     "@app.command()\n"
     "def speak() -> None:\n"
@@ -213,7 +213,7 @@ SPEAKING = (
     "        log = logger(device=device)\n"
     "        log.debug('debug heard'); log.info('info heard'); log.error('error heard')\n"
     "    print('data')\n"
-    "console.run(app)"
+    "terminal.run(app)"
 )
 
 
@@ -259,11 +259,11 @@ def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
 
 def test_the_process_that_a_command_becomes_logs_at_its_levels() -> None:
     becoming = (
-        "import os, sys, typer; from ronna_hw.command_line import console; app = typer.Typer()\n"
+        "import os, sys, typer; from ronna_hw.command_line import terminal; app = typer.Typer()\n"
         "@app.command()\n"
         "def become() -> None:\n"
         f"    os.execv(sys.executable, [sys.executable, '-P', '-c', {SPEAKING!r}, '--verbose'])\n"
-        "console.run(app)"
+        "terminal.run(app)"
     )
     done = spoken("--log-level tracker=debug", "stereo=error", becoming)
     heard = [line.split() for line in done.stderr.splitlines() if " heard" in line]
@@ -303,7 +303,7 @@ def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", str(width))
     headings = ["step", "what it does", "needs-everything"]
-    console.print_table("title", headings, WORDY)
+    terminal.print_table("title", headings, WORDY)
     printed = capsys.readouterr().out
     shown = printed.split()
     for cell in (*headings, *(cell for row in WORDY for cell in row)):
@@ -319,7 +319,7 @@ def test_the_title_of_a_narrow_table_stays_on_one_line(
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", "80")
     title = "Run 20261121T045328-s3-07d9: error of the needle tip against truth"
-    console.print_table(title, ["target", "error mm"], [["T1", "0.18"]])
+    terminal.print_table(title, ["target", "error mm"], [["T1", "0.18"]])
     assert capsys.readouterr().out.splitlines()[0] == title
 
 
@@ -328,7 +328,7 @@ def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
 ) -> None:
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
     monkeypatch.setenv("COLUMNS", "20")
-    console.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
+    terminal.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
     assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"
 
 
@@ -338,9 +338,9 @@ ESCAPES = "\x1b[2J\x1b]0;owned\x07 \u202egnp.exe\r\nforged line"
 def test_names_from_outside_neither_steer_a_terminal_nor_forge_a_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    console.fail_with(TooFar(f"no series in {ESCAPES}"))
-    console.tell(f"patient: {ESCAPES}")
-    console.print_table("title", ["name"], [[ESCAPES]])
+    terminal.fail_with(TooFar(f"no series in {ESCAPES}"))
+    terminal.tell(f"patient: {ESCAPES}")
+    terminal.print_table("title", ["name"], [[ESCAPES]])
     printed = "".join(capsys.readouterr())
     assert all(line.replace("\t", "").isprintable() for line in printed.splitlines())
     assert len(printed.splitlines()) == 5  # a table keeps the line ends of its cells
@@ -373,7 +373,7 @@ def test_what_a_command_writes_is_its_users_whatever_the_umask(
 
     before = os.umask(0)
     try:
-        assert console.exit_code_of(app_that(body), []) == 0
+        assert terminal.exit_code_of(app_that(body), []) == 0
         assert os.umask(0) == 0
     finally:
         os.umask(before)
@@ -385,5 +385,5 @@ def test_another_word_for_the_access_is_a_usage_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("RONNA_ACCESS", "everybody")
-    assert console.exit_code_of(app_that(lambda: None), []) == 2
+    assert terminal.exit_code_of(app_that(lambda: None), []) == 2
     assert "CLI-001: RONNA_ACCESS is 'everybody'; expected owner or group" in capsys.readouterr().err
