@@ -162,7 +162,7 @@ def test_while_the_guide_is_before_an_entry_nothing_moves_but_along_its_axis(
 ) -> None:
     inserted(cell)
     moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInside, match=r"PRO-014.*before the entry of T1"):
+    with pytest.raises(InstrumentInside, match=r"PRO-014.*in front of the entry of T1"):
         OTHER_MOTIONS[what](cell)
     assert len(cell.arm.motions) == moved
 
