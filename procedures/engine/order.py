@@ -30,6 +30,10 @@ class CaseOrder:
 
     def find(self, name: str) -> StepKey:
         """The step of that name, such as `registration:T1`; raises PRO-005 with what may have been meant."""
+        if not name:
+            raise UnknownStep(
+                "no step is named", action="Name one, such as registration:T1; list shows them."
+            )
         names = {str(key): key for key in self.sequence}
         if name in names:
             return names[name]

@@ -85,7 +85,12 @@ def _skip(engine: Engine, argument: str, _say: Say) -> None:
     key = _named(engine, argument)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]
-    why = f"{', '.join(readers)} read its result" if readers else "the case cannot finish without its result"
+    needed = "needs" if len(readers) == 1 else "need"
+    why = (
+        f"{', '.join(readers)} {needed} its result"
+        if readers
+        else "the case cannot finish without its result"
+    )
     raise StepRefused(
         f"{key} cannot be skipped: {why}", action="A trajectory can be left out when the case asks about it."
     )
@@ -135,7 +140,7 @@ def _home(engine: Engine, _argument: str, say: Say) -> None:
 
 def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
     if not argument:
-        raise UsageMistake("acknowledge needs your name", action="acknowledge YOUR-NAME")
+        raise UsageMistake("acknowledge needs your name", action="Type: acknowledge YOUR-NAME.")
     if argument in engine.setting.workcell.devices:
         raise UsageMistake(
             f"{argument} is a device, expected the name of the person who acknowledges",

@@ -31,6 +31,7 @@ PAUSED = "paused> "
 AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {' | '.join(LOOKING)}"
 ACKNOWLEDGE = "acknowledge"
 QUIT = ("quit", "q")
+MEANT = {"exit": "quit", "stop": "quit", "continue": "resume"}  # else the nearest might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
@@ -105,14 +106,15 @@ class Prompt:
                 except NOTHING_DONE as mistake:
                     fail_with(mistake)
             else:
-                rests = f"{name} is not available while the case is paused" if name in COMMANDS else None
-                self._say(f"{rests or _unknown(name, (*AT_PAUSE, *LOOKING))}; {AT_PAUSE_CHOICES}")
+                rests = f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}"
+                known = name in COMMANDS
+                self._say(rests if known else _unknown(name, (*AT_PAUSE, *LOOKING), AT_PAUSE_CHOICES))
         return question.silence
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
-        command = COMMANDS.get(name or "help")
+        command = COMMANDS.get(name)
         if command is None:
-            self._say(f"{_unknown(name, COMMANDS)}; help lists them")
+            self._say(_unknown(name, (*COMMANDS, *QUIT), "help lists the commands"))
             return
         try:
             command.work(engine, argument, self._say)
@@ -165,11 +167,13 @@ def _too_much(name: str, argument: str) -> bool:
     return alone and bool(argument.strip())
 
 
-def _unknown(name: str, known: Iterable[str]) -> str:
+def _unknown(name: str, known: Iterable[str], choices: str) -> str:
     """What is said to a word that is none of them."""
-    near = get_close_matches(name, list(known), n=1)
+    words = list(known)
+    meant = name.lower()
+    near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
     said = f"there is no command {name!r}" if name else "nothing was typed"
-    return f"{said}, did you mean {near[0]}?" if near else said
+    return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
 
 
 def leave_head_if_agreed(engine: Engine) -> None:

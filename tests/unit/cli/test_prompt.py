@@ -79,7 +79,7 @@ def test_no_step_is_skipped_and_the_reason_is_who_reads_it(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Typed(monkeypatch, "skip image").at(cell.engine(plain_order()))
-    assert "image cannot be skipped: localization read its result" in capsys.readouterr().err
+    assert "image cannot be skipped: localization needs its result" in capsys.readouterr().err
 
 
 class Pauses:
@@ -112,8 +112,8 @@ def test_a_mistyped_command_is_named_with_what_may_have_been_meant(
 ) -> None:
     typed = Typed(monkeypatch, "wy", "weiter")
     typed.at(cell.engine(plain_order()))
-    assert typed.said[0] == "there is no command 'wy', did you mean why?; help lists them"
-    assert typed.said[1] == "there is no command 'weiter'; help lists them"
+    assert typed.said[0] == "there is no command 'wy'; did you mean why?"
+    assert typed.said[1] == "there is no command 'weiter'; help lists the commands"
     said = Typed(monkeypatch, "weiter", "nexxt", "next", "abort")
     said.prompt.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort")))
     assert said.said[2].startswith("there is no command 'weiter'; ")
@@ -175,6 +175,31 @@ def test_words_after_a_command_that_takes_none_are_refused_and_nothing_is_done(
     assert "takes no argument; nothing was done" in typed.said[0]
     assert typed.said[1].startswith("next")  # the first step, and the case goes on
     assert engine.machine.state == "idle"
+
+
+def test_an_empty_line_does_not_push_the_reason_of_a_hold_off_the_screen(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    typed = Typed(monkeypatch, "", "  ")
+    typed.at(cell.engine(plain_order()))
+    assert typed.said == ["nothing was typed; help lists the commands"] * 2
+
+
+@pytest.mark.parametrize(("word", "meant"), [("exit", "quit"), ("QUIT", "quit"), ("continue", "resume")])
+def test_a_word_for_leaving_is_not_taken_for_one_that_moves(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, word: str, meant: str
+) -> None:
+    typed = Typed(monkeypatch, word)
+    typed.at(cell.engine(plain_order()))
+    assert typed.said == [f"there is no command {word!r}; did you mean {meant}?"]
+
+
+@pytest.mark.parametrize("command", ["to", "back", "run"])
+def test_a_command_without_its_step_asks_for_one(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    Typed(monkeypatch, command).at(cell.engine(plain_order()))
+    assert "no step is named. Name one" in capsys.readouterr().err
 
 
 def test_a_device_is_no_name_of_who_acknowledges(
