@@ -21,6 +21,7 @@ from ronna_hw.errors import LinkTimeout
 from ronna_hw.host.descendants import descendants_of, kill_all
 from ronna_hw.logs import logger
 
+TOO_SLOW = "Close other programs if this computer is busy; else run the command alone to see why it hangs."
 READY_TIMEOUT_S = 10.0  # the contract of every command that prints READY
 STOP_TIMEOUT_S = 2.0  # the same contract, for SIGTERM
 MESSAGE_LINES_KEPT = 5
@@ -78,19 +79,21 @@ class ChildProcess:
             self.await_ready(timeout_s)
 
     def await_ready(
-        self, timeout_s: float = READY_TIMEOUT_S, stop_s: float = STOP_TIMEOUT_S
+        self, timeout_s: float = READY_TIMEOUT_S, stop_s: float = STOP_TIMEOUT_S, since: float | None = None
     ) -> dict[str, Any]:
         """Wait for the READY line; raises PRC-001 with the child's last messages, ending
         it within `stop_s`.
+
+        `since` is the monotonic time from which the limit counts, for children that share one; else now.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = (time.monotonic() if since is None else since) + timeout_s
         while True:
             try:
                 line = self._lines.get(timeout=max(0.0, deadline - time.monotonic()))
             except Empty:
                 self.stop(stop_s)
                 raise ChildNotReady(
-                    f"{self.name} did not become ready", expected="READY", limit=f"{timeout_s:g} s"
+                    f"{self.name} did not become ready", limit=f"{timeout_s:g} s", action=TOO_SLOW
                 ) from None
             if line is None:
                 self.process.wait()

@@ -143,9 +143,9 @@ class Theatre:
             for name, more in arguments.items()
         ]
         endpoints: dict[str, Any] = {}
-        deadline = time.monotonic() + DEVICES_READY_LIMIT_S
+        began = time.monotonic()
         for name, child in zip(arguments, self._children, strict=True):
-            ready = child.await_ready(max(0.0, deadline - time.monotonic()), STOP_LIMIT_S)
+            ready = child.await_ready(DEVICES_READY_LIMIT_S, STOP_LIMIT_S, since=began)
             endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints
 
