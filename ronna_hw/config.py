@@ -261,6 +261,10 @@ def read_theatre_file(path: Path) -> TheatreFile:
 
 def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> TheatreFile:
     """Check the content of a theatre file; raises CFG-001 with every mistake in it."""
+    if "trajectories" in content and "theatre" not in content:
+        raise BadTheatreFile(
+            f"{name} is a plan, not a theatre file", action="Give the path of a theatre file."
+        )
     try:
         # Strict models refuse TOML's lists where tuples are declared, so lists are converted to tuples first.
         return TheatreFile.model_validate(_tuples(content))

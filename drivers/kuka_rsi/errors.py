@@ -265,9 +265,9 @@ class ControllerNotReady(RefusedError):
 
     code = "EKI-007"
     action = (
-        "Bring the controller to EXT (or confirm T1 by allow_t1), guard closed and emergency stop released; "
-        "then acknowledge its messages under your name in the held case, or with ronna-procedure "
-        "acknowledge or the arm's recover(acknowledged_by), and start it again."
+        "Release the emergency stop, close the guard, select EXT (T1 needs allow_t1); then acknowledge the "
+        "messages by name: in the held case, with ronna-procedure acknowledge, or by the arm's "
+        "recover(acknowledged_by)."
     )
 
 

@@ -15,7 +15,7 @@ class PlanUnreadable(ConfigurationError):
     """The plan file is missing, not readable or not TOML."""
 
     code = "PLAN-001"
-    action = "Give the path of a plan.toml that this account may read."
+    action = "Give the path of a readable plan.toml, or correct the line that is quoted."
 
 
 class PlanError(DataError):

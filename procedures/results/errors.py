@@ -9,7 +9,7 @@ class StepRefused(RefusedError):
     """A step cannot start: the listed preconditions are not met."""
 
     code = "PRO-001"
-    action = "Meet the listed preconditions, or run the steps that come before."
+    action = "Do what is listed, or run the earlier steps first."
 
 
 class GateFailed(RefusedError):

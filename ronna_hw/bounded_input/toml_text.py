@@ -23,6 +23,7 @@ _LONG_KEY = re.compile(rf"(?<![A-Za-z0-9_-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{
 
 LONGEST_SHOWN = 80  # characters of a line with a mistake
 _LINE_NUMBER = re.compile(r"\(at line (\d+), column \d+\)")
+_DECIMAL_COMMA = re.compile(r"=\s*[-+]?\d+,\d+\s*(#.*)?$")
 _LIKE_A_DATE = re.compile(r"=\s*\d{1,2}[./]\d{1,2}[./]\d{4}")
 
 
@@ -48,14 +49,15 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
 
 
 def _line_of(error: ValueError, content: bytes) -> str:
-    """The line that failed to parse, and how to write a date if it looks like one."""
+    """The line that failed to parse, and how to write a date or a decimal if it looks like one."""
     found = _LINE_NUMBER.search(str(error))
     lines = content.decode("utf-8-sig").splitlines()
     if found is None or not 0 < int(found[1]) <= len(lines):
         return ""
     line = lines[int(found[1]) - 1].strip()
-    date = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
-    return f": {line[:LONGEST_SHOWN]}{date}"
+    written = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
+    written = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else written
+    return f": {line[:LONGEST_SHOWN]}{written}"
 
 
 def parse_toml(text: str) -> dict[str, Any]:

@@ -28,14 +28,14 @@ class ControlPortSilent(ConnectError):
     """No theatre or simulated device answers at the control port."""
 
     code = "CTL-001"
-    action = "Give the control endpoint of its READY line; start it again if it has ended."
+    action = "Copy the control endpoint from the READY line; if that program has ended, start it again."
 
 
 class ControlRequestRefused(ConfigurationError):
     """A running theatre or simulated device refused a request at its control port."""
 
     code = "CTL-002"
-    action = "Correct the stated reason; give the complete control endpoint, token included."
+    action = "Correct what is named; a token is copied with the whole endpoint, from the READY line."
 
 
 @dataclass(frozen=True)

@@ -55,6 +55,8 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
 
     Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
+    if "theatre" in content and "trajectories" not in content:
+        raise PlanUnreadable(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
     found: list[PlanError] = []
     plan: Plan | None = None
     try:

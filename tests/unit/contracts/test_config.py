@@ -40,6 +40,11 @@ def test_what_the_page_says_of_a_setting_is_accepted(tmp_path: Path, watched: Wa
     assert read_theatre_file(path).procedure == settings
 
 
+def test_a_plan_given_as_a_theatre_file_is_named_in_one_line() -> None:
+    with pytest.raises(BadTheatreFile, match=r"plan\.toml is a plan, not a theatre file"):
+        parse_theatre({"schema": 1, "trajectories": [], "implanted": 3}, "plan.toml")
+
+
 def test_all_mistakes_of_a_theatre_file_are_reported_at_once() -> None:
     content = {
         "schema": 1,

@@ -42,6 +42,18 @@ def test_what_is_not_toml_is_unreadable(content, plan_path):
     assert "\n" not in str(caught.value)
 
 
+def test_a_decimal_comma_is_named_and_the_path_is_not_blamed(plan_text, plan_path):
+    with pytest.raises(PlanUnreadable) as caught:
+        read_plan(plan_path(plan_text.replace("implanted = 4", "implanted = 4,0")))
+    assert "implanted = 4,0; decimals have a point, not a comma" in str(caught.value)
+    assert "correct the line that is quoted" in caught.value.advice
+
+
+def test_a_theatre_file_given_as_a_plan_is_named_in_one_line(plan_path):
+    with pytest.raises(PlanUnreadable, match="is a theatre file, not a plan"):
+        read_plan(plan_path('schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\n'))
+
+
 def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
     for path in (tmp_path / "absent.toml", tmp_path):
         with pytest.raises(PlanUnreadable, match="PLAN-001"):
