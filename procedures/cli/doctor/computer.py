@@ -29,7 +29,7 @@ def _packages() -> Diagnostic:
     if foreign := foreign_packages():
         advice = "Use an environment in which no other package has these names."
         return Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
-    return Diagnostic("packages", True, "ours")
+    return Diagnostic("packages", True, "none foreign")
 
 
 def _receive_buffer() -> Diagnostic:

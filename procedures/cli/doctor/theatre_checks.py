@@ -11,7 +11,7 @@ from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.open_files import require_open_files
-from ronna_hw.theatre_kind import require_one_kind
+from ronna_hw.theatre_kind import is_simulated, require_one_kind
 
 CASE_OPEN_FILES = 96  # as a case requires
 CLOCK = "clock of the theatre"
@@ -20,7 +20,8 @@ NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
 
 def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Everything that keeps a case from beginning with any devices and records."""
-    yield from _judged("theatre file", "all of one kind", lambda: require_one_kind(theatre))
+    kind = "all simulated" if is_simulated(theatre) else "all real"
+    yield from _judged("theatre file", kind, lambda: require_one_kind(theatre))
     yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
     missing = [name for name in NEEDED if name not in theatre.devices]
     yield Diagnostic(
@@ -30,7 +31,7 @@ def case_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
         f"Add {' and '.join(f'[{name}]' for name in missing)} to the theatre file." if missing else "",
     )
     yield from _judged(
-        "open files", f"{CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
+        "open files", f"at least {CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
     )
     full = DiskSpace(Path.cwd()).unmet()
     yield Diagnostic(

@@ -157,7 +157,7 @@ def test_a_computer_alone_is_well_without_devices(capsys: pytest.CaptureFixture[
     assert report.devices == ()
     assert {"Python", "packages", "real-time priority"} <= {each.subject for each in report.computer}
     show(report, as_json=False)
-    assert "packages\tok\tours" in capsys.readouterr().out
+    assert "packages\tok\tnone foreign" in capsys.readouterr().out
 
 
 def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.CaptureFixture[str]) -> None:
