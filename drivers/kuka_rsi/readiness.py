@@ -23,9 +23,9 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
     yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
-        "Release it.",
+        "Release the emergency stop.",
     )  # fmt: skip
-    yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close it.")
+    yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close the guard.")
     yield Fact(
         MESSAGES, _message(state.error) if state.error else "none to acknowledge",
         not state.error,
@@ -36,7 +36,9 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
 
 def _message(number: int) -> str:
     meaning = MEANINGS.get(number)
-    return f"KSS{number} is not acknowledged ({meaning})" if meaning else f"{number} is not acknowledged"
+    return (
+        f"KSS{number} is not acknowledged ({meaning})" if meaning else f"number {number} is not acknowledged"
+    )
 
 
 def facts_of(state: ControllerState, *, verified: bool) -> Iterator[Fact]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from procedures.workcell import Workcell
 
 ARM = "arm"  # role of the device that carries the tools
-ACKNOWLEDGE = "acknowledge it by name: acknowledge YOUR-NAME"
+ACKNOWLEDGE = "acknowledge the fault by name: acknowledge YOUR-NAME"
 EARLIER = "a message from before this session"  # drivers do not say which
 _log = logger(part="engine")
 

@@ -163,5 +163,5 @@ def _question(guard: Guard, reason: str, where: str) -> Question:
     subject = f"{guard.name}: {reason}"
     if isinstance(guard, DispensableGuard):
         without = WITHOUT.format(guard.excused_for_s)
-        return Question(guard.topic, subject, f"{where}; {CHOICES}, {without}", (WAIT, GO_ON, LEAVE))
+        return Question(guard.topic, subject, f"{where}; {CHOICES}; {without}", (WAIT, GO_ON, LEAVE))
     return Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))

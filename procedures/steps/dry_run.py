@@ -76,7 +76,7 @@ def _belongs(motion: MotionPreview, key: StepKey) -> bool:
 
 def _described(motion: MotionPreview) -> str:
     near = motion.closest
-    passing = "" if near is None else f"; {near.first} passes {near.second} at {near.distance_mm:.0f} mm"
+    passing = "" if near is None else f"; {near.first} clears {near.second} by {near.distance_mm:.0f} mm"
     start, end = _place(motion.start), _place(motion.end)
     ends = f"{start} to {end}" if start != end else f"onto {end}"
     speed = f"{motion.duration_s:.1f} s at up to {motion.largest_speed_mm_s:.0f} mm/s"

@@ -32,7 +32,7 @@ class MotionFacts:
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         near = (
-            f"{closest.first} passes {closest.second} at {closest.distance_mm:.0f} mm"
+            f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"
             if closest
             else "nothing near"
         )
@@ -48,7 +48,7 @@ class MotionFacts:
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
         if not to_head_mm or (closest and min(to_head_mm) <= closest.distance_mm):  # it is said already
             return ""
-        return f"; {min(to_head_mm):.0f} mm from the head at the least"
+        return f"; at least {min(to_head_mm):.0f} mm from the head"
 
     @property
     def read_back(self) -> ReadBack:

@@ -106,7 +106,9 @@ class SupervisedMotion:
         while True:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
-                self.confirm(Topic.FIRST_MOTION, f"first motion: {motion.what}", [motion], motion.trajectory)
+                self.confirm(
+                    Topic.FIRST_MOTION, f"first motion: {IN_WORDS[motion.what]}", [motion], motion.trajectory
+                )
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
                 self._arm().resume()  # moves nothing
             if checkpoint.wanted:  # since the checkpoint, such as a stop while the question stood

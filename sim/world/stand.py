@@ -18,8 +18,9 @@ from sim.world.world import World
 def read_dials(world: World) -> tuple[float, float, float]:
     """The three dials with the divot raised to the guide's tip, mm; raises SIM-015 if that is impossible."""
     stand, mount = world.scene.stand, world.scene.mount
-    if world.on_stand() is not OnStand.DIVOT:
-        raise StandNotReady("the divot is not on the stand", got=world.on_stand())
+    if (there := world.on_stand()) is not OnStand.DIVOT:
+        holds = "nothing" if there is OnStand.NOTHING else f"the {there}"
+        raise StandNotReady(f"the divot is not on the stand, which holds {holds}")
     if world.mounted_tool() != mount.tool_number_guide:
         raise StandNotReady("the guide is not mounted", got=f"tool {world.mounted_tool()}")
     arm = world.arm()

@@ -40,7 +40,7 @@ MEASURED = {
 CASE = ("run", "--sim", "--scene", "mini", "--seed", "7", "--json")
 FACTS = re.compile(  # what moves, how far, how fast, how close to what, and how close to the head
     r"the (stereo head|guide) moves \d+ mm, joints turn up to \d+ deg, in \d+\.\d s at up to \d+ mm/s; "
-    r"[a-z ]+ passes (head at \d+ mm|[a-z ]+ at \d+ mm; \d+ mm from the head at the least)"
+    r"[a-z ]+ clears (head by \d+ mm|[a-z ]+ by \d+ mm; at least \d+ mm from the head)"
 )
 
 

@@ -21,7 +21,7 @@ from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
 
 AGAIN = "again"
-ONE_NUMBER = f"one number in mm without unit, such as 0.01; {NOBODY_READS} ends the step."
+ONE_NUMBER = f"one number in mm without unit, such as 0.01, or {NOBODY_READS!r} to end the step."
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 

@@ -136,8 +136,12 @@ class CaseOptions(TheatreOptions):
         Path | None,
         typer.Option(help="With --sim: follow this plan on the simulated patient, not its own."),
     ] = None
-    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head (default 5).")] = None
-    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories (default 3).")] = None
+    markers: Annotated[
+        int | None, typer.Option(min=3, max=8, help="Spheres on the head, instead of the scene's.")
+    ] = None
+    targets: Annotated[
+        int | None, typer.Option(min=1, max=10, help="Trajectories, instead of the scene's.")
+    ] = None
     fiducials: Annotated[
         FiducialChoice, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
     ] = FiducialChoice.FREE

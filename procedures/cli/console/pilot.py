@@ -73,7 +73,7 @@ class Pilot:
         question = Question(
             Topic.READING,
             task.subject,
-            f"type {', '.join(task.reads)} as displayed; {NOBODY} ends the step",
+            f"type {', '.join(task.reads)} as displayed, or {NOBODY} to end the step",
             (READ, NOBODY),
             timeout_s=None,
             reads=task.reads,

@@ -130,7 +130,7 @@ def _work(context: StepContext, stage: Stage, begun: BegunWork) -> None:
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
-        f"at {trajectory}: {stage.does}; {stage.confirms}",
+        f"at {trajectory}: {stage.confirms}",
         f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
         f"{stop.standoff_mm:.0f} mm in front of the entry{before}",
         (DONE, HOLD),

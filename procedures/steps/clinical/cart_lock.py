@@ -88,7 +88,7 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for placing in range(1, PLACINGS + 1):
         context.have_done(Task(CART_PLACE, "wheel the arm's cart into position"))
         context.have_done(Task(CART_LOCK, "lock the brakes of the cart"))
-        _confirm(context, "the cart is locked", "the brakes of every wheel are locked; nobody pushes it")
+        _confirm(context, "the cart is locked", "the brakes of all wheels are locked; nobody is pushing it")
         robot_from_tracker, first = _first_look(context)
         beside = None if proposal is None else _beside(context, proposal, robot_from_tracker, first)
         if proposal is None or beside is None or _agreed(context, proposal, beside, placing):

@@ -36,7 +36,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     mounted = exchange_for(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
-        "tip calibration of the guide",
+        "use this tip calibration of the guide",
         f"{calibration.identifier}, made {calibration.created:%Y-%m-%d}, "
         f"stated error {calibration.stated_error_mm:.2f} mm",
     )

@@ -41,10 +41,8 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     told = capsys.readouterr().err
     assert told.startswith("Read the three dials.\n")
     assert "ronna-sim work dials --control" in told
-    assert (
-        "'0.1 mm' is not a reading: type one number in mm without unit, such as 0.01; nobody ends the step."
-        in told
-    )
+    refused = "'0.1 mm' is not a reading: type one number in mm without unit, such as 0.01"
+    assert f"{refused}, or 'nobody' to end the step." in told
     assert "'y' is not an answer" in told
 
 

@@ -81,7 +81,7 @@ def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeContr
     _, arm = kuka_probe.probe("robot.master", config, lambda share: None, inspect)
     assert arm.well
     assert [name for name, fact in facts.items() if not fact.ready] == ["emergency stop"]
-    assert facts["emergency stop"].advice.startswith("Release it")
+    assert facts["emergency stop"].advice.startswith("Release the emergency stop")
     assert facts["operating mode"].found == "EXT"
 
 
