@@ -66,12 +66,13 @@ class Watcher:
 class Resumption:
     """A run that is taken up again; `accepted` where a script accepts what is found.
 
-    With `only_leaving` no step is run: the arm goes home, or devices are acknowledged.
+    With `only_leaving` no step is run: the arm goes home, or devices are acknowledged, which `asks` nothing.
     """
 
     left: LeftRun
     accepted: bool
     only_leaving: bool = False
+    asks: bool = True
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import termios
 from collections.abc import Callable, Iterable
@@ -78,6 +79,7 @@ class Prompt:
                 self._say(f"{name} takes no argument; nothing was done")
             elif name in QUIT:
                 if engine.instrument_in is None:
+                    self._tell_way_on(engine)
                     return False
                 self._say(
                     f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
@@ -142,6 +144,11 @@ class Prompt:
             if fault not in str(error):
                 self._say(fault)
         self._say(f"{HELD}; resume continues" if self._resumes else HELD)
+
+    def _tell_way_on(self, engine: Engine) -> None:
+        if not engine.machine.ended:
+            run = shlex.quote(str(engine.case.folder))
+            self._say(f"the case is left as it is; to continue: ronna-procedure resume {run}")
 
     def _command(self, engine: Engine) -> str | None:
         if self._meanwhile is None:

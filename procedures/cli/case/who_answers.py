@@ -42,6 +42,7 @@ def operator_of(
         and not at_terminal
         and watcher.pilot is None
         and watcher.at_pause is None
+        and (resumption is None or resumption.asks)
     ):
         tell(NOBODY_ANSWERS)
     persons: dict[Topic, Operator] = {Topic.PAUSE: person, Topic.REPEAT: person} if at_terminal else {}

@@ -30,7 +30,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
         make_ready(left)
-        path, resumption = left.run.path, Resumption(left, False, only_leaving=True)
+        path, resumption = left.run.path, Resumption(left, False, only_leaving=True, asks=False)
         with leaving_report(path), opened_left(request, path, Watcher(), resumption) as engine:
             _recover_all(
                 engine.setting.workcell.devices,

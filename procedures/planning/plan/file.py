@@ -26,6 +26,7 @@ from ronna_hw.config import describe_mistakes
 from ronna_hw.records import write_whole
 from ronna_hw.text.printable import printable
 
+LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_MARGIN_MM = 0.05  # a third of the smallest predicted error
 # What plans of earlier versions lack, and what to write.
 ADDED = {
@@ -106,6 +107,13 @@ def _in_another_unit(plan: Plan) -> list[PlanMistakes]:
         for one in plan.trajectories
         if one.margin_mm < LEAST_MARGIN_MM
     ]
+    if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
+        found.append(
+            PlanMistakes(
+                f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: "
+                "give millimetres, not metres"
+            )
+        )
     deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
     needed_mm = deepest.depth_mm + plan.standoff_mm
     if plan.instrument_length_mm < needed_mm:

@@ -2,16 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import pytest
 import tomli_w
 from recording_cell import ENDPOINTS
 
 from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
-from procedures.cli.case.opening import Watcher
+from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.who_answers import operator_of
 from procedures.engine.errors import AnswersUnfit
+from procedures.engine.left_run import LeftRun
 from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
 from procedures.steps.answer_words import ANSWER_WORDS
@@ -112,3 +114,13 @@ def test_that_nobody_can_answer_on_a_theatre_of_ones_own_is_told_before_anything
     operator_of(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path), Watcher(), None)
     error = capsys.readouterr().err
     assert told in error if told else error == ""
+
+
+def test_who_only_acknowledges_is_not_warned_that_nobody_answers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: False)
+    request = CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path)
+    left = cast(LeftRun, None)  # not looked at
+    operator_of(request, Watcher(), None, Resumption(left, accepted=False, only_leaving=True, asks=False))
+    assert capsys.readouterr().err == ""

@@ -177,6 +177,14 @@ def test_words_after_a_command_that_takes_none_are_refused_and_nothing_is_done(
     assert engine.machine.state == "idle"
 
 
+def test_who_quits_is_told_how_to_go_on(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    engine = cell.engine(plain_order())
+    typed = Typed(monkeypatch, "next", "quit")
+    typed.at(engine)
+    way_on = f"to continue: ronna-procedure resume {engine.case.folder}"
+    assert typed.said == [f"the case is left as it is; {way_on}"]
+
+
 def test_an_empty_line_does_not_push_the_reason_of_a_hold_off_the_screen(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,6 +49,13 @@ def test_a_decimal_comma_is_named_and_the_path_is_not_blamed(plan_text, plan_pat
     assert "correct the line that is quoted" in caught.value.advice
 
 
+def test_a_stand_off_in_metres_is_a_mistake(plan_text, plan_path):
+    metres = plan_text.replace("standoff_mm = 30.0", "standoff_mm = 0.03")
+    assert metres != plan_text
+    with pytest.raises(PlanMistakes, match=r"standoff_mm: 0.03 mm is closer .* millimetres, not metres"):
+        read_plan(plan_path(metres))
+
+
 def test_a_theatre_file_given_as_a_plan_is_named_in_one_line(plan_path):
     with pytest.raises(PlanUnreadable, match="is a theatre file, not a plan"):
         read_plan(plan_path('schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\n'))
