@@ -6,13 +6,13 @@ Uses the run's records and the truth sampled by the theatre; neither knows the o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.evidence.journal_reading import theatre_time_s
 from ronna_hw.records import Record
 from sim.errors import NothingToVerify
 from sim.world.rigid import apply, matrix_of
@@ -66,11 +66,11 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
 
 
 def _during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
-    """Those taken while the run was made."""
-    moments = [datetime.fromisoformat(str(line["host_time"])) for line in found.chain.lines]
-    if not moments:
+    """The samples taken while the run was made, by the clock that theatre and run share."""
+    if not found.chain.lines:
         return ()
-    return [one for one in samples if one.host_time and moments[0] <= one.host_time <= moments[-1]]
+    began_s, ended_s = (theatre_time_s(line) for line in (found.chain.lines[0], found.chain.lines[-1]))
+    return [one for one in samples if began_s <= one.theatre_time_s <= ended_s]
 
 
 def _planned(found: Inspection) -> list[dict[str, Any]]:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
-from pydantic import AwareDatetime, ValidationError
+from pydantic import ValidationError
 
 from ronna_hw.bounded_input import read_json_lines
 from ronna_hw.calibration import Numbers3, Strict
@@ -28,7 +27,6 @@ class TipSample(Strict):
 
     target: str
     theatre_time_s: float
-    host_time: AwareDatetime | None = None  # none in samples of earlier versions
     mounted_tool: int
     arm_at_rest: bool
     tip_mm: Numbers3
@@ -44,7 +42,6 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
     return TipSample(
         target=target,
         theatre_time_s=world.clock.now_s(),
-        host_time=datetime.now(UTC),
         mounted_tool=world.mounted_tool(),
         arm_at_rest=world.arm().at_rest,
         tip_mm=_three(guide.instrument_tip_mm(stop_mm, target, draw)),
