@@ -99,20 +99,16 @@ def _room(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
     return RoomBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
 
 
-# The plate is on the flange, at (-220, 0, -60); it begins where the hand's body no longer covers it.
-_MOUNT = (
-    _tool("plate of the mount", (-175.0, 0.0, -60.0), (-130.0, 0.0, -60.0), 13.0),
-    _tool("mount", (-130.0, 0.0, -60.0), (-130.0, 0.0, -170.0), 13.0),
-)
+_RISER = _tool("mount", (-130.0, 0.0, -85.0), (-130.0, 0.0, -170.0), 13.0)
 STEREO_HEAD = (
-    *_MOUNT,
+    _RISER,
     _tool("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -240.0), 15.0),
     _tool("beam of the stereo head", (0.0, -130.0, -240.0), (0.0, 130.0, -240.0), 20.0),
     _tool("left camera", (0.0, -101.6, -195.1), (0.0, -143.1, -275.0), 30.0),
     _tool("right camera", (0.0, 101.6, -195.1), (0.0, 143.1, -275.0), 30.0),
 )
 GUIDE = (
-    *_MOUNT,
+    _RISER,
     _tool("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
     _tool("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -95.0), 10.0),
 )

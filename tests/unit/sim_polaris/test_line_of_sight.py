@@ -14,12 +14,10 @@ from sim.polaris.scene.true_scene import TrueScene
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.robot_description import description
 from sim.world.rigid import matrix_of
-from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import SceneName, named_scene
 from sim.world.world import ArmState, World
 
 EYE = np.zeros((1, 3))
-LIMBS_OF_THE_ARM = 3
 BUILT_MM = 6.0  # a mount is built beside its drawing by 2 mm per axis
 
 
@@ -116,35 +114,13 @@ def test_a_tool_on_the_axis_of_the_flange_hides_something_too() -> None:
     assert np.isfinite(capsules.ends_mm).all()
 
 
-def places_mm(scene: Scene, tool: int, *, limbs: int) -> np.ndarray:
-    """Along the axes of the arm and what it carries (n, 3), in the tool frame, but for its first limbs."""
-    flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
-    arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
-    capsules = ArmBody(scene).capsules(arm, tool, np.eye(4))
-    starts_mm, ends_mm = capsules.starts_mm[limbs:], capsules.ends_mm[limbs:]
-    shares = np.linspace(0.0, 1.0, 200)[:, None, None]
-    return np.asarray((starts_mm + shares * (ends_mm - starts_mm)).reshape(-1, 3))
-
-
-@pytest.mark.parametrize("tool", ["stereo", "guide"])
-def test_planning_knows_every_body_that_the_simulated_mount_carries(tool: str) -> None:
-    scene = named_scene("mini", seed=4)
-    cell, mount = CollisionConfig(), scene.mount
-    number = {"stereo": mount.tool_number_stereo, "guide": mount.tool_number_guide}[tool]
-    places = places_mm(scene, number, limbs=LIMBS_OF_THE_ARM)
-    flange_mm = np.linalg.inv(matrix_of(mount.flange_from_tool_true))[:3, 3]
-    outside_mm = np.linalg.norm(places - flange_mm, axis=1) - cell.arm.hand_mm
-    for body in {"stereo": cell.stereo_head, "guide": cell.guide}[tool]:
-        start, way = np.array(body.start_mm), np.subtract(body.end_mm, body.start_mm)
-        share = np.clip((places - start) @ way / (way @ way), 0.0, 1.0)[:, None]
-        away_mm = np.linalg.norm(places - start - share * way, axis=1)
-        outside_mm = np.minimum(outside_mm, away_mm - body.radius_mm)
-    assert outside_mm.max() <= 0.0
-
-
 def test_every_body_of_the_guide_that_planning_knows_is_where_the_simulated_one_is() -> None:
     scene = named_scene("mini", seed=4)
-    places = places_mm(scene, scene.mount.tool_number_guide, limbs=0)
+    flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
+    arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
+    capsules = ArmBody(scene).capsules(arm, scene.mount.tool_number_guide, np.eye(4))
+    shares = np.linspace(0.0, 1.0, 200)[:, None, None]
+    places = (capsules.starts_mm + shares * (capsules.ends_mm - capsules.starts_mm)).reshape(-1, 3)
     for body in CollisionConfig().guide:
         for end in (body.start_mm, body.end_mm):
             assert np.linalg.norm(places - np.array(end), axis=1).min() <= BUILT_MM, body.name
