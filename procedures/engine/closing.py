@@ -53,5 +53,6 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
         _log.error("files not hashed", error=str(error))
         return {}
     inputs_there = {name: sha256 for name, sha256 in hashes.items() if Path(name).is_absolute()}
-    found: dict[str, JournalValue] = {"files": {name: hashes[name] for name in hashes.keys() - inputs_there}}
+    files = {name: sha256 for name, sha256 in hashes.items() if name not in inputs_there}
+    found: dict[str, JournalValue] = {"files": files}
     return found | ({"inputs": inputs_there} if inputs_there else {})
