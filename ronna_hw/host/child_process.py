@@ -19,11 +19,14 @@ from typing import IO, Any
 
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.host.descendants import descendants_of, kill_all
+from ronna_hw.host.processor_use import LOOK_S, ProcessorUse
 from ronna_hw.logs import logger
 
 TOO_SLOW = "Close other programs if this computer is busy; else run the command alone to see why it hangs."
-READY_TIMEOUT_S = 10.0  # the contract of every command that prints READY
-STOP_TIMEOUT_S = 2.0  # the same contract, for SIGTERM
+HANGS = "Run the command alone to see why it hangs."
+READY_TIMEOUT_S = 60.0  # a busy computer takes many times the seconds that a start needs
+IDLE_TIMEOUT_S = 10.0  # without processor time: it is halted, or waits for what does not come
+STOP_TIMEOUT_S = 2.0  # the contract of every command that prints READY, for SIGTERM
 MESSAGE_LINES_KEPT = 5
 
 
@@ -79,21 +82,32 @@ class ChildProcess:
             self.await_ready(timeout_s)
 
     def await_ready(
-        self, timeout_s: float = READY_TIMEOUT_S, stop_s: float = STOP_TIMEOUT_S, since: float | None = None
+        self,
+        timeout_s: float = READY_TIMEOUT_S,
+        stop_s: float = STOP_TIMEOUT_S,
+        since: float | None = None,
+        idle_s: float = IDLE_TIMEOUT_S,
     ) -> dict[str, Any]:
         """Wait for the READY line; raises PRC-001 with the child's last messages, ending
         it within `stop_s`.
 
-        `since` is the monotonic time from which the limit counts, for children that share one; else now.
+        `since` is the monotonic time from which the limit counts, for children that share one; else now. A
+        child that has used no processor time for `idle_s` is not waited for any longer.
         """
         deadline = (time.monotonic() if since is None else since) + timeout_s
+        use = ProcessorUse(self.process.pid)
         while True:
             try:
-                line = self._lines.get(timeout=max(0.0, deadline - time.monotonic()))
+                line = self._lines.get(timeout=max(0.0, min(LOOK_S, deadline - time.monotonic())))
             except Empty:
+                late, idle = time.monotonic() >= deadline, use.idle_s() >= idle_s
+                if not late and not idle:
+                    continue
                 self.stop(stop_s)
                 raise ChildNotReady(
-                    f"{self.name} did not become ready", limit=f"{timeout_s:g} s", action=TOO_SLOW
+                    f"{self.name} did not become ready",
+                    limit=f"{timeout_s:g} s" if late else f"{idle_s:g} s without using the processor",
+                    action=TOO_SLOW if late else HANGS,
                 ) from None
             if line is None:
                 self.process.wait()

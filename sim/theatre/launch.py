@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ronna_hw.host.child_process import READY_TIMEOUT_S, ChildProcess, command
+from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.loopback import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.kuka.controller.message_display import PENDANT
@@ -25,8 +25,9 @@ from sim.world.truth import SCENE_FILE
 from sim.world.world import World
 
 THEATRE_FILE = "theatre.toml"
-# In all: the caller gives the theatre READY_TIMEOUT_S, and must learn which device does not start.
-DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0
+# Shorter than the caller's limits for the theatre: it must learn which device does not start.
+DEVICES_READY_LIMIT_S = READY_TIMEOUT_S - 2.0  # in all
+DEVICE_IDLE_LIMIT_S = IDLE_TIMEOUT_S - 2.0
 STOP_LIMIT_S = 0.5  # for a device that does not become ready: it has no state to save yet
 CLOSE_LIMIT_S = 1.0  # for all devices; one that hangs is then killed, before this process must exit
 REST_LIMIT_S = 0.3  # host time
@@ -145,7 +146,7 @@ class Theatre:
         endpoints: dict[str, Any] = {}
         began = time.monotonic()
         for name, child in zip(arguments, self._children, strict=True):
-            ready = child.await_ready(DEVICES_READY_LIMIT_S, STOP_LIMIT_S, since=began)
+            ready = child.await_ready(DEVICES_READY_LIMIT_S, STOP_LIMIT_S, began, DEVICE_IDLE_LIMIT_S)
             endpoints[name] = ready["endpoint"] if "endpoint" in ready else ready["endpoints"]
         return endpoints
 

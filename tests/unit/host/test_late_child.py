@@ -1,11 +1,11 @@
-"""A child that does not become ready: the whole limit is told, and that the computer may be busy."""
+"""A child that does not become ready: its limit is reported, and whether it did anything at all."""
 
 import sys
 import time
 
 import pytest
 
-from ronna_hw.host.child_process import ChildNotReady, ChildProcess
+from ronna_hw.host.child_process import READY_TIMEOUT_S, ChildNotReady, ChildProcess
 
 
 def test_of_a_limit_shared_with_others_the_whole_is_told_not_the_rest() -> None:
@@ -13,4 +13,24 @@ def test_of_a_limit_shared_with_others_the_whole_is_told_not_the_rest() -> None:
     with pytest.raises(ChildNotReady, match="late did not become ready; limit 8 s") as caught:
         child.await_ready(8.0, 0.1, since=time.monotonic() - 9.0)
     assert "if this computer is busy" in caught.value.advice
+    assert not child.alive
+
+
+WORK = "import time\nwhile time.process_time() < 2.0: pass\n"
+READY = "print('READY {}', flush=True); time.sleep(60)"
+IN_ITS_CHILD = f"import subprocess, sys, time; subprocess.run([sys.executable, '-c', {WORK!r}]); "
+
+
+@pytest.mark.parametrize("work", [WORK, IN_ITS_CHILD], ids=["itself", "its child"])
+def test_a_child_is_waited_for_while_it_works(work: str) -> None:
+    with ChildProcess("slow", [sys.executable, "-c", work + READY], timeout_s=None) as child:
+        assert child.await_ready(150.0, idle_s=1.0) == {}
+
+
+def test_a_child_that_does_nothing_is_given_up_long_before_the_limit() -> None:
+    child = ChildProcess("halted", [sys.executable, "-c", "import time; time.sleep(60)"], timeout_s=None)
+    began_s = time.monotonic()
+    with pytest.raises(ChildNotReady, match="limit 1 s without using the processor"):
+        child.await_ready(idle_s=1.0)
+    assert time.monotonic() - began_s < READY_TIMEOUT_S / 2
     assert not child.alive
