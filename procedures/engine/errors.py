@@ -111,3 +111,10 @@ class ConsoleMissing(RonnaError):
     code = "PRO-040"
     action = "Install ronna-hw[console], or run without --console."
     exit_code = EXIT_USAGE
+
+
+class TheatreInUse(RefusedError):
+    """A run that is under way has the devices of this theatre."""
+
+    code = "PRO-043"
+    action = "Wait until it has ended; its arm may be at a patient."

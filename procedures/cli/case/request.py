@@ -64,9 +64,13 @@ class CalibrationRun(TheatreRequest):
 
 
 def check_theatre(request: TheatreRequest) -> None:
-    """Raise what can be known to be wrong of its file and its records: CFG-001, CAL-001, CAL-005."""
+    """Raise what can be known to be wrong of its file and its records: CFG-001, CAL-001, CAL-005.
+
+    PRO-043 while another run has its devices.
+    """
     from procedures.calibration.arm.check import require_record
     from procedures.cli.calibrating.files import require_records
+    from procedures.cli.case.running_case import require_no_running_case
     from ronna_hw.config import read_theatre_file
 
     require_records(request.choice.records)
@@ -74,6 +78,7 @@ def check_theatre(request: TheatreRequest) -> None:
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
+        require_no_running_case(request.config)
 
 
 def check_request(request: CaseRequest) -> None:

@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from procedures.cli.case.running_case import RUN, running_case
 from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
-from procedures.cli.doctor.running_case import RUN, running_case
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
 from ronna_hw.command_line.terminal import Progress, print_json, print_table

@@ -1,9 +1,10 @@
-"""Does a run have the devices of this theatre now? Then they are not asked: nobody ends a program for it."""
+"""Does a run have the devices of this theatre now? Then no other command opens them."""
 
 from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from procedures.cli.case.request_file import REQUEST_FILE, RequestFile
-from procedures.engine.errors import RunInUse
+from procedures.engine.errors import RunInUse, TheatreInUse
 from procedures.engine.run_lock import held_run
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.devices.probing import Diagnostic
@@ -28,15 +29,27 @@ class RunningCase:
     pid: int
 
     @property
+    def seen(self) -> str:
+        """Which run, and its process."""
+        return f"{self.folder.name} (pid {self.pid}) is using this theatre"
+
+    @property
+    def advice(self) -> str:
+        """Nobody is told to end it."""
+        watch = f"ronna-procedure watch {shlex.quote(str(self.folder))}"
+        return f"Leave it alone: its arm may be at a patient. Follow it with {watch}; "
+
+    @property
     def diagnostic(self) -> Diagnostic:
         """As the doctor tells it."""
-        return Diagnostic(
-            RUN,
-            False,
-            f"{self.folder.name} (pid {self.pid}) is using this theatre: its devices were not checked",
-            "Leave it alone: its arm may be at a patient. Follow it with ronna-procedure watch "
-            f"{self.folder}; check again when it has ended.",
-        )
+        seen = f"{self.seen}: its devices were not checked"
+        return Diagnostic(RUN, False, seen, f"{self.advice}check again when it has ended.")
+
+
+def require_no_running_case(theatre: Path) -> None:
+    """Raise PRO-043 while a run works with a theatre file, before anyone is asked to prepare anything."""
+    if running := running_case(theatre):
+        raise TheatreInUse(running.seen, action=f"{running.advice}start again when it has ended.")
 
 
 def running_case(theatre: Path) -> RunningCase | None:
