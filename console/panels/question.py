@@ -148,9 +148,9 @@ class QuestionPanel:
                 order["typed"] = str(typed.value or "")
             if read and goes_on:
                 try:
-                    order["readings"] = [typed_number(str(one.value or "")) for one in read]
+                    order["readings"] = [typed_number(str(one.value or ""), "mm") for one in read]
                 except ValueError as error:
-                    self._tell(f"{error} is not a number, such as 0.12")
+                    self._tell(f"{error} is not a number in mm, such as 0.12")
                     return
             await self._give(order)
 

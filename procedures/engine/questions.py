@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from time import monotonic
 
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.journal.journal import Entry, Journal
@@ -38,11 +39,12 @@ class Questions:
         self._now_s = now_s
         self._events = events
         self._count = 0
+        self.unanswered_s: float | None = None  # the time limit in which the last question had no answer
 
     def ask(self, question: Question) -> str:
         """The operator's answer; anything that is none of the question's answers counts as silence."""
         self._count += 1
-        asked_s = self._now_s()
+        asked_s, began_s = self._now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
         signatures: list[Signature] = []
         answer = self._operator.ask(
@@ -55,6 +57,8 @@ class Questions:
         )
         if answer not in question.answers:
             answer = question.silence
+        limit_s = question.timeout_s
+        self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
         signed = asdict(signatures[-1]) if signatures else {}
         self._events.publish(Answered(question=self._count, answer=answer, by=signed.get("by", "")))
         self._journal.write(

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from procedures.operator.evidence import Evidence
 from procedures.operator.topic import DELIBERATE, Topic
+from ronna_hw.text.typed_number import without_unit
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
@@ -34,8 +35,7 @@ class ReadBack:
 
     def fits(self, typed: str) -> bool:
         """Whether that was typed, whatever its capitals and the space around it."""
-        bare = typed.strip().casefold().removesuffix(self.unit.casefold()).strip()
-        return bare == self.value.strip().casefold()
+        return without_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
 def _unrecorded() -> None:
@@ -110,6 +110,6 @@ class Operator(Protocol):
 
 
 def words(answers: Sequence[str]) -> str:
-    """The answers as a person reads them: `yes or no`."""
-    *others, last = answers
+    """The answers as a person reads them: `yes or no`; those of several words are quoted."""
+    *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last

@@ -140,9 +140,12 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
     _require_ready(engine)
     question = Question(Topic.RESUME, subject, comparison.in_lines(order))
     if engine.ask(question) != YES:
+        late_s = engine.questions.unanswered_s
         raise RecoveryRefused(
-            "the operator did not accept the findings",
-            action="Repeat the command when the case may continue.",
+            "the operator did not accept the findings" if late_s is None else "the time to answer ran out",
+            expected=None if late_s is None else "that the findings are accepted",
+            limit=None if late_s is None else f"{late_s:g} s",
+            action="Nothing was moved. Repeat the command when the case may continue.",
         )
     engine.accept()
 

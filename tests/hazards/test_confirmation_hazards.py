@@ -70,6 +70,17 @@ def test_anything_but_a_listed_word_is_asked_again(
 
 
 @pytest.mark.hazard(36)
+def test_answers_of_several_words_are_quoted_and_may_be_typed_with_the_quotes(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"placed\n", b"'placed again'\n"))
+    answers = ("placed again", "as it stands", "hold")
+    question = Question(Topic.CART_PLACE, "the cart", "12 mm off", answers, timeout_s=5.0)
+    assert TerminalOperator().ask(question) == "placed again"
+    assert screen.getvalue().count("Type 'placed again', 'as it stands' or hold: ") == 2
+
+
+@pytest.mark.hazard(36)
 def test_a_typed_yes_is_a_yes_and_the_value_was_shown(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n"))
     assert ask() == "yes"

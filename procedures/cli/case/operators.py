@@ -21,7 +21,8 @@ from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
 
 AGAIN = "again"
-ONE_NUMBER = f"one number in mm without unit, such as 0.01, or {NOBODY_READS!r} to end the step."
+UNIT = "mm"  # of every reading; it may be typed with the number
+ONE_NUMBER = f"one number in mm, such as 0.01 or 0.01 mm, or {NOBODY_READS!r} to end the step."
 
 NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
@@ -115,9 +116,9 @@ class TerminalOperator:
         read_back = question.read_back
         with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
-            while answer := _typed(write, words(question.answers), ends_s).lower():
-                if answer not in question.answers:
-                    _say(f"{answer!r} is not an answer: type {words(question.answers)} in full.")
+            while typed := _typed(write, words(question.answers), ends_s).lower():
+                if (answer := typed.strip("'")) not in question.answers:
+                    _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if answer != question.answers[0] or read_back is None:
                     return answer
@@ -199,7 +200,7 @@ def _typed_number(write: WritePrompt, what: str, plausible: tuple[float, float] 
     """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends."""
     while (typed := _typed(write, what, None)) and typed.lower() != NOBODY_READS:
         with suppress(ValueError):
-            number = typed_number(typed)
+            number = typed_number(typed, UNIT)
             if plausible is None or plausible[0] <= number <= plausible[1]:
                 return number
             low, high = plausible

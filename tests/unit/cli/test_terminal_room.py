@@ -36,12 +36,12 @@ def test_only_in_a_simulated_room_a_command_mounts_the_tool(
 def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    typing(monkeypatch, "zero", "0,12", "nan", "0.1 mm", "-0.05", "0.30", "y", "yes")
+    typing(monkeypatch, "zero", "0,12", "nan", "0.1 cm", "-0.05 mm", "0.30mm", "y", "yes")
     assert TerminalRoom(simulated=True).work(THREE_DIALS) == (0.12, -0.05, 0.30)
     told = capsys.readouterr().err
     assert told.startswith("Read the three dials.\n")
     assert "ronna-sim work dials --control" in told
-    refused = "'0.1 mm' is not a reading: type one number in mm without unit, such as 0.01"
+    refused = "'0.1 cm' is not a reading: type one number in mm, such as 0.01 or 0.01 mm"
     assert f"{refused}, or 'nobody' to end the step." in told
     assert "'y' is not an answer" in told
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,6 +13,7 @@ from left_operation import case_order, left_after
 from recording_cell import GUIDE
 from run_again import broken_off, opened_again
 
+from procedures.engine import questions
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
 from procedures.engine.left_run import LeftRun
@@ -37,6 +39,17 @@ def test_nothing_moves_before_the_findings_are_accepted(cell: ClinicalCell) -> N
     assert again.arm.motions == []
     assert "activate" not in again.arm.calls
     assert again.entries("found", "accepted") == [("found", "")]
+
+
+@pytest.mark.hazard(2)
+def test_when_the_time_to_accept_ran_out_that_is_said_with_the_time(
+    cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    again.operator.refusing = (Topic.RESUME,)
+    monkeypatch.setattr(questions, "monotonic", itertools.count(0.0, 300.0).__next__)
+    with pytest.raises(RecoveryRefused, match=r"PRO-032: the time to answer ran out; .*limit 300 s"):
+        recover(engine, left)
 
 
 def test_what_the_controller_waits_for_is_reported_with_the_whole_command_before_anything_is_asked(
