@@ -6,7 +6,7 @@ import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 from procedures.studies.campaign.unit import Study, Sums, Unit
 from procedures.studies.errors import LedgerUnreadable, OtherStudy
@@ -58,7 +58,7 @@ class Ledger:
             there = parse_json(lines[0])
             if there["fingerprint"] != head["fingerprint"]:
                 raise OtherStudy(f"{self._path.parent} contains {_difference(there, head)}")
-        except (ValueError, KeyError, TypeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [lines[0]]
         for line in lines[1:-1]:  # an unterminated line was truncated
@@ -84,9 +84,14 @@ def _finished(line: str) -> tuple[str, Sums] | None:
     try:
         content = parse_json(line)
         key, sums = content["unit"], content["sums"]
-        return (key, sums) if content["sha256"] == _hash(key, sums) else None
+        intact = content["sha256"] == _hash(key, sums)
     except (ValueError, KeyError, TypeError):
         return None
+    return (key, sums) if intact and isinstance(key, str) and _are_sums(sums) else None
+
+
+def _are_sums(found: Any) -> TypeGuard[Sums]:
+    return isinstance(found, dict) and all(isinstance(value, int | float) for value in found.values())
 
 
 def _difference(there: Any, head: Mapping[str, Any]) -> str:

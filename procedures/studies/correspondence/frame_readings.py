@@ -62,7 +62,7 @@ def recorded_readings(
         return taken
     try:
         content = parse_json(read_json_bytes(path, most_values=MOST_VALUES))
-        readings = np.array(content["readings_mm"], dtype=float)
+        readings = np.atleast_1d(np.array(content["readings_mm"], dtype=float))
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise LedgerUnreadable(f"{path} is damaged: {error}") from error
     if readings.shape != (count, SPHERES, 3) or content.get("seed") != seed:

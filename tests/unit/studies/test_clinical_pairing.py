@@ -79,6 +79,9 @@ def test_readings_are_kept_in_the_folder_and_others_are_refused(
     assert np.array_equal(frame_readings.recorded_readings(tmp_path, 3, 1), taken)
     with pytest.raises(OtherStudy, match="STU-001"):
         frame_readings.recorded_readings(tmp_path, 3, 2)
+    (tmp_path / frame_readings.FILE).write_text('{"seed": 1, "readings_mm": 5}')
+    with pytest.raises(OtherStudy, match="STU-001"):
+        frame_readings.recorded_readings(tmp_path, 3, 1)
     (tmp_path / frame_readings.FILE).write_text("{}")
     with pytest.raises(LedgerUnreadable, match="STU-002"):
         frame_readings.recorded_readings(tmp_path, 3, 1)

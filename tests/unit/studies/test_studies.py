@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,6 +34,7 @@ from procedures.studies.heads import NoiseReading, disturbance, sites_mm
 from procedures.studies.registration import RegistrationStudy
 
 SMALL = CorrespondenceStudy(4, seed=5, fiducials=(3, 5))
+NO_PARAMETERS = '{"study": "correspondence", "fingerprint": "another", "parameters": %s}'
 
 
 @dataclass(frozen=True)
@@ -145,9 +149,20 @@ def test_a_line_that_says_other_than_was_written_is_run_again(tmp_path: Path) ->
     assert (opened.damaged, opened.finished) == (1, {})
 
 
-def test_a_damaged_record_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize("line", [{"unit": ["a"], "sums": {}}, {"unit": "a #0", "sums": {"runs": "many"}}])
+def test_a_line_that_is_no_unit_is_left_out_whatever_its_hash(tmp_path: Path, line: dict[str, Any]) -> None:
     Ledger(tmp_path, SMALL)
-    (tmp_path / FILE).write_text("tea\n")
+    said = json.dumps([line["unit"], line["sums"]], sort_keys=True).encode()
+    with (tmp_path / FILE).open("a") as file:
+        file.write(json.dumps(line | {"sha256": hashlib.sha256(said).hexdigest()}) + "\n")
+    opened = Ledger(tmp_path, SMALL)
+    assert (opened.damaged, opened.finished) == (1, {})
+
+
+@pytest.mark.parametrize("first", ["tea", "[1]", *(NO_PARAMETERS % value for value in ("null", '"tea"'))])
+def test_a_damaged_record_is_refused(tmp_path: Path, first: str) -> None:
+    Ledger(tmp_path, SMALL)
+    (tmp_path / FILE).write_text(f"{first}\n")
     with pytest.raises(LedgerUnreadable, match="STU-002"):
         Ledger(tmp_path, SMALL)
 
