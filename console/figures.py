@@ -1,4 +1,7 @@
-"""Measurements and images of a run, re-read whenever a result is added or superseded."""
+"""Measurements and images of a run, re-read whenever a result is added or superseded.
+
+The journal and the records are compared each time; of a run that no program writes, every file is.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +62,7 @@ class Figures:
 
     def __init__(self, hub: Hub) -> None:
         self._hub = hub
-        self._read_for = -1
+        self._read_for: tuple[int, bool] | None = None
         self._reading = False
         self.latest: CaseFigures | None = None
         self.count = 0  # how often they were read
@@ -67,18 +70,20 @@ class Figures:
         self._head = b""
         self._tried = False
 
-    def key(self, view: CaseView) -> object:
-        """Changes when they do; triggers re-reading when there is a new result."""
-        if view.results != self._read_for and not self._reading:
+    def key(self) -> object:
+        """Changes when they do; triggers re-reading for a new result, and when the run's program is gone."""
+        state = self._hub.view.results, self._hub.over
+        if state != self._read_for and not self._reading:
             self._reading = True
-            self._task = asyncio.get_running_loop().create_task(self._read(view.results))
+            self._task = asyncio.get_running_loop().create_task(self._read(state))
         return self.count
 
-    async def _read(self, results: int) -> None:
+    async def _read(self, state: tuple[int, bool]) -> None:
+        _, over = state
         try:
-            self.latest = await asyncio.to_thread(read_case_figures, self._hub.folder)
+            self.latest = await asyncio.to_thread(read_case_figures, self._hub.folder, every_file=over)
         finally:
-            self._read_for, self._reading = results, False
+            self._read_for, self._reading = state, False
             self.count += 1
             self._hub.tell()
         if self.latest is not None and self.latest.robot_from_ct is not None and not self._tried:

@@ -92,6 +92,11 @@ class Hub(Bell):
         return self._now_s() - self._heard_s if self.live else 0.0
 
     @property
+    def over(self) -> bool:
+        """Whether the case is under review and its own program is gone: nothing in its folder changes."""
+        return self.review is not None and self.review.over
+
+    @property
     def frozen(self) -> str:
         """Why the display is frozen; empty if it is not."""
         if self.broken_off:

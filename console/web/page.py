@@ -168,7 +168,7 @@ class CasePage:
 
     def _measured(self, view: CaseView) -> object:
         """Changes with what had been measured at that moment."""
-        key = self._figures.key(view), view.steps, self._hub.view.steps
+        key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
             self._figures_then = as_of(self._figures.latest, view, self._hub.view)

@@ -78,9 +78,12 @@ class CaseFigures:
     course: str = ""  # SVG of the run's theatre time
 
 
-def read_case_figures(folder: Path) -> CaseFigures:
-    """Read a run; raises nothing that its content can cause."""
-    reading = read_for_report(folder, every_file=False)
+def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
+    """Read a run; raises nothing that its content can cause.
+
+    Without `every_file` only journal and records are compared: the others change while it runs.
+    """
+    reading = read_for_report(folder, every_file=every_file)
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
     registered = _still_true(reading, RegisteredRobot)
     poses = {name: one.robot_from_ct.transform for one in registered for name in one.trajectories}

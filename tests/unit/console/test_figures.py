@@ -1,9 +1,19 @@
-"""What had been measured at a moment of a recorded case: nothing of what came later."""
+"""What had been measured at a moment of a recorded case, and whether its files are as they were left."""
 
 from __future__ import annotations
 
+import asyncio
+from pathlib import Path
+
+import pytest
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+
+from console.feed.recorded import RecordedCase
 from console.feed.view import CaseView, StepRow
-from console.figures import as_of
+from console.figures import Figures, as_of
+from console.hub import Hub
+from procedures.cli.case.leaving_report import seal_run
 from procedures.operator.evidence import Evidence
 from procedures.reporting.case_figures import CaseFigures, PredictionFigure, SphereFigure, TrajectoryFigure
 
@@ -53,3 +63,33 @@ def test_figures_of_a_result_that_was_repeated_since_are_not_shown_before_that()
     )
     shown = [as_of(FIGURES, view, now) for view in (then, now)]
     assert [bool(one and one.predictions) for one in shown] == [False, True]
+
+
+@pytest.mark.hazard(39)
+def test_every_file_of_a_case_under_review_is_compared_once_its_program_is_gone(tmp_path: Path) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    (cell.folder / "theatre").mkdir()
+    for name in ("changed", "gone"):
+        (cell.folder / "theatre" / name).write_text("as it was")
+    engine = cell.engine(plain_order("T1"))
+    engine.run_to()
+    engine.close("done")
+    seal_run(cell.folder)
+    hub = Hub(cell.folder)
+    hub.review = RecordedCase()
+    figures = Figures(hub)
+
+    async def named() -> set[str]:
+        figures.key()
+        await figures._task
+        assert figures.latest is not None
+        return {problem.partition(":")[0] for problem in figures.latest.problems}
+
+    (cell.folder / "records" / "01-image.json").write_text("{}")
+    assert asyncio.run(named()) == {"records/01-image.json"}
+    (cell.folder / "theatre" / "changed").write_text("another")
+    (cell.folder / "theatre" / "gone").unlink()
+    (cell.folder / "added").touch()
+    hub.review.over = True
+    everything = {"added", "records/01-image.json", "theatre/changed", "theatre/gone"}
+    assert asyncio.run(named()) == everything
