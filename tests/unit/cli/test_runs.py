@@ -32,7 +32,7 @@ from procedures.cli.runs.report import make_report
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
-from procedures.journal.journal import Entry
+from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.operator.errors import OperatorAborted
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth
@@ -48,7 +48,7 @@ from ronna_hw.errors import (
     EXIT_USAGE,
     LinkTimeout,
 )
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, inspected
 from ronna_hw.evidence.seal import SEAL_FILE
 from ronna_hw.theatre import Theatre
 
@@ -182,12 +182,32 @@ def line_removed(run: Path) -> str:
     return "journal.jsonl"
 
 
+def record_gone(run: Path) -> str:
+    (run / "records" / "01-image.json").unlink()
+    return "records/01-image.json"
+
+
+def request_changed(run: Path) -> str:
+    path = run / REQUEST_FILE
+    path.write_text(path.read_text() + " ")
+    return REQUEST_FILE
+
+
+def file_added(run: Path) -> str:
+    (run / "note.txt").write_text("added")
+    return "note.txt"
+
+
+SPOILT = (foreign_record, line_removed, record_gone, request_changed, file_added)
+
+
 @pytest.mark.hazard(39)
-@pytest.mark.parametrize("spoil", [foreign_record, line_removed], ids=lambda spoil: spoil.__name__)
+@pytest.mark.parametrize("spoil", SPOILT, ids=lambda spoil: spoil.__name__)
 def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
     name = spoil(run)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
-    for command in ("export", "resume", "lineage", "replay", "report"):
+    relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay
+    for command in ("export", "resume", "lineage", "report", *["replay"] * relied_on):
         refused = in_this_process(app, command, run)
         assert (command, refused.returncode) == (command, EXIT_REFUSED)
         assert f"PRO-033: {run.name} is not as it was left: {name}: " in refused.stderr
