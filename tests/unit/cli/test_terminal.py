@@ -357,11 +357,12 @@ def test_numbers_and_paths_are_never_longer_than_a_line() -> None:
     assert len(str(TooFar("word " * 10_000))) < 5000
 
 
+@pytest.mark.parametrize("umask", [0o000, 0o077])
 @pytest.mark.parametrize(
     ("access", "folder", "file"), [(None, 0o700, 0o600), ("owner", 0o700, 0o600), ("group", 0o770, 0o660)]
 )
 def test_what_a_command_writes_is_its_users_whatever_the_umask(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, access: str | None, folder: int, file: int
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, access: str | None, folder: int, file: int, umask: int
 ) -> None:
     monkeypatch.delenv("RONNA_ACCESS", raising=False)
     if access:
@@ -371,10 +372,10 @@ def test_what_a_command_writes_is_its_users_whatever_the_umask(
         (tmp_path / "run").mkdir()
         (tmp_path / "run" / "journal.jsonl").touch()
 
-    before = os.umask(0)
+    before = os.umask(umask)
     try:
         assert terminal.exit_code_of(app_that(body), []) == 0
-        assert os.umask(0) == 0
+        assert os.umask(umask) == umask
     finally:
         os.umask(before)
     assert stat.S_IMODE((tmp_path / "run").stat().st_mode) == folder

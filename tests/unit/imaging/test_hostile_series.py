@@ -42,7 +42,10 @@ def test_a_deflated_slice_does_not_grow_without_limit(dicom_series: Write) -> No
     meta = 132 + 12 + struct.unpack_from("<I", content, 140)[0]
     packer = zlib.compressobj(9, zlib.DEFLATED, -zlib.MAX_WBITS)
     packed = packer.compress(zlib.decompress(content[meta:], -zlib.MAX_WBITS))
-    packed += b"".join(packer.compress(bytes(1 << 20)) for _ in range(40)) + packer.flush()
+    packed += packer.flush(zlib.Z_FULL_FLUSH)
+    zeros = packer.compress(bytes(1 << 20)) + packer.flush(zlib.Z_FULL_FLUSH)  # packed alike at any place
+    packed += 3_000 * zeros + packer.flush()
+    assert len(packed) < 4_000_000
     first(folder).write_bytes(content[:meta] + packed)
     with (
         bounded_cost(200 << 20),
