@@ -65,6 +65,8 @@ PARSER_NAMES = (
     "marker template",
     "order",
     "raw extent",
+    "ledger",
+    "recorded readings",
 )  # to collect tests without making them all
 DESCRIPTION = b"""<RegisterDescription xmlns="http://www.genicam.org/GenApi/Version_1_1">
 <Group Comment="g">

@@ -32,6 +32,10 @@ from procedures.reporting.happenings import happenings, questions
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.sessions import sessions
 from procedures.reporting.timeline import timeline
+from procedures.studies.campaign import ledger
+from procedures.studies.campaign.unit import add_up
+from procedures.studies.correspondence import frame_readings
+from procedures.studies.registration import RegistrationStudy
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.conformance.case import Nonconformity
 from ronna_hw.conformance.polaris.bx_reply import read_body
@@ -49,6 +53,15 @@ from sim.world.truth import read_samples
 from sim.world.world import World
 
 Take = Callable[[bytes], object]
+STUDY = RegistrationStudy(2, seed=5, fiducials=(3,))
+UNIT = STUDY.units()[0].key
+LEDGER = b"".join(
+    json.dumps(line).encode() + b"\n"
+    for line in (
+        {"study": STUDY.name, "fingerprint": ledger.fingerprint(STUDY), "parameters": STUDY.parameters()},
+        {"unit": UNIT, "sums": {"runs": 2.0, "squares_mm2": 0.5}},
+    )
+)
 LIBRARY_SYNTAXES = {
     "DICOM JPEG": gdcm.TransferSyntax.JPEGLosslessProcess14_1,
     "DICOM JPEG-LS": gdcm.TransferSyntax.JPEGLSLossless,
@@ -133,6 +146,11 @@ def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
             (b'{"schema":1,"journal_lines":9,"whole":true}\n',),
             of("raw/extent.json", lambda _run: missing_in_raw(run, ())),
         ),
+        "ledger": ((LEDGER,), of(ledger.FILE, _ledger)),
+        "recorded readings": (
+            (b'{"seed": 1, "readings_mm": [[[1, 2, 3], [1, 2, 4], [1, 5, 3], [7, 2, 3]]]}',),
+            of(frame_readings.FILE, lambda _run: frame_readings.recorded_readings(run, 1, 1)),
+        ),
     }
 
 
@@ -161,6 +179,19 @@ def _placed(proposal: ProposedPlace) -> None:
     beside = proposal.beside(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(500.0, 0.0, 480.0)))
     assert math.isfinite(beside.off_mm)
     proposal.allows(beside)
+
+
+def _ledger(folder: Path) -> None:
+    """As who may write everything: each unit has the hash of what it says."""
+    file, lines = folder / ledger.FILE, []
+    for line in file.read_bytes().splitlines():
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            content = parse_json(line)
+            said = json.dumps([content["unit"], content["sums"]], sort_keys=True).encode()
+            line = json.dumps({**content, "sha256": hashlib.sha256(said).hexdigest()}).encode()
+        lines.append(line + b"\n")
+    file.write_bytes(b"".join(lines))
+    add_up(ledger.Ledger(folder, STUDY).results())
 
 
 def _order(data: bytes) -> None:
