@@ -16,6 +16,7 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.truth import truth_of
 from procedures.journal.journal import Entry, Line
 from procedures.operator.errors import OperatorAborted
+from procedures.results.errors import StepRefused
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
@@ -59,8 +60,12 @@ def wall_time_s(journal: Sequence[Line]) -> float:
 
 
 def _run(engine: Engine, watcher: Watcher) -> None:
-    """Run to the end; a step that fails is put before the person at the terminal, if there is one."""
+    """Run to the end; a step that fails is put before the person at the terminal, if there is one.
+
+    Who leaves a case that is refused only because a device is still in fault leaves it with that fault.
+    """
     held = watcher.held
+    failure: RonnaError | None = None
     run = engine.run_to if watcher.pilot is None else partial(watcher.pilot.run_to_end, engine)
     while True:
         try:
@@ -76,9 +81,11 @@ def _run(engine: Engine, watcher: Watcher) -> None:
             if held is None or engine.machine.ended:
                 raise
             held.tell_held(engine, error)
+            if failure is None or not isinstance(error, StepRefused) or not engine.faults.now:
+                failure = error
             if not held.follow(engine):
-                error.shown = True
-                raise
+                failure.shown = True
+                raise failure from None
 
 
 def unfinished(request: CaseRequest, folder: Path, problem: BaseException) -> UnfinishedRun:

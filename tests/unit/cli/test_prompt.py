@@ -8,6 +8,8 @@ import pytest
 from plain_steps import plain_order
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
+from procedures.cli.case import outcome
+from procedures.cli.case.opening import Watcher
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
@@ -242,6 +244,20 @@ def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_er
     assert capsys.readouterr().err == "PRO-007: stopped.\n"
     assert typed.said[0].startswith("the arm is in fault")
     assert typed.said[1] == f"{HELD}; resume continues"
+
+
+def test_who_leaves_a_case_while_a_device_is_in_fault_leaves_it_with_that_fault(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def is_stopped(_context: StepContext) -> Outcome[StepResult]:
+        cell.arm.state = Lifecycle.FAULT
+        raise GateFailed("stopped")
+
+    typed = Typed(monkeypatch, "resume", "quit", resumes=True)
+    engine = cell.engine(plain_order(image=is_stopped))
+    with pytest.raises(GateFailed, match="stopped"):
+        outcome._run(engine, Watcher(held=typed.prompt))
+    assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
 
 
 def test_what_only_looks_may_fail_at_a_pause_and_the_pause_stands(
