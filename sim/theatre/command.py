@@ -183,17 +183,15 @@ def stand(
 
 def work(
     task: Annotated[str, typer.Argument(help="Manual task, such as depth_stop, insert, out or gauge.")],
+    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
     numbers: Annotated[
         list[float] | None, typer.Argument(help="Values for the task, as in the question.")
     ] = None,
     trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
-    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")] = "",
 ) -> None:
     """Work with guide and instrument in a running theatre, as the staff would; prints the readings."""
     from ronna_hw.host.control_port import ask_control_port
 
-    if not control:
-        raise typer.BadParameter("give the control port: --control tcp://...", param_hint="--control")
     answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
     tell(f"done: {task}{f' at {trajectory}' if trajectory else ''}")
     for reading in answer.get("readings", ()):

@@ -16,7 +16,7 @@ from pathlib import Path
 from user_commands import Commands
 
 ASKED = re.compile(r"Type ([^:\n]+): |held> ")
-TOLD = re.compile(r"In the simulated room: (ronna-sim .+?) --control")
+TOLD = re.compile(r"In the simulated room: (ronna-sim [^\r\n]+?)(?: --control .*)?\r?\n")
 HANDS_S = 30.0
 
 

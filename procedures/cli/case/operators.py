@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import termios
 import time
@@ -21,6 +22,7 @@ from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
 
 AGAIN = "again"
+CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
 UNIT = "mm"  # of every reading; it may be typed with the number
 ONE_NUMBER = f"one number in mm, such as 0.01 or 0.01 mm, or {NOBODY_READS!r} to end the step."
 
@@ -162,7 +164,8 @@ class TerminalRoom:
     def _hint(self, command: str) -> None:
         """In a simulated room things are done by commands."""
         if self._simulated:
-            sys.stderr.write(f"In the simulated room: ronna-sim {command} --control 'ENDPOINT FROM READY'\n")
+            control = "" if os.environ.get(CONTROL) else " --control 'ENDPOINT FROM READY'"
+            sys.stderr.write(f"In the simulated room: ronna-sim {command}{control}\n")
         sys.stderr.flush()
 
     def work(self, task: Task) -> tuple[float, ...]:

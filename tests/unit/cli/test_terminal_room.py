@@ -23,6 +23,19 @@ def typing(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
     monkeypatch.setattr(operators, "_typed", lambda *_asked: next(typed))
 
 
+@pytest.fixture(autouse=True)
+def _no_control(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RONNA_CONTROL", raising=False)
+
+
+def test_a_control_port_in_the_environment_is_not_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RONNA_CONTROL", "tcp://127.0.0.1:9?token=x")
+    TerminalRoom(simulated=True).change_tool(2, "the surgical guide")
+    assert capsys.readouterr().err.endswith("In the simulated room: ronna-sim mount 2\n")
+
+
 @pytest.mark.parametrize("simulated", [True, False])
 def test_only_in_a_simulated_room_a_command_mounts_the_tool(
     simulated: bool, capsys: pytest.CaptureFixture[str]
