@@ -12,6 +12,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
 from pathlib import Path
 
 from ronna_hw.bounded_input import parse_json
@@ -21,6 +22,7 @@ from ronna_hw.host.regular_file import open_regular
 BYTES_FOLDER = "bytes"
 FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written alternately
 _BEGINNING = '{"host_time"'
+_HEX = {direction: f',"direction":"{direction}","hex":"' for direction in Direction}
 Facts = Mapping[str, str | float]
 
 
@@ -38,7 +40,7 @@ class LinkLine:
 
 def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
     """The line for bytes that passed at `epoch_ns`."""
-    return f'{_moment(epoch_ns, theatre_time_s)},"direction":"{direction}","hex":"{data.hex()}"}}\n'
+    return f'{_moment(epoch_ns, theatre_time_s)}{_HEX[direction]}{data.hex()}"}}\n'
 
 
 def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
@@ -80,5 +82,11 @@ def _read(link: str, path: Path) -> Iterable[LinkLine]:
 
 
 def _moment(epoch_ns: int, theatre_time_s: float) -> str:
-    moment = datetime.fromtimestamp(epoch_ns / 1e9, UTC).isoformat(timespec="microseconds")
+    second, ns = divmod(epoch_ns, 1_000_000_000)
+    moment = f"{_to_the_second(second)}.{ns // 1000:06d}+00:00"
     return f'{{"host_time":"{moment}","theatre_time_s":{theatre_time_s:.6f}'
+
+
+@lru_cache(maxsize=4)  # thousands of telegrams pass within a second
+def _to_the_second(second: int) -> str:
+    return datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%dT%H:%M:%S")

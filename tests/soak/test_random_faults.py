@@ -19,7 +19,7 @@ from pathlib import Path
 
 import pytest
 from kills import MOTION_LINK
-from single_faults import FAULTS, STEPS, STOPS
+from single_faults import FAULTS, STEPS, stops
 from user_commands import TOKEN, Commands, in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
@@ -95,24 +95,19 @@ def assert_known_state(run: Path, outcome: dict[str, object], journal: list[Line
         error = outcome["error"]
         assert isinstance(error, dict)
         assert error["code"] != PROGRAM_FAULT, error
-        assert sum(kinds.count(stop) for stop in STOPS) == 1
+        *_, last = stops(journal)
+        assert last[-1] is journal[-1]
     assert inspected(run).problems == ()
 
 
 def assert_nothing_moved_after_a_stop(run: Path, journal: list[Line]) -> None:
-    """No motion in the journal, and on the arm's link no other correction than the last one."""
-    stopped = next((number for number, line in enumerate(journal) if line["entry"] in STOPS), None)
-    if stopped is None:
-        return
-    assert all(line["entry"] != Entry.MOTION for line in journal[stopped:])
-    since = datetime.fromisoformat(str(journal[stopped]["host_time"]))
-    sent = {
-        found.group()
-        for passed in read_link(run / BYTES_FOLDER, MOTION_LINK)
-        if passed.direction is Direction.SENT and passed.host_time > since
-        if (found := CORRECTIONS.search(passed.data))
-    }
-    assert len(sent) <= 1
+    """Until the operator leads on: no motion in the journal, and one correction at most on the arm's link."""
+    passed = [one for one in read_link(run / BYTES_FOLDER, MOTION_LINK) if one.direction is Direction.SENT]
+    for stop in stops(journal):
+        assert all(line["entry"] != Entry.MOTION for line in stop)
+        begin, end = (datetime.fromisoformat(str(line["host_time"])) for line in (stop[0], stop[-1]))
+        during = [one.data for one in passed if begin < one.host_time <= end]
+        assert len({found.group() for data in during if (found := CORRECTIONS.search(data))}) <= 1
 
 
 def held() -> tuple[int, int, int]:

@@ -4,9 +4,13 @@ Fault -> the codes that a case may end with, whatever the step; where the device
 the case goes on. What begins only after the fault, a step or a call, is refused and quotes its code.
 """
 
-from procedures.journal.journal import Entry
+from collections.abc import Iterator, Sequence
 
-STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that ended a case
+from procedures.journal.journal import Entry, Line
+from procedures.steps.branches import FOLLOW, GO_ON, LEAVE_OUT
+
+STOPS = (Entry.FAILED, Entry.REFUSED)  # what a journal has of a fault that stopped a case
+LED_ON = (GO_ON, LEAVE_OUT, FOLLOW)  # answers to questions that offer to continue a stopped case
 STEPS = {
     "tracker": (
         *("set_up", "global_localization", "relocalization", "tool_change"),
@@ -20,7 +24,7 @@ REFUSED_PAIR = frozenset({"STE-011", "STE-012", "PRO-008"})
 # A reply that is spoilt: no Polaris while connecting; then a wrong CRC or form, or no end in time.
 SPOILT_REPLY = frozenset({"NDI-003", "NDI-005", "NDI-006", "NDI-007"})
 TRACKER = {
-    "occlude marker 1": {"PRO-007", "PRO-017", "REG-008", "REG-009"},
+    "occlude marker 1": {"PRO-007", "PRO-017", "PRO-022", "REG-008", "REG-009"},
     "occlude tool robot_frame": {"PRO-007", "PRO-017"},
     "occlude tool robot_frame marker 1": {"PRO-007", "PRO-017"},
     "bend tool robot_frame 2 mm": {"PRO-019", "PRO-007", "PRO-017", "REG-008", "REG-009"},
@@ -52,8 +56,9 @@ TRACKER = {
     "garble replies 5 %": SPOILT_REPLY,
     "drop bytes 5 %": SPOILT_REPLY,
     "double bytes 5 %": SPOILT_REPLY,
-    "cut replies 5 %": {"NDI-002", *SPOILT_REPLY},
-    "lose replies 5 %": {"NDI-002", "NDI-007"},
+    # Readings that fail lengthen the time for which the arm covers the head.
+    "cut replies 5 %": {"NDI-002", "PRO-017", *SPOILT_REPLY},
+    "lose replies 5 %": {"NDI-002", "NDI-007", "PRO-017"},
     "delay replies 0.5 s": {"NDI-002", "NDI-007", "PRO-007", "PRO-017"},
     "slow TSTART 1 s": set(),
 }
@@ -127,3 +132,16 @@ CAMERA = {
     "lose events left 50 %": set(),
 }
 FAULTS = (("tracker", TRACKER), ("robot", ROBOT), ("camera", CAMERA))
+
+
+def stops(journal: Sequence[Line]) -> Iterator[Sequence[Line]]:
+    """For each stop the lines from it to the answer that led on, or to the end of the case."""
+    begin = 0
+    for number, line in enumerate(journal):
+        if begin == 0 and line["entry"] in STOPS:
+            begin = number
+        elif begin and line["entry"] == Entry.CONFIRMATION and line["answer"] in LED_ON:
+            yield journal[begin : number + 1]
+            begin = 0
+    if begin:
+        yield journal[begin:]
