@@ -25,6 +25,8 @@ from procedures.steps.answer_words import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import describe_mistakes
 
+OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
+
 
 class Answers(BaseModel):
     """What the file says. Keys are a topic, or a topic and a trajectory, such as `approach:T1`."""
@@ -50,8 +52,14 @@ class Answers(BaseModel):
 
 def read_answers(path: Path) -> Answers:
     """Read a file of answers. Raises PRO-026 with everything in it that does not fit, OSError."""
+    content = read_toml(path, AnswersUnfit)
+    for key, kind in OTHER_FILES.items():
+        if key in content:
+            raise AnswersUnfit(
+                f"{path} is {kind}, not a file of answers", expected="a table [answers], or a default"
+            )
     try:
-        read = Answers.model_validate(read_toml(path, AnswersUnfit))
+        read = Answers.model_validate(content)
     except ValidationError as error:
         raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
     if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:

@@ -51,6 +51,8 @@ def test_what_is_not_listed_is_answered_as_the_file_says(default: str | None, an
         ("[answers]\napproach = true", "answers.approach"),
         ("default = 'second'", "default"),
         ("colour = 'green'", "colour"),
+        ("schema = 1\n[[trajectories]]\nid = 'T1'", r"answers\.toml is a plan, not a file of answers; exp"),
+        ("schema = 1\ntheatre = 'lab'", r"answers\.toml is a theatre file, not a file of answers; exp"),
         ("[answers", "TOML"),
         ("\xff\xfe", "TOML"),
     ],
