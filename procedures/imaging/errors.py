@@ -40,7 +40,7 @@ class FileDamaged(DataError):
     """A file is truncated or not readable as DICOM."""
 
     code = "CT-005"
-    action = "Copy or export the file again."
+    action = "If the series is still being copied, wait for its end; else copy or export the file again."
 
 
 class FramesMixed(DataError):
@@ -75,7 +75,10 @@ class SpacingUneven(DataError):
     """Slices are missing or not evenly spaced."""
 
     code = "CT-010"
-    action = "Export the complete series with one slice spacing."
+    action = (
+        "If the series is still being copied, wait for its end; else export the complete series with one "
+        "slice spacing."
+    )
 
 
 class SlicesDiffer(DataError):

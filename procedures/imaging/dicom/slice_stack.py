@@ -25,6 +25,7 @@ from ronna_hw.text.beyond import beyond
 
 Array = NDArray[np.float64]
 
+GAPS_NAMED = 3  # in one message
 MIN_SLICES = 3  # fewer cannot show that the spacing is even
 UNIT_TOLERANCE = 1e-3  # direction cosines are often written with few decimals
 SAME_DIRECTION_TOLERANCE = 1e-4
@@ -131,14 +132,15 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
             got=f"{steps_mm[closest]:.4f} mm apart",
         )
     usual_mm = float(np.median(steps_mm))
-    widest = int(np.argmax(steps_mm))
-    missing = round(float(steps_mm[widest]) / usual_mm) - 1
-    if missing >= 1:
+    missing = np.round(steps_mm / usual_mm).astype(int) - 1
+    if gaps := np.flatnonzero(missing >= 1).tolist():
+        names = [f"{slices[gap].path.name} and {slices[gap + 1].path.name}" for gap in gaps[:GAPS_NAMED]]
+        more = f" and in {len(gaps) - GAPS_NAMED} more places" if len(gaps) > GAPS_NAMED else ""
+        total = int(missing[gaps].sum())
         raise SpacingUneven(
-            f"{missing} slice{'s' if missing > 1 else ''} missing between "
-            f"{slices[widest].path.name} and {slices[widest + 1].path.name}",
+            f"{total} slice{'s' if total > 1 else ''} missing between {', between '.join(names)}{more}",
             expected=f"a slice every {usual_mm:.3f} mm",
-            got=f"{steps_mm[widest]:.3f} mm",
+            got=f"{steps_mm.max():.3f} mm",
         )
     count = np.arange(len(along_mm))
     spacing_mm, start_mm = np.polyfit(count, along_mm, 1)

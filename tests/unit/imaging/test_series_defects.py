@@ -215,6 +215,15 @@ def test_a_spoiled_folder_is_refused(dicom_series: Write, defect: str) -> None:
         read_series(folder)
 
 
+def test_of_a_series_that_is_still_being_copied_every_gap_is_named(dicom_series: Write) -> None:
+    folder = dicom_series(np.zeros((8, 6, 7), dtype=np.int16))
+    for name in ("0001.dcm", "0005.dcm"):
+        (folder / name).unlink()
+    gaps = r"2 slices missing between 0000\.dcm and 0002\.dcm, between 0004\.dcm and 0006\.dcm;"
+    with pytest.raises(errors.SpacingUneven, match=f"{gaps} .* still being copied"):
+        read_series(folder)
+
+
 def test_different_matrix_sizes_are_refused(dicom_series: Write) -> None:
     def smaller(data: Dataset) -> None:
         data.Rows, data.PixelData = 5, data.PixelData[: 5 * 7 * 2]
