@@ -157,6 +157,24 @@ def test_a_killed_receiver_process_is_a_fault_and_a_named_person_recovers(camera
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
+def test_a_recovery_with_other_cameras_at_the_addresses_is_refused_and_the_fault_stays(
+    cameras: Cameras, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pair = cameras.streaming()
+    cameras.fault("unplug right")
+    with pytest.raises(CameraLost):
+        pair.set_exposure(500.0, 40, 0.5)
+    cameras.heal()
+    left, right = cameras.addresses
+    with monkeypatch.context() as changed:
+        changed.setattr(pair, "_addresses", {"left": right, "right": left})
+        with pytest.raises(WrongSerial, match="GEV-003: different cameras than before"):
+            pair.recover("a tester", LIMIT_S)
+    assert pair.state is Lifecycle.FAULT
+    pair.recover("a tester", LIMIT_S)
+    assert pair.state is Lifecycle.CONFIGURED
+
+
 def test_close_gives_control_back_and_leaves_no_thread_and_no_process(cameras: Cameras) -> None:
     pair = cameras.streaming()
     before = threading.active_count()
