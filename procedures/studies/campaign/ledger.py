@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -14,6 +15,7 @@ from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.records import canonical_json, write_whole
 
 FILE = "units.jsonl"
+MOST_DAMAGED_LINES = 1000  # crashes leave a few; each is parsed in vain
 
 
 def fingerprint(study: Study) -> str:
@@ -53,22 +55,29 @@ class Ledger:
                 yield unit, self.finished[key]
 
     def _read(self, head: Mapping[str, object]) -> None:
-        lines = read_json_lines(self._path).decode(errors="replace").split("\n")
+        content = read_json_lines(self._path)
+        whole = content[: content.rfind(b"\n") + 1]  # an unterminated line was truncated
+        self.damaged = int(len(whole) < len(content))
+        lines = BytesIO(whole)
+        first = next(lines, b"")
         try:
-            there = parse_json(lines[0])
+            there = parse_json(first)
             if there["fingerprint"] != head["fingerprint"]:
                 raise OtherStudy(f"{self._path.parent} contains {_difference(there, head)}")
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
-        kept = [lines[0]]
-        for line in lines[1:-1]:  # an unterminated line was truncated
+        kept = [first]
+        for line in lines:
             if (finished := _finished(line)) is not None:
                 kept.append(line)
                 if finished[0] in self._units:
                     self.finished[finished[0]] = finished[1]
-        self.damaged = len(lines) - len(kept) - (not lines[-1])
+                continue
+            self.damaged += 1
+            if self.damaged > MOST_DAMAGED_LINES:
+                raise LedgerUnreadable(f"{self._path}: more than {MOST_DAMAGED_LINES} lines are damaged")
         if self.damaged:
-            write_whole(self._path, "\n".join([*kept, ""]).encode())
+            write_whole(self._path, b"".join(kept))
 
     def _append(self, line: Mapping[str, object]) -> None:
         with self._path.open("a", encoding="utf-8") as file:
@@ -79,7 +88,7 @@ def _hash(key: str, sums: Sums) -> str:
     return hashlib.sha256(json.dumps([key, sums], sort_keys=True).encode()).hexdigest()
 
 
-def _finished(line: str) -> tuple[str, Sums] | None:
+def _finished(line: bytes) -> tuple[str, Sums] | None:
     """The unit of a line and its sums; None for a line that is damaged or does not match its hash."""
     try:
         content = parse_json(line)

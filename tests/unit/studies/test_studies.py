@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bounded_cost import bounded_cost
 
 from procedures.registration.correspondence import MatchStatus, Prior
 from procedures.studies.campaign.ledger import FILE, Ledger
@@ -137,6 +138,14 @@ def test_a_damaged_line_costs_its_unit_only(tmp_path: Path) -> None:
     opened = Ledger(tmp_path, SMALL)
     assert (opened.damaged, len(opened.missing())) == (1, 1)
     assert Ledger(tmp_path, SMALL).damaged == 0
+
+
+def test_more_damaged_lines_than_crashes_leave_are_not_gone_through(tmp_path: Path) -> None:
+    Ledger(tmp_path, SMALL)
+    with (tmp_path / FILE).open("ab") as file:
+        file.write(b"\n" * 3_000_000)
+    with bounded_cost(limit_s=2.0), pytest.raises(LedgerUnreadable, match=r"STU-002: .*more than 1000 lines"):
+        Ledger(tmp_path, SMALL)
 
 
 def test_a_line_that_says_other_than_was_written_is_run_again(tmp_path: Path) -> None:
