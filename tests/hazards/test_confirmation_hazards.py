@@ -54,8 +54,11 @@ def ask(timeout_s: float = 5.0, read_back: ReadBack | None = None) -> str:
 
 
 @pytest.mark.hazard(36)
-def test_without_an_answer_in_time_the_answer_is_no(keyboard: int) -> None:
+def test_without_an_answer_in_time_the_answer_is_no_and_the_time_is_said(
+    keyboard: int, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert ask(timeout_s=0.05) == "no"
+    assert capsys.readouterr().err.endswith("Type yes or no: \nNo answer within 0.05 s counts as 'no'.\n")
 
 
 @pytest.mark.hazard(36)

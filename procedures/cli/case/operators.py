@@ -130,6 +130,9 @@ class TerminalOperator:
                     return answer
                 question.misread()
                 _say(f"{typed!r} {read_back.wrong}")
+            if ends_s is not None and time.monotonic() >= ends_s:
+                sys.stderr.write("\n")  # the prompt is still there
+                _say(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
             return question.silence
 
 
