@@ -1,13 +1,13 @@
 """Uses a trajectory's free angle: turn about its axis until everything is visible and well reachable.
 
 Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used; if
-none does, the one that is clearest. The choice is a result, not a change of the plan: entry, target and
-axis stay as they are.
+none does, the one that is clearest. If none serves, smaller steps are tried next to the turns that lack only
+a little clearance. The choice is a result, not a change of the plan: entry, target and axis stay as they are.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Generator, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -18,11 +18,15 @@ from procedures.planning.reach.paths import branches_for, check_axes, drive
 from procedures.planning.reach.visits import ArmSetting, Axes, PathCheck, Unmet, localizations_along
 from procedures.planning.reach.wrist import WristState
 from procedures.planning.sight.stereo_head import StereoSight
+from procedures.strategies.free_turns import STEP_RAD, between_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.errors import LimitError
 
 Array = NDArray[np.float64]
+
+LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
+MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,7 @@ def choose_free_angles(
         if first.keys() < options.keys():
             continue
         turns = {name: chain((first[name],), others) for name, others in options.items()}
-        found = _in_branch(setting, axes, fiducials, turns, branch)
+        found = _in_branch(setting, axes, fiducials, sight, turns, branch)
         if found is not None:
             return found
     if blind:
@@ -77,12 +81,13 @@ def _in_branch(
     setting: ArmSetting,
     axes: Axes,
     fiducials_mm: Array,
+    sight: StereoSight,
     options: Mapping[str, Iterable[float]],
     branch: Branch,
 ) -> TurnedPaths | None:
     """The best turns in this branch, one axis after the other; None if it cannot serve."""
     ranked = {
-        name: _ranked(setting, axes.only(name), fiducials_mm, turns, branch)
+        name: _searched(setting, axes.only(name), fiducials_mm, sight, turns, branch)
         for name, turns in options.items()
     }
     chosen: dict[str, float] = {}
@@ -105,14 +110,38 @@ def _in_branch(
             chosen[name] = other
 
 
+def _searched(
+    setting: ArmSetting,
+    axis: Axes,
+    fiducials_mm: Array,
+    sight: StereoSight,
+    turns: Iterable[float],
+    branch: Branch,
+) -> Iterator[float]:
+    """The turns that serve in this branch, then smaller steps next to those that nearly do."""
+    nearly = yield from _ranked(setting, axis, fiducials_mm, turns, branch)
+    between = (
+        turn
+        for turn in between_rad(nearly)
+        if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
+    )
+    yield from _ranked(setting, axis, fiducials_mm, between, branch)
+
+
 def _ranked(
     setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
-) -> Iterator[float]:
-    """The turns reachable in this branch: those with a good wrist in order, then the others, best first."""
+) -> Generator[float, None, list[float]]:
+    """The turns that serve in this branch: those with a good wrist in order, then the others, best first.
+
+    Returns those that only lack some clearance, no more than a turn by half a step may gain.
+    """
     others: list[tuple[float, float]] = []
+    nearly: list[float] = []
     for turn in turns:
         check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
         if not check.passed:
+            if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
+                nearly.append(turn)
             continue
         wrist = WristState.of(setting.kinematics, check)
         if wrist.good:
@@ -121,6 +150,7 @@ def _ranked(
             others.append((wrist.least_bend_rad, turn))
     for _, turn in sorted(others, key=lambda one: -one[0]):
         yield turn
+    return nearly
 
 
 def _seen_along(

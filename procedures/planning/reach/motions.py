@@ -73,7 +73,8 @@ def unclear(
         bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
         if bad is not None:
             pose = motion.start if motion.end == HOME else motion.end
-            found.setdefault(pose, Unmet(pose, _told(motion, bad)))
+            short_mm = motion.around.margin_mm - bad.distance_mm
+            found.setdefault(pose, Unmet(pose, _told(motion, bad), short_mm))
             if first_only:
                 break
     return tuple(found.values())

@@ -83,10 +83,14 @@ class JointMove:
 
 @dataclass(frozen=True)
 class Unmet:
-    """A failed precondition: which pose, and why."""
+    """A failed precondition: which pose, and why.
+
+    `short_mm` is how much clearance a motion to the pose lacks; None if that is not what fails.
+    """
 
     pose: str
     reason: str
+    short_mm: float | None = None
 
 
 @dataclass(frozen=True)

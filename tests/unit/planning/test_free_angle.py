@@ -11,7 +11,7 @@ from procedures.planning.reach.paths import check_paths
 from procedures.planning.reach.visits import ArmSetting, Axes, Visit, visits_of
 from procedures.planning.reach.wrist import LEAST_BEND_RAD, WristState
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.strategies.free_turns import OUTWARDS_RAD
+from procedures.strategies.free_turns import OUTWARDS_RAD, between_rad
 from procedures.strategies.ocs import OrientationCorrection
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.angles import radians6
@@ -99,6 +99,11 @@ def test_turns_go_from_near_to_far_on_both_sides() -> None:
     assert np.all(np.diff(np.abs(OUTWARDS_RAD)) >= -1e-12)
     assert max(OUTWARDS_RAD) == pytest.approx(math.radians(90.0))
     assert min(OUTWARDS_RAD) == pytest.approx(math.radians(-90.0))
+
+
+def test_turns_between_the_steps_are_each_tried_once_and_within_the_range() -> None:
+    between_deg = np.degrees(between_rad((math.radians(80.0), math.radians(90.0))))
+    assert sorted(between_deg) == pytest.approx([75.0, 77.5, 82.5, 85.0, 87.5])
 
 
 def _leaning(x_mm: float) -> Trajectory:
