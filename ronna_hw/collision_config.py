@@ -99,18 +99,28 @@ def _room(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
     return RoomBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
 
 
-_RISER = _tool("mount", (-130.0, 0.0, -85.0), (-130.0, 0.0, -170.0), 13.0)
+# As drawn. The plate starts on the flange, at (-220, 0, -60); up to its start here the hand covers it.
+_MOUNT = (
+    _tool("plate of the mount", (-175.0, 0.0, -60.0), (-130.0, 0.0, -60.0), 13.0),
+    _tool("mount", (-130.0, 0.0, -60.0), (-130.0, 0.0, -170.0), 13.0),
+)
 STEREO_HEAD = (
-    _RISER,
-    _tool("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -240.0), 15.0),
-    _tool("beam of the stereo head", (0.0, -130.0, -240.0), (0.0, 130.0, -240.0), 20.0),
-    _tool("left camera", (0.0, -101.6, -195.1), (0.0, -143.1, -275.0), 30.0),
-    _tool("right camera", (0.0, 101.6, -195.1), (0.0, 143.1, -275.0), 30.0),
+    *_MOUNT,
+    _tool("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -257.0), 15.0),
+    _tool("beam of the stereo head", (0.0, -130.0, -257.0), (0.0, 130.0, -257.0), 20.0),
+    _tool("left camera", (0.0, -101.6, -195.1), (0.0, -144.0, -276.8), 30.0),
+    _tool("right camera", (0.0, 101.6, -195.1), (0.0, 144.0, -276.8), 30.0),
+)
+# The tube ends flat, at -85: a round end would either miss its rim or reach 4 mm beyond it.
+_FLAT_END = tuple(
+    _tool("end of the guide", (-half_mm, y_mm, -86.5), (half_mm, y_mm, -86.5), 2.5)
+    for y_mm, half_mm in ((-6.0, 6.95), (-2.0, 8.0), (2.0, 8.0), (6.0, 6.95))
 )
 GUIDE = (
-    _RISER,
+    *_MOUNT,
     _tool("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
-    _tool("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -95.0), 10.0),
+    _tool("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -94.0), 10.0),
+    *_FLAT_END,
 )
 AROUND_THE_PATIENT = (
     _room("left pin of the clamp", (95.0, 15.0, 10.0), (125.0, 30.0, 5.0), 8.0),

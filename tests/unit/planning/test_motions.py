@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -120,6 +121,25 @@ def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -
     turned = choose_free_angles(setting, TRAJECTORIES[:1], FIDUCIALS, far_aside)
     assert turned.check.passed, turned.check.unmet
     assert turned.turns_rad[TRAJECTORIES[0].identifier] != 0.0
+
+
+@pytest.mark.hazard(24)
+def test_an_angle_that_passes_between_two_steps_is_found() -> None:
+    """Up to -41 deg the plate of the mount is too close to the head; from -44 deg on a sphere is hidden."""
+    turned_as = Rotation.from_quat([-0.16206, -0.16149, 0.69769, 0.67889])
+    at = RigidTransform.from_components([1090.49, -11.93, -549.57], turned_as)
+    spheres = ((-34.17, -116.35, 877.74), (-50.1, -128.91, 833.95), (24.04, -149.5, 805.02))
+    head = HeadEllipsoid(centre_mm=(3.14, -42.46, 812.43), semi_axes_mm=(79.3, 100.5, 94.32))
+    setting = replace(
+        _setting(),
+        robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
+        scene=PlanningScene(CollisionConfig(margin_mm=12.0), head, spheres),
+    )
+    trajectory = Trajectory("T1", (24.41, -89.05, 886.16), (8.69, -72.1, 846.59)).held(9.18)
+    sight = StereoSight(np.array([-0.2, -115.42, -222.15]), np.array([-0.22, 115.46, -221.91]))
+    turned = choose_free_angles(setting, (trajectory,), spheres, sight)
+    assert turned.check.passed, turned.check.unmet
+    assert -44.0 < math.degrees(turned.turns_rad["T1"]) < -41.0
 
 
 def test_a_body_at_home_is_told_by_the_pose_that_the_way_leads_from() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from ronna_hw.arm.clearance.capsule import Capsule
 from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.optics.marker_noise import eyes_mm
 from sim.polaris.scene.arm_capsules import ArmBody
@@ -14,10 +15,14 @@ from sim.polaris.scene.true_scene import TrueScene
 from sim.world.arm.joint_chain import JointChain
 from sim.world.arm.robot_description import description
 from sim.world.rigid import matrix_of
+from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import SceneName, named_scene
 from sim.world.world import ArmState, World
 
 EYE = np.zeros((1, 3))
+LIMBS_OF_THE_ARM = 3
+AS_FINE_AS_MM = 1e-6
+ACROSS_THE_TUBE = "end of the guide"
 BUILT_MM = 6.0  # a mount is built beside its drawing by 2 mm per axis
 
 
@@ -114,14 +119,58 @@ def test_a_tool_on_the_axis_of_the_flange_hides_something_too() -> None:
     assert np.isfinite(capsules.ends_mm).all()
 
 
-def test_every_body_of_the_guide_that_planning_knows_is_where_the_simulated_one_is() -> None:
-    scene = named_scene("mini", seed=4)
+def carried(scene: Scene, tool: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Both ends of the axes (n, 3) and radii (n) of all that the mount carries, in the tool frame."""
     flange = np.linalg.inv(matrix_of(scene.mount.flange_from_tool_true))
     arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), flange, 0, True)
-    capsules = ArmBody(scene).capsules(arm, scene.mount.tool_number_guide, np.eye(4))
+    capsules = ArmBody(scene).capsules(arm, tool, np.eye(4))
+    return tuple(one[LIMBS_OF_THE_ARM:] for one in (capsules.starts_mm, capsules.ends_mm, capsules.radii_mm))
+
+
+def inside_mm(start_mm: np.ndarray, end_mm: np.ndarray, radius_mm: float) -> np.ndarray:
+    """Places (n, 3) on and in a rod with flat ends: the round ones only make sight easy to compute."""
+    across = np.linalg.svd((end_mm - start_mm)[None])[2][1:]
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ across
+    places = start_mm + np.linspace(0.0, 1.0, 100)[:, None] * (end_mm - start_mm)
+    radii_mm = np.linspace(0.0, radius_mm, 9)[:, None, None, None]
+    return np.asarray((places[:, None] + radii_mm * ring).reshape(-1, 3))
+
+
+def beyond_mm(places_mm: np.ndarray, capsules: list[Capsule]) -> float:
+    """How far the farthest of the places (n, 3) is outside the capsules; not positive if all are inside."""
+    nearest = np.full(len(places_mm), np.inf)
+    for start_mm, end_mm, radius_mm in capsules:
+        way = np.subtract(end_mm, start_mm)
+        share = np.clip((places_mm - start_mm) @ way / (way @ way), 0.0, 1.0)[:, None]
+        away_mm = np.linalg.norm(places_mm - start_mm - share * way, axis=1)
+        nearest = np.minimum(nearest, away_mm - radius_mm)
+    return float(nearest.max())
+
+
+@pytest.mark.hazard(24)
+@pytest.mark.parametrize("tool", ["stereo", "guide"])
+def test_planning_knows_every_body_that_the_simulated_mount_carries(tool: str) -> None:
+    scene = named_scene("mini", seed=4)
+    mount = scene.mount.model_copy(update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal})
+    scene = scene.model_copy(update={"mount": mount})  # as drawn; the margin covers how it was built
+    cell = CollisionConfig()
+    number = {"stereo": mount.tool_number_stereo, "guide": mount.tool_number_guide}[tool]
+    wrist, flange = ((-220.0, 0.0, z_mm) for z_mm in (-140.0, -60.0))
+    known = [one.capsule for one in {"stereo": cell.stereo_head, "guide": cell.guide}[tool]]
+    known.append(Capsule(wrist, flange, cell.arm.hand_mm))
+    outside_mm = [beyond_mm(inside_mm(*body), known) for body in zip(*carried(scene, number), strict=True)]
+    assert max(outside_mm) <= AS_FINE_AS_MM, outside_mm
+
+
+def test_every_body_of_the_guide_that_planning_knows_is_where_the_simulated_one_is() -> None:
+    scene = named_scene("mini", seed=4)
+    starts_mm, ends_mm, _ = carried(scene, scene.mount.tool_number_guide)
     shares = np.linspace(0.0, 1.0, 200)[:, None, None]
-    places = (capsules.starts_mm + shares * (capsules.ends_mm - capsules.starts_mm)).reshape(-1, 3)
+    places = (starts_mm + shares * (ends_mm - starts_mm)).reshape(-1, 3)
     for body in CollisionConfig().guide:
+        if body.name == ACROSS_THE_TUBE:
+            continue
         for end in (body.start_mm, body.end_mm):
             assert np.linalg.norm(places - np.array(end), axis=1).min() <= BUILT_MM, body.name
 
