@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shutil
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,6 +22,7 @@ from procedures.exchange.raw_extent import RawExtent, write_extent
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
 from ronna_hw.evidence.journal_reading import chain_until_broken
+from ronna_hw.host.folder_walk import remove_folder
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
 from ronna_hw.records import PARTIAL
 
@@ -84,7 +84,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
         raise NotWritable(f"{out} already exists", action="Give a new folder.")
     made = out.with_name(f".{out.name}{PARTIAL}")
     try:
-        shutil.rmtree(made, ignore_errors=True)
+        remove_folder(made)
         (made / PICTURES_FOLDER).mkdir(parents=True)
         lines = len(chain_until_broken(run / JOURNAL_FILE)[0].lines)
         whole = _write_all(run, made, most_bytes)
@@ -93,7 +93,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     finally:
-        shutil.rmtree(made, ignore_errors=True)
+        remove_folder(made)
     return out, whole
 
 

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple, cast
 
-from ronna_hw.bounded_input import InputRefused
+from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
 from ronna_hw.evidence.truth_so_far import unlike_truth
-from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
 
@@ -262,8 +261,8 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
 
 def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
     """Differences between the journal and its sealed state; returns whether the seal covers all of it."""
-    with open_regular(folder / JOURNAL_FILE) as file:
-        sealed, after = file.read(seal.journal_bytes), file.read()
+    journal = read_json_lines(folder / JOURNAL_FILE, linked=False)
+    sealed, after = journal[: seal.journal_bytes], journal[seal.journal_bytes :]
     if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
         yield Problem(JOURNAL_FILE, "not the journal that was sealed: lines were changed, added or removed")
         return False
@@ -297,6 +296,8 @@ def _why_unread(error: OSError | InputRefused) -> str:
         return error.summary
     if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):
         return "replaced: not a regular file"
+    if error.errno == errno.EFBIG:
+        return "changed: larger than any file of a run"
     return f"cannot be read: {error.strerror}"
 
 

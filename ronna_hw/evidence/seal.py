@@ -7,7 +7,10 @@ whole, so that removing the last line is detected.
 
 from __future__ import annotations
 
+import errno
 import hashlib
+import os
+import stat
 from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 
@@ -15,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+from ronna_hw.host.folder_walk import walk
 from ronna_hw.host.regular_file import open_regular
 from ronna_hw.records import PARTIAL, canonical_json, write_whole
 
@@ -29,11 +33,12 @@ RAW_FOLDER = "raw"  # images and frames as files, if wanted
 LATER_FOLDERS = ("report", RAW_FOLDER)
 BESIDE = f".report{PARTIAL}"  # where a new report is written
 APART = (
-    "export/",
-    f"{BESIDE}/",
-    f".{RAW_FOLDER}{PARTIAL}/",
-)  # derived from the run at any time, and not part of it
+    "export",
+    BESIDE,
+    f".{RAW_FOLDER}{PARTIAL}",
+)  # folders derived from the run at any time, and not part of it
 CHUNK_BYTES = 1 << 20
+LARGEST_FILE_BYTES = 4_000_000_000  # twice the tape of readings at its largest
 
 
 class Seal(BaseModel):
@@ -62,25 +67,30 @@ class Seal(BaseModel):
 
 
 def sha256_of(path: Path) -> str:
-    """Hash of a file's content. Raises OSError, also if it is not a regular file."""
+    """Hash of a file's content. Raises OSError, also if it is not a regular file, or too large for a run."""
     found = hashlib.sha256()
     with open_regular(path) as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
+            raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
         while part := file.read(CHUNK_BYTES):
             found.update(part)
     return found.hexdigest()
 
 
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
-    """Every file of a run by its name there, without journal, seal and exports."""
-    for path in sorted(folder.rglob("*")):
+    """Every file of a run by its name there, without journal, seal and exports.
+
+    Also folders that are deeper than any run goes: nothing below them is listed.
+    """
+    for path, is_folder, entered in sorted(walk(folder, without=APART)):
         name = path.relative_to(folder).as_posix()
-        if (path.is_symlink() or not path.is_dir()) and not _is_apart(name):
+        if not (is_folder and entered) and name not in (JOURNAL_FILE, SEAL_FILE):
             yield name, path
 
 
 def hashes_at_closing(folder: Path) -> dict[str, str]:
     """Hashes of the files that are complete when a run is closed. Raises OSError."""
-    return {name: sha256_of(path) for name, path in files_of(folder) if not is_later(name)}
+    return {name: sha256_of(path) for name, path in _own_files(folder) if not is_later(name)}
 
 
 def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
@@ -89,7 +99,7 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     for given in inputs:
         if folder.resolve() in given.resolve().parents or not given.exists():
             continue
-        paths = [path for path in sorted(given.rglob("*")) if path.is_file()] if given.is_dir() else [given]
+        paths = sorted(path for path, *_ in walk(given) if path.is_file()) if given.is_dir() else [given]
         hashes.update({str(path.resolve()): sha256_of(path.resolve()) for path in paths})
     return hashes
 
@@ -100,7 +110,7 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
     Raises OSError.
     """
     later = {
-        name: sha256_of(path) for name, path in files_of(folder) if name not in closed and name not in apart
+        name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
     made = Seal(journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later).signed()
@@ -132,5 +142,19 @@ def _as_written(made: Seal) -> bytes:
     return made.model_dump_json(by_alias=True, indent=1).encode()
 
 
-def _is_apart(name: str) -> bool:
-    return name in (JOURNAL_FILE, SEAL_FILE) or name.startswith(APART)
+def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
+    """The files that a run can have written itself; any other is an added one, whenever it came."""
+    for name, path in files_of(folder):
+        status = path.lstat()
+        regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES
+        if regular and _is_text(name):
+            yield name, path
+
+
+def _is_text(name: str) -> bool:
+    """Whether a name is UTF-8: another one has no form in the JSON of the seal."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import REQUEST_FILE, closed_files, is_closed, not_vouched_for
 from ronna_hw.evidence.journal_reading import Entry, read_chain
 from ronna_hw.evidence.seal import RAW_FOLDER, seal
+from ronna_hw.host.folder_walk import remove_folder
 from ronna_hw.host.interruption import interruptible
 from ronna_hw.records import PARTIAL
 
@@ -117,7 +117,7 @@ def _tidy(beside: Path, kept: Path) -> None:
         if not kept.exists():
             (beside / FORMER).rename(kept)
     if kept.exists() or not (beside / FORMER).exists():
-        shutil.rmtree(beside, ignore_errors=True)
+        remove_folder(beside)
 
 
 def tell_way_on(folder: Path, problem: BaseException) -> None:

@@ -18,6 +18,7 @@ from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.errors import EXIT_USAGE
+from ronna_hw.host.folder_walk import walk
 from ronna_hw.log_output import LOG_FILE
 
 if TYPE_CHECKING:
@@ -158,6 +159,6 @@ def forget_if_refused(folder: Path, problem: BaseException) -> None:
 def forget_if_empty(folder: Path) -> None:
     """Remove a run folder in which nothing but the request and the log was written."""
     if not any(
-        path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path in folder.rglob("*")
+        path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path, *_ in walk(folder)
     ):
         shutil.rmtree(folder, ignore_errors=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,6 +20,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
+from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.records import PARTIAL
 
 PROBE_FILE = ".writable"
@@ -111,8 +111,10 @@ def _check_writable(folder: Path) -> None:
 
 def _remove_half_written(folder: Path) -> None:
     """What a program that was killed had not finished writing was never part of the run."""
-    for path in folder.rglob(f".*{PARTIAL}"):
-        if path.is_dir():  # of a report
-            shutil.rmtree(path)
-        else:
+    for path, is_folder, _ in list(walk(folder)):
+        if not (path.name.startswith(".") and path.name.endswith(PARTIAL)):
+            continue
+        if not is_folder:
             path.unlink(missing_ok=True)
+        elif not remove_folder(path):  # of a report
+            tell(f"{path} could not be removed")

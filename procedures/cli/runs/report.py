@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,6 +12,7 @@ from procedures.engine.run_lock import held_run
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import BESIDE, SEAL_FILE, is_sealed
+from ronna_hw.host.folder_walk import remove_folder, walk
 from ronna_hw.host.interruption import interruption_deferred
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation 
                 _take_over(beside, run)
                 seal_run(run)
         finally:
-            shutil.rmtree(beside, ignore_errors=True)
+            remove_folder(beside)
     return run / REPORT_FILE
 
 
@@ -51,7 +51,7 @@ def _take_over(made: Path, run: Path) -> None:
     """Move a report into a run. The seal goes first: killed meanwhile it waits for its seal, and is whole."""
     if is_sealed(run):
         (run / SEAL_FILE).unlink()
-    for path in sorted(made.rglob("*")):
+    for path, *_ in sorted(walk(made)):
         place = run / path.relative_to(made)
         if path.is_file():
             place.parent.mkdir(exist_ok=True)

@@ -25,7 +25,7 @@ from procedures.results.result import StepResult
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.inspection import Problem, closed_files, inspected
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.seal import SEAL_FILE, is_sealed, seal
+from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, is_sealed, read_seal, seal
 from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.records import read_record, write_record
 
@@ -134,6 +134,50 @@ def test_any_file_that_came_is_named(run: Path, name: str) -> None:
     (run / name).parent.mkdir(parents=True, exist_ok=True)
     (run / name).write_text("from elsewhere")
     assert changed_files(run) == {name}
+
+
+@pytest.mark.parametrize("where", ["", "report/", "theatre/"])
+def test_a_chain_of_folders_without_end_is_an_added_one(run: Path, where: str) -> None:
+    chain_of_folders(run / f"{where}deep")
+    (problem,) = inspected(run).changes
+    assert problem.file.startswith(f"{where}deep/")
+    assert problem.beside
+    gone_home(run)
+    assert inspected(run).problems == (problem,)
+
+
+@pytest.mark.parametrize("where", ["export", ".report.partial"])
+def test_a_chain_of_folders_outside_the_run_is_not_looked_at(run: Path, where: str) -> None:
+    chain_of_folders(run / where)
+    assert inspected(run).problems == ()
+
+
+def chain_of_folders(folder: Path, count: int = 1200) -> None:
+    """More levels than the interpreter has frames; made from within, as the path may grow too long."""
+    folder.mkdir()
+    at = os.open(folder, os.O_RDONLY)
+    for _ in range(count):
+        os.mkdir("d", dir_fd=at)
+        inner = os.open("d", os.O_RDONLY, dir_fd=at)
+        os.close(at)
+        at = inner
+    os.close(at)
+
+
+@pytest.mark.parametrize("size", [LARGEST_FILE_BYTES + 1, 300_000_000_000])
+def test_a_file_without_end_is_changed_by_its_size_alone(run: Path, size: int) -> None:
+    os.truncate(run / "pictures" / "ct-1.png", size)
+    (problem,) = inspected(run).problems
+    assert str(problem) == "pictures/ct-1.png: changed: larger than any file of a run"
+
+
+def test_a_name_that_is_no_text_never_comes_into_the_seal(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    (run / "report" / os.fsdecode(b"a\xff")).write_text("from elsewhere")
+    seal_run(run)
+    assert [str(problem) for problem in inspected(run).problems] == [
+        "report/a\\udcff: added: not part of the run"
+    ]
 
 
 def test_a_file_whose_name_has_a_line_break_forges_no_line(run: Path) -> None:
@@ -261,6 +305,13 @@ def test_truth_that_is_exchanged_in_a_run_that_was_killed_is_named(
     assert changed_files(sampled) == {f"theatre/{name}"}
 
 
+def test_truth_of_any_length_in_the_journal_costs_no_memory(sampled: Path) -> None:
+    journal = Journal.taken_up(sampled, read_chain(sampled / JOURNAL_FILE))
+    journal.write(Entry.FOUND, 3.0, truth={"theatre/truth.jsonl": [10**18, "0"]})
+    journal.close()
+    assert changed_files(sampled) == {"theatre/truth.jsonl"}
+
+
 @pytest.mark.hazard(39)
 def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) -> None:
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
@@ -284,6 +335,16 @@ def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
         inspected(run).require_whole()
     sealed(run)
     assert inspected(run).problems == ()
+
+
+def test_a_seal_of_a_journal_of_any_length_costs_no_memory(run: Path) -> None:
+    made = read_seal(run)
+    assert made is not None
+    longer = made.model_copy(update={"journal_bytes": 10**18}).signed()
+    (run / SEAL_FILE).write_text(longer.model_dump_json(by_alias=True, indent=1))
+    assert inspected(run).changes == ()  # of the same bytes, which are all there is
+    (run / JOURNAL_FILE).write_bytes((run / JOURNAL_FILE).read_bytes() + b"\n")
+    assert changed_files(run) == {JOURNAL_FILE}
 
 
 def test_nobody_adds_a_line_to_a_sealed_run(run: Path) -> None:
