@@ -6,7 +6,7 @@ and does not prevent the rest from being shown.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -73,12 +73,12 @@ class RunReading:
             self.problems.append(problem)
 
 
-def read_for_report(folder: Path, *, every_file: bool = True) -> RunReading:
+def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> RunReading:
     """Read a run folder; raises nothing that its content can cause.
 
-    Without `every_file` only journal and records are compared, which takes milliseconds.
+    Without `every_file` only journal, records and `files` are compared, which takes milliseconds.
     """
-    found = inspected(folder, every_file=every_file)
+    found = inspected(folder, every_file=every_file, files=files)
     notes = []
     if not found.chain.lines:
         notes.append("There is no journal: the run ended before its theatre was open.")

@@ -10,16 +10,22 @@ from procedures.cli.runs.folders import runs_in
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import Entry
 from procedures.reporting.ending import ending_of
-from procedures.reporting.files import kept_truth
+from procedures.reporting.files import REPORT_FOLDER, TRUTH_FILE, kept_truth
+from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
 from ronna_hw.command_line.terminal import print_json, print_table, say
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable
 
+KEPT_TRUTH = f"{REPORT_FOLDER}/{TRUTH_FILE}"
+
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
-    """Print the runs of a folder, oldest first."""
-    rows = [_summary(read_for_report(run, every_file=False)) for run in runs_in(folder)]
+    """Print the runs of a folder, oldest first.
+
+    Only what the rows come from is compared; an error from a changed file is omitted.
+    """
+    rows = [_listed(run) for run in runs_in(folder)]
     if as_json:
         print_json({"runs": rows})
         return
@@ -33,17 +39,20 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
                 row["strategy"] or "",
                 row["ended"],
                 str(len(row["done"])),
-                "-" if row["max_application_error_mm"] is None else f"{row['max_application_error_mm']:.3f}",
+                _largest(row),
             )
             for row in rows
         ],
     )
+    for row in rows:
+        for problem in row["problems"]:
+            say(f"{printable(row['run'])} is not reliable: {problem}")
 
 
 def show_run(folder: Path, *, as_json: bool) -> None:
     """Print what a run did, how it ended, and the errors at its targets."""
     reading = read_for_report(folder)
-    row, missing = _summary(reading), missing_in_raw(folder, tuple(reading.run.journal))
+    row, missing = _summary(reading, kept_truth(folder)), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
         print_json(row | {"problems": [*reading.changes, *reading.problems], "raw_missing": missing})
         return
@@ -79,11 +88,23 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     sys.stdout.write(lineage_mermaid(run) if as_mermaid else lineage_text(run))
 
 
-def _summary(reading: RunReading) -> dict[str, Any]:
+def _listed(folder: Path) -> dict[str, Any]:
+    reading = read_for_report(folder, every_file=False, files=(KEPT_TRUTH,))
+    kept = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
+    row = _summary(reading, kept_truth(folder) if kept else None)
+    return row | {"problems": [*reading.changes, *reading.problems]}
+
+
+def _largest(row: dict[str, Any]) -> str:
+    error_mm = row["max_application_error_mm"]
+    mark = "?" if row["problems"] else ""
+    return mark or "-" if error_mm is None else f"{error_mm:.3f}{mark}"
+
+
+def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
     """A run in plain data: what `list` and `show` print."""
     run = reading.run
     ending = ending_of(run.journal)
-    truth = kept_truth(reading.folder)
     errors_mm = {} if truth is None else {one.id: one.application_error_mm for one in truth.targets}
     return {
         "run": reading.folder.resolve().name,

@@ -10,12 +10,19 @@ from procedures.cli.case.case_view import entry_of, in_words
 from procedures.engine.events import CaseState, Event, Questioned, Refusal
 from procedures.engine.events.followed_run import FollowedRun
 from ronna_hw.command_line.terminal import message_console, on_terminal, tell
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.text.printable import printable
 
 
 def watch(run: Path, *, as_json: bool) -> None:
-    """Show what holds, then what happens, until the run has ended. Raises CLI-005, PRO-018."""
+    """Show what holds, then what happens, until the run has ended. Raises CLI-005, PRO-018.
+
+    Of a run that is over, first what is not as it left it.
+    """
     followed = FollowedRun(run)
+    if followed.over:
+        for change in inspected(run).changes:
+            tell(f"NOT AS THE RUN LEFT IT: {change}")
     if as_json:
         _write(followed, lambda event: event.model_dump_json())
     elif on_terminal(sys.stderr):

@@ -21,6 +21,7 @@ from ronna_hw.logs import logger
 EVENTS_FILE = "events.jsonl"
 SIGNAL_PERIOD_S = 0.5  # host time between two signals about the same: what a person can follow
 SIGNALS_BYTES = 8 << 20  # of signals in one session; some ten hours of an arm, a tracker and a stereo head
+LARGEST_BYTES = 100_000_000  # of the file: a dozen sessions with all their signals
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
 
 _log = logger(part="events")
@@ -50,8 +51,9 @@ class EventFile:
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            content = self._path.read_bytes()  # of a session that was killed the last line may be torn
-            os.ftruncate(file, content.rfind(b"\n") + 1)
+            end = max(0, os.fstat(file).st_size - LARGEST_BYTES)
+            tail = os.pread(file, LARGEST_BYTES, end)  # of a killed session the last line may be torn
+            os.ftruncate(file, end + tail.rfind(b"\n") + 1)
         except OSError as error:
             self._complain(error)
             return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -10,7 +11,7 @@ from pathlib import Path
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.current_state import CurrentState
 from procedures.engine.events.event import Event
-from procedures.engine.events.event_file import EVENTS_FILE
+from procedures.engine.events.event_file import EVENTS_FILE, LARGEST_BYTES
 from procedures.engine.events.happenings import VERSION, JournalLine
 from ronna_hw.bounded_input import check_json
 from ronna_hw.command_line.errors import PathProblem
@@ -33,9 +34,19 @@ class FollowedRun:
         self._offset = self._lines = 0
         self.closed = False  # whether the run came to its own end
 
+    @property
+    def over(self) -> bool:
+        """Whether the run's own program has let go of the file, however it ended."""
+        with self._path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+        return True
+
     def batches(self, *, whole: bool = False) -> Iterator[Sequence[Event]]:
         """First what holds at present, or the `whole` course so far, then what happens. Raises PRO-018."""
-        over = self._nobody_writes()
+        over = self.over
         course = self._read()
         if whole:
             yield _in_order(course)
@@ -46,15 +57,17 @@ class FollowedRun:
             yield present.events
         while not over:
             self._sleep(LOOK_AGAIN_S)
-            over = self._nobody_writes()  # before the last look
+            over = self.over  # before the last look
             if events := self._read():
                 yield events
 
     def _read(self) -> list[Event]:
         """What was written since; a line that is not complete yet waits."""
         with self._path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
+                raise EventsUnreadable(f"{self._path} is too large", expected=f"at most {LARGEST_BYTES} bytes")
             file.seek(self._offset)
-            content = file.read()
+            content = file.read(LARGEST_BYTES)
         content = content[: content.rfind(b"\n") + 1]
         self._offset += len(content)
         return [self._event(line) for line in content.splitlines()]
@@ -74,15 +87,6 @@ class FollowedRun:
         if isinstance(event.what, JournalLine):
             self.closed = event.what.line.get("entry") == CLOSED
         return event
-
-    def _nobody_writes(self) -> bool:
-        """Whether the run's own program has let go of the file, however it ended."""
-        with self._path.open("rb") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-            except BlockingIOError:
-                return False
-        return True
 
 
 def _in_order(course: Sequence[Event]) -> list[Event]:

@@ -30,13 +30,16 @@ from procedures.cli.runs.commands import COMMANDS
 from procedures.cli.runs.left_runs import close_left
 from procedures.cli.runs.report import make_report
 from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.engine.events import CaseState
+from procedures.engine.events.event_file import EVENTS_FILE, EventFile
+from procedures.engine.events.stream import EventStream
 from procedures.engine.left_run import read_left_run
 from procedures.engine.run_lock import held_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.operator.errors import OperatorAborted
 from procedures.reporting import report as written_report
 from procedures.reporting.files import keep_truth
-from procedures.reporting.outcome import Truth
+from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -315,6 +318,37 @@ def test_list_and_show_tell_how_runs_ended(run: Path) -> None:
     assert sorted(shown["superseded"]) == ["02-localization-T1", "03-fit-T1"]
     assert run.name in in_this_process(app, "show", run).stdout
     assert run.name in in_this_process(app, "list", run.parent).stdout
+
+
+@pytest.mark.parametrize("seal", [True, False], ids=["sealed", "seal removed"])
+def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, seal: bool) -> None:
+    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),)))
+    seal_run(run)
+    (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    assert (row["max_application_error_mm"], row["problems"]) == (1.25, [])
+    keep_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
+    if not seal:
+        (run / SEAL_FILE).unlink()
+    (row,) = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
+    what = "changed" if seal else "not confirmed by a seal"
+    assert (row["max_application_error_mm"], row["problems"]) == (None, [f"report/truth.json: {what}"])
+    table = in_this_process(app, "list", run.parent).stdout
+    assert "0.125" not in table
+    assert f"{run.name} is not reliable: report/truth.json: {what}" in table
+
+
+def test_watch_names_first_what_is_not_as_a_finished_run_left_it(run: Path) -> None:
+    stream = EventStream()
+    file = EventFile(run, stream)
+    stream.publish(CaseState(state="finished"))
+    stream.end()
+    file.join()
+    seal_run(run)
+    assert "NOT AS THE RUN LEFT IT" not in in_this_process(app, "watch", run).stderr
+    events = run / EVENTS_FILE
+    events.write_bytes(events.read_bytes().replace(b"finished", b"recovery"))
+    told = in_this_process(app, "watch", run).stderr.splitlines()
+    assert told[0] == "NOT AS THE RUN LEFT IT: events.jsonl: changed"
 
 
 @pytest.mark.parametrize("which", [(), ("RUN", "--config", "theatre.toml")])
