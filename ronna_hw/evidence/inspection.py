@@ -18,7 +18,7 @@ from ronna_hw.bounded_input import InputRefused, read_json_lines
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, chain_until_broken
 from ronna_hw.evidence.seal import SEAL_FILE, Seal, files_of, is_later, read_seal, sha256_of
-from ronna_hw.evidence.truth_so_far import unlike_truth
+from ronna_hw.evidence.truth_so_far import unlike_content, unlike_truth
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text.printable import printable
 
@@ -107,6 +107,15 @@ class Inspection:
     def require_whole(self) -> Inspection:
         """This, or PRO-033 unless the folder is as left by a closed and sealed run."""
         return self._require(self.problems, None if self.changes else FINISH_IT)
+
+    def require_content(self, name: str, content: bytes) -> bytes:
+        """The content, read from a file of the run after the check, or PRO-033 if it was exchanged since."""
+        lines = self.chain.lines
+        named = closed_files(lines) if is_closed(lines) else {}
+        changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
+        if what := "changed" if changed else unlike_content(name, content, lines):
+            self._require((Problem(name, what),))
+        return content
 
     def _require(self, problems: tuple[Problem, ...], action: str | None = None) -> Inspection:
         if problems:

@@ -32,6 +32,33 @@ def truth_so_far(folder: Path) -> dict[str, JournalValue]:
 
 def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
     """Files of a run that do not match its lines, and how."""
+    for name in _told(lines):
+        try:
+            with open_regular(folder / name) as file:
+                content = file.read(LARGEST_BYTES + 1)
+        except FileNotFoundError:
+            yield name, "missing"
+        except OSError as error:
+            yield name, f"replaced, or cannot be read: {error.strerror}"
+        else:
+            if what := unlike_content(name, content, lines):
+                yield name, what
+
+
+def unlike_content(name: str, content: bytes, lines: Sequence[Line]) -> str:
+    """How the content of such a file does not match the lines; empty if it does, or they do not name it."""
+    if name not in (told := _told(lines)):
+        return ""
+    size, sha256, number = told[name]
+    if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
+        return "changed"
+    if len(content) > size and not (name in GROWING and _begun(lines[number + 1 :])):
+        return "continues beyond the journal, and no step was running"
+    return ""
+
+
+def _told(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
+    """Length and hash of each file according to the last line that states them, and that line's number."""
     told: dict[str, tuple[int, str, int]] = {}
     for number, line in enumerate(lines):
         field = line.get(FIELD)
@@ -39,20 +66,7 @@ def unlike_truth(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str
             match value:
                 case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
                     told[name] = (int(length), sha256, number)
-    for name, (size, sha256, number) in told.items():
-        try:
-            with open_regular(folder / name) as file:
-                before, after = file.read(min(size, LARGEST_BYTES)), file.read(1)
-        except FileNotFoundError:
-            yield name, "missing"
-            continue
-        except OSError as error:
-            yield name, f"replaced, or cannot be read: {error.strerror}"
-            continue
-        if len(before) < size or hashlib.sha256(before).hexdigest() != sha256:
-            yield name, "changed"
-        elif after and not (name in GROWING and _begun(lines[number + 1 :])):
-            yield name, "continues beyond the journal, and no step was running"
+    return told
 
 
 def _begun(lines: Sequence[Line]) -> bool:

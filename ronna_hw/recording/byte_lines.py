@@ -9,18 +9,20 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import os
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
 from pathlib import Path
 
-from ronna_hw.bounded_input import parse_json
+from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.host.regular_file import open_regular
 
 BYTES_FOLDER = "bytes"
 FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written alternately
+LARGEST_FILE_BYTES = 64_000_000  # twice what the flight recorder writes into one
 _BEGINNING = '{"host_time"'
 _HEX = {direction: f',"direction":"{direction}","hex":"' for direction in Direction}
 Facts = Mapping[str, str | float]
@@ -55,15 +57,19 @@ def links_of(folder: Path) -> tuple[str, ...]:
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
-    """Everything stored of a link, oldest first."""
+    """Everything stored of a link, oldest first. Raises INP-001 for a file that is too large, OSError."""
     files = [folder / name.format(link=link) for name in FILE_NAMES]
-    parts = [lines for path in files if path.exists() and (lines := list(_read(link, path)))]
-    for part in sorted(parts, key=lambda lines: lines[0].host_time):
+    parts = [_read(link, path) for path in files if path.exists()]
+    begun = [(first, part) for part in parts if (first := next(part, None)) is not None]
+    for first, part in sorted(begun, key=lambda one: one[0].host_time):
+        yield first
         yield from part
 
 
-def _read(link: str, path: Path) -> Iterable[LinkLine]:
+def _read(link: str, path: Path) -> Iterator[LinkLine]:
     with io.TextIOWrapper(open_regular(path), encoding="ascii", errors="replace") as file:
+        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
+            raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
         for text in file:
             if not text.startswith(_BEGINNING):
                 continue  # torn

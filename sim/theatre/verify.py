@@ -11,13 +11,22 @@ from typing import Any
 
 import numpy as np
 
+from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.evidence.journal_reading import theatre_time_s
 from ronna_hw.records import Record
 from sim.errors import NothingToVerify
 from sim.world.rigid import apply, matrix_of
-from sim.world.scene.model import Scene, read_scene
-from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TipSample, read_samples
+from sim.world.scene.model import Scene, parse_scene_json, read_scene
+from sim.world.truth import (
+    SCENE_FILE,
+    THEATRE_FOLDER,
+    TRUTH_FILE,
+    TipSample,
+    parse_samples,
+    read_samples,
+    truth_bytes,
+)
 
 WHERE_IT_WAS_MADE = "Give the folder of the theatre in which the run was made."
 SAME_SPHERE_MM = 2.0  # a found centre within this distance is that sphere; spheres are 11.5 mm wide
@@ -43,8 +52,10 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             action=WHERE_IT_WAS_MADE,
         )
     found = inspected(run).require_unchanged()
-    scene = read_scene(place / SCENE_FILE)
-    taken = read_samples(place) if theatre is None else _during(found, read_samples(place))
+    if theatre is None:
+        scene, taken = _own_truth(found, place)
+    else:
+        scene, taken = read_scene(place / SCENE_FILE), _during(found, read_samples(place))
     samples = {sample.target: sample for sample in taken}  # the last sample of each target
     localization = _standing(found, "fiducial_localization")
     if localization is None and not samples:
@@ -63,6 +74,18 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             if trajectory["id"] in samples
         ],
     }
+
+
+def _own_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
+    """The truth that a run contains, from the very bytes that are compared with its journal."""
+
+    def checked(name: str, content: bytes) -> bytes:
+        return found.require_content(f"{THEATRE_FOLDER}/{name}", content)
+
+    truth = place / TRUTH_FILE
+    scene = checked(SCENE_FILE, read_json_bytes(place / SCENE_FILE))
+    samples = checked(TRUTH_FILE, truth_bytes(truth)) if truth.exists() else b""
+    return parse_scene_json(scene, SCENE_FILE), parse_samples(samples)
 
 
 def _during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:

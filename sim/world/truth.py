@@ -59,14 +59,23 @@ def append_sample(sample: TipSample, folder: Path) -> None:
 def read_samples(folder: Path) -> list[TipSample]:
     """All samples of a theatre, in order; an empty list when none was taken. Raises SIM-007."""
     path = folder / TRUTH_FILE
-    if not path.exists():
-        return []
+    return parse_samples(truth_bytes(path)) if path.exists() else []
+
+
+def truth_bytes(path: Path) -> bytes:
+    """The content of a truth file. Raises INP-001, SIM-007."""
     try:
-        lines = read_json_lines(path, LARGEST_TRUTH_BYTES).decode().splitlines()
-    except UnicodeDecodeError as error:
-        raise BadTruth(f"{path.name} is not UTF-8 text: {error.reason}") from error
+        return read_json_lines(path, LARGEST_TRUTH_BYTES)
     except OSError as error:
         raise BadTruth(f"cannot read {path.name}: {error.strerror}") from error
+
+
+def parse_samples(content: bytes) -> list[TipSample]:
+    """The samples in the content of a truth file. Raises SIM-007."""
+    try:
+        lines = content.decode().splitlines()
+    except UnicodeDecodeError as error:
+        raise BadTruth(f"{TRUTH_FILE} is not UTF-8 text: {error.reason}") from error
     samples: list[TipSample] = []
     mistakes: list[str] = []
     for number, line in enumerate(lines, 1):
@@ -77,7 +86,7 @@ def read_samples(folder: Path) -> list[TipSample]:
             if len(mistakes) >= MOST_MISTAKES:
                 break
     if mistakes:
-        raise BadTruth(f"{path.name} has invalid lines: {'; '.join(mistakes)}")
+        raise BadTruth(f"{TRUTH_FILE} has invalid lines: {'; '.join(mistakes)}")
     return samples
 
 

@@ -65,7 +65,9 @@ class FollowedRun:
         """What was written since; a line that is not complete yet waits."""
         with self._path.open("rb") as file:
             if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
-                raise EventsUnreadable(f"{self._path} is too large", expected=f"at most {LARGEST_BYTES} bytes")
+                raise EventsUnreadable(
+                    f"{self._path} is too large", expected=f"at most {LARGEST_BYTES} bytes"
+                )
             file.seek(self._offset)
             content = file.read(LARGEST_BYTES)
         content = content[: content.rfind(b"\n") + 1]

@@ -380,14 +380,20 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
         raise BadScene(f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)) from error
 
 
+def parse_scene_json(content: bytes, name: str) -> Scene:
+    """The scene in the content of a JSON file; raises SIM-001 with every mistake in it."""
+    try:
+        return Scene.model_validate_json(content, strict=False)
+    except ValidationError as error:
+        raise BadScene(f"{name}: " + "; ".join(describe_mistakes(error, Scene))) from error
+
+
 def read_scene(path: Path) -> Scene:
     """Read a scene file (TOML or JSON); raises SIM-001 with every mistake in it."""
     try:
         if path.suffix == ".json":
-            return Scene.model_validate_json(read_json_bytes(path), strict=False)
+            return parse_scene_json(read_json_bytes(path), path.name)
         content = read_toml(path, BadScene)
     except OSError as error:
         raise BadScene(f"cannot read the scene {path.name}: {error.strerror}") from error
-    except ValidationError as error:
-        raise BadScene(f"{path.name}: " + "; ".join(describe_mistakes(error, Scene))) from error
     return parse_scene(content, path.name)

@@ -28,6 +28,7 @@ from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.errors import JournalCorrupt
 from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.recording.byte_lines import read_link
 from ronna_hw.records import BadRecord, read_record
 from ronna_hw.wire.kuka_context import ContextInvalid, load_context
 from sim.errors import BadScene
@@ -167,6 +168,18 @@ def test_hostile_files_of_a_run_are_refused(tmp_path: Path, name: str) -> None:
         read_chain(tmp_path / "journal.jsonl")
     with pytest.raises(EventsUnreadable):
         next(FollowedRun(tmp_path).batches())
+
+
+@pytest.mark.parametrize("size", [3_000_000_000, 300_000_000_000])
+def test_files_of_a_run_that_are_mostly_holes_are_refused_by_their_size(tmp_path: Path, size: int) -> None:
+    for file in ("events.jsonl", "link.a.jsonl"):
+        (tmp_path / file).touch()
+        os.truncate(tmp_path / file, size)
+    with bounded_cost(10 << 20, 1.0):
+        with pytest.raises(EventsUnreadable, match="too large"):
+            next(FollowedRun(tmp_path).batches())
+        with pytest.raises(InputRefused, match="too large"):
+            next(read_link(tmp_path, "link"))
 
 
 def test_a_file_is_read_no_further_than_its_bound() -> None:

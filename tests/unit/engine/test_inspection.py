@@ -3,7 +3,8 @@
 import json
 import os
 import shutil
-from collections.abc import Callable
+import subprocess
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -136,8 +137,30 @@ def test_any_file_that_came_is_named(run: Path, name: str) -> None:
     assert changed_files(run) == {name}
 
 
+@pytest.fixture
+def chain_of_folders() -> Iterator[Callable[[Path], None]]:
+    """Makes folders nested deeper than the interpreter has frames."""
+    made: list[Path] = []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        folder.mkdir()
+        at = os.open(folder, os.O_RDONLY)
+        for _ in range(1200):
+            os.mkdir("d", dir_fd=at)
+            inner = os.open("d", os.O_RDONLY, dir_fd=at)
+            os.close(at)
+            at = inner
+        os.close(at)
+
+    yield make
+    subprocess.run(["rm", "-rf", *made], check=True)  # pytest removes its folders by recursion
+
+
 @pytest.mark.parametrize("where", ["", "report/", "theatre/"])
-def test_a_chain_of_folders_without_end_is_an_added_one(run: Path, where: str) -> None:
+def test_a_chain_of_folders_without_end_is_an_added_one(
+    run: Path, where: str, chain_of_folders: Callable[[Path], None]
+) -> None:
     chain_of_folders(run / f"{where}deep")
     (problem,) = inspected(run).changes
     assert problem.file.startswith(f"{where}deep/")
@@ -147,21 +170,11 @@ def test_a_chain_of_folders_without_end_is_an_added_one(run: Path, where: str) -
 
 
 @pytest.mark.parametrize("where", ["export", ".report.partial"])
-def test_a_chain_of_folders_outside_the_run_is_not_looked_at(run: Path, where: str) -> None:
+def test_a_chain_of_folders_outside_the_run_is_not_looked_at(
+    run: Path, where: str, chain_of_folders: Callable[[Path], None]
+) -> None:
     chain_of_folders(run / where)
     assert inspected(run).problems == ()
-
-
-def chain_of_folders(folder: Path, count: int = 1200) -> None:
-    """More levels than the interpreter has frames; made from within, as the path may grow too long."""
-    folder.mkdir()
-    at = os.open(folder, os.O_RDONLY)
-    for _ in range(count):
-        os.mkdir("d", dir_fd=at)
-        inner = os.open("d", os.O_RDONLY, dir_fd=at)
-        os.close(at)
-        at = inner
-    os.close(at)
 
 
 @pytest.mark.parametrize("size", [LARGEST_FILE_BYTES + 1, 300_000_000_000])

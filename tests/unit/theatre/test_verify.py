@@ -8,16 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from procedures.engine.closing import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from ronna_hw.evidence.errors import RunChanged
-from ronna_hw.evidence.inspection import RECORDS_FOLDER
+from ronna_hw.evidence.inspection import RECORDS_FOLDER, Inspection, inspected
 from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.truth_so_far import truth_so_far
 from ronna_hw.records import Record, write_record
 from sim.errors import NothingToVerify
+from sim.theatre import verify
 from sim.theatre.verify import verify_run
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.named_scenes import named_scene
-from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TipSample, append_sample
+from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TRUTH_FILE, TipSample, append_sample
 
 SCENE = named_scene("mini")
 TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name
@@ -165,6 +168,32 @@ def test_a_run_by_hand_is_not_compared_with_the_theatre_of_another_patient(
     localize([(500.0, 0.0, 0.0)])
     with pytest.raises(NothingToVerify, match="another patient"):
         verify_run(run, theatre)
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("closed", [True, False])
+@pytest.mark.parametrize("name", [SCENE_FILE, TRUTH_FILE])
+def test_truth_that_is_exchanged_after_the_check_is_not_compared(
+    run: Path, at_target: Callable[..., None], monkeypatch: pytest.MonkeyPatch, name: str, closed: bool
+) -> None:
+    at_target(TARGET_MM)
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.FOUND, 1.0, **truth_so_far(run))
+    if closed:
+        close_run(run, journal, 2.0, "done", None)
+    else:
+        journal.close()
+
+    def then_exchanged(folder: Path) -> Inspection:
+        found = inspected(folder)
+        path = run / THEATRE_FOLDER / name
+        path.write_bytes(path.read_bytes().replace(b"0", b"1"))
+        return found
+
+    assert verify_run(run)["targets"]
+    monkeypatch.setattr(verify, "inspected", then_exchanged)
+    with pytest.raises(RunChanged, match=f"PRO-033: .*{name}: changed"):
+        verify_run(run)
 
 
 @pytest.mark.hazard(39)
