@@ -67,14 +67,14 @@ def serve_pages(
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()
-    guard = _guarded(add, sessions, port, largest_body_bytes)
+    guard = Guard(_application(add), sessions, port, largest_body_bytes, listening.trust)
     served = [(server_of(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
     addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
     if viewers is not None:
         theirs = listen(viewers.address, 0, viewers.family)
         host = viewers.host(theirs.getsockname()[1])
-        served.append((server_of(guard.for_viewers(host), viewers), theirs))
+        served.append((server_of(guard.for_viewers(host, theirs.trust), viewers), theirs))
         addresses["remote_viewer_url"] = f"https://{host}/?token={sessions.viewer_token}"
 
     async def run() -> None:
@@ -91,10 +91,10 @@ def serve_pages(
     asyncio.run(run())
 
 
-def _guarded(add: Callable[[FastAPI], None], sessions: Sessions, port: int, largest_body_bytes: int) -> Guard:
+def _application(add: Callable[[FastAPI], None]) -> FastAPI:
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     add(app)
-    return Guard(app, sessions, port, largest_body_bytes)
+    return app
 
 
 def _add_case(app: FastAPI, hub: Hub) -> None:

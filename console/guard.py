@@ -19,6 +19,7 @@ Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
+Trust = Callable[[object], None]  # told the host and port of a connection that has shown the key
 
 MOST_CLIENTS = {Role.OPERATOR: 4, Role.VIEWER: 8}  # open pages; viewers leave room for the operator
 LARGEST_BODY_BYTES = 65_536
@@ -46,7 +47,12 @@ class Guard:
     """An ASGI application that wraps another one."""
 
     def __init__(
-        self, app: App, sessions: Sessions, port: int, largest_body_bytes: int = LARGEST_BODY_BYTES
+        self,
+        app: App,
+        sessions: Sessions,
+        port: int,
+        largest_body_bytes: int = LARGEST_BODY_BYTES,
+        trust: Trust = lambda _peer: None,
     ) -> None:
         self._app = app
         self._sessions = sessions
@@ -55,15 +61,17 @@ class Guard:
         self._cookie = f"ronna_console_{port}"  # browsers do not separate ports
         self._scheme = "http"
         self._roles = frozenset(Role)
+        self._trust = trust
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
-    def for_viewers(self, host: str) -> Guard:
+    def for_viewers(self, host: str, trust: Trust = lambda _peer: None) -> Guard:
         """The same application for viewers on other computers, over TLS: the operator's key is not accepted.
 
         Its clients count towards the limits of this guard.
         """
         other = copy.copy(self)
         other._hosts, other._scheme, other._roles = {host}, "https", frozenset({Role.VIEWER})
+        other._trust = trust
         return other
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -84,7 +92,7 @@ class Guard:
             await _refuse(send, 403, "The request does not come from a console page.")
             return
         if scope["path"] == "/" and scope["method"] == "GET" and (token := _token(scope)) is not None:
-            await self._enter(token, send)
+            await self._enter(token, scope, send)
             return
         session = self._session(headers)
         if session is None:
@@ -99,13 +107,15 @@ class Guard:
             await _refuse(send, 413, "Request too large.")
             return
         scope[SESSION] = session
+        self._trust(scope.get("client"))
         await self._app(scope, _bounded(receive, self._largest_body_bytes), _with_headers(send))
 
-    async def _enter(self, token: str, send: Send) -> None:
+    async def _enter(self, token: str, scope: Scope, send: Send) -> None:
         cookie = self._sessions.open(token, self._roles)
         if cookie is None:
             await _refuse(send, 401, "This key belongs to another run, or is truncated.")
             return
+        self._trust(scope.get("client"))
         kept = f"{self._cookie}={cookie}; HttpOnly; SameSite=Strict; Path=/"
         if self._scheme == "https":
             kept += "; Secure"
@@ -121,6 +131,7 @@ class Guard:
             await send({"type": "websocket.close", "code": 1008})  # before acceptance: answered with 403
             return
         scope[SESSION] = session
+        self._trust(scope.get("client"))
         self.clients[session.role] += 1
         try:
             await self._app(scope, receive, send)

@@ -2,24 +2,51 @@
 
 from __future__ import annotations
 
+import contextlib
 import socket
+from typing import Any
 
 import uvicorn
 
+from console.connection import LARGEST_HEAD_BYTES, Connection
 from console.errors import PortTaken
 from console.guard import LARGEST_BODY_BYTES, Guard
 from ronna_hw.command_line.viewers_address import ViewersAddress
 
 HOST = "127.0.0.1"
-BACKLOG = 64
+BACKLOG = 32  # also the most that the loop accepts at a time
+MOST_STRANGERS = 8 * BACKLOG  # the loop reaches a request long before as many others have come after it
 SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of its own
 
 
-def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> socket.socket:
+class Listening(socket.socket):
+    """A listening socket that drops the oldest of too many connections that have not shown the key."""
+
+    def __init__(self, family: socket.AddressFamily) -> None:
+        # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
+        # an answer for 40 ms.
+        super().__init__(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+        self._strangers: dict[object, socket.socket] = {}  # by host and port, oldest first
+
+    def accept(self) -> tuple[socket.socket, Any]:
+        """The next connection: a stranger, before any handshake of TLS."""
+        connection, address = super().accept()
+        self._strangers = {peer: one for peer, one in self._strangers.items() if one.fileno() != -1}
+        if len(self._strangers) >= MOST_STRANGERS:
+            oldest = self._strangers.pop(next(iter(self._strangers)))
+            with contextlib.suppress(OSError):  # has just gone by itself
+                oldest.shutdown(socket.SHUT_RDWR)
+        self._strangers[address[:2]] = connection
+        return connection, address
+
+    def trust(self, peer: object) -> None:
+        """The connection from this host and port has shown the key or a session."""
+        self._strangers.pop(peer, None)
+
+
+def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> Listening:
     """A listening socket; port 0 is any free one. Raises CON-001."""
-    # The loop recognises TCP by the protocol and then disables Nagle's delay, which can hold
-    # an answer for 40 ms.
-    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listening = Listening(family)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         listening.bind((address, port))
@@ -36,6 +63,10 @@ def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Se
     return uvicorn.Server(
         uvicorn.Config(
             guard,
+            http=Connection,
+            h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
+            backlog=BACKLOG,
+            proxy_headers=False,  # an address in a header is anyone's claim
             log_config=None,
             access_log=False,  # an address may contain a key
             lifespan="on" if viewers is None else "off",  # the pages start once

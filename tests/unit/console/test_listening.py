@@ -3,9 +3,169 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
+from collections.abc import AsyncIterator
 
-from console.listening import HOST, listen
+import pytest
+
+from console import connection, listening
+from console.guard import SESSION, Guard, Receive, Scope, Send
+from console.listening import HOST, listen, server_of
+from console.sessions import Sessions
+
+SENT_BYTES = 30_000_000  # more than all buffers between two sockets
+PING, PONG = b"\x89\x80" + bytes(4), b"\x8a\x00"
+
+
+class Served:
+    """A console with one page and one socket, and what a client of it sends first."""
+
+    def __init__(self) -> None:
+        self.listening = listen(HOST, 0)
+        self.port = self.listening.getsockname()[1]
+        self.sessions = Sessions()
+
+    @contextlib.asynccontextmanager
+    async def serving(self) -> AsyncIterator[Served]:
+        server = server_of(Guard(_page, self.sessions, self.port, trust=self.listening.trust))
+        task = asyncio.create_task(server.serve(sockets=[self.listening]))
+        while not server.started:
+            await asyncio.sleep(0)
+        yield self
+        server.should_exit = True
+        await task
+
+    async def connected(self, sent: bytes) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        reader, writer = await asyncio.open_connection(HOST, self.port)
+        writer.write(sent)
+        return reader, writer
+
+    def request(self, path: str, more: str = "") -> bytes:
+        return f"GET {path} HTTP/1.1\r\nHost: {HOST}:{self.port}\r\n{more}\r\n".encode()
+
+    def entered(self) -> bytes:
+        return self.request(f"/?token={self.sessions.operator_token}")
+
+    def socket_opened(self) -> bytes:
+        cookie = self.sessions.open(self.sessions.operator_token)
+        return self.request(
+            "/",
+            f"Origin: http://{HOST}:{self.port}\r\nCookie: ronna_console_{self.port}={cookie}\r\n"
+            "Connection: Upgrade\r\nUpgrade: websocket\r\n"
+            "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n",
+        )
+
+
+async def _page(scope: Scope, receive: Receive, send: Send) -> None:
+    assert scope["type"] != "http" or SESSION in scope
+    message = await receive()
+    if scope["type"] == "lifespan":
+        await send({"type": "lifespan.startup.complete"})
+        await receive()
+        await send({"type": "lifespan.shutdown.complete"})
+    elif scope["type"] == "websocket":
+        await send({"type": "websocket.accept"})
+        while message["type"] != "websocket.disconnect":
+            message = await receive()
+
+
+async def _ended(reader: asyncio.StreamReader) -> bytes:
+    """What was said until the server hung up, which it must."""
+    said = b""
+    with contextlib.suppress(ConnectionError):
+        while more := await asyncio.wait_for(reader.read(65536), 10.0):
+            said += more
+    return said
+
+
+async def _pinged(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> bytes:
+    writer.write(PING)
+    return await asyncio.wait_for(reader.readexactly(len(PONG)), 10.0)
+
+
+@pytest.mark.parametrize("line", [b"a:b\r\n", b"a"], ids=["many headers", "one header"])
+def test_a_head_without_end_is_not_read_to_its_end(line: bytes) -> None:
+    async def sent_whole() -> bool:
+        async with Served().serving() as console:
+            _, writer = await console.connected(b"GET / HTTP/1.1\r\na:")
+            try:
+                for _ in range(SENT_BYTES // 100_000):
+                    writer.write(line * (100_000 // len(line)))
+                    await asyncio.wait_for(writer.drain(), 10.0)
+            except ConnectionError:
+                return False
+            finally:
+                writer.transport.abort()
+        return True
+
+    assert not asyncio.run(sent_whole())
+
+
+@pytest.mark.parametrize("half", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: a\r\n"])
+@pytest.mark.parametrize("answered", [b"", b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"], ids=["first", "second"])
+def test_half_a_request_is_hung_up_on(monkeypatch: pytest.MonkeyPatch, answered: bytes, half: bytes) -> None:
+    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+
+    async def said() -> bytes:
+        async with Served().serving() as console:
+            reader, writer = await console.connected(answered + half)
+            said = await _ended(reader)
+            writer.close()
+            return said
+
+    assert (b" 421 " in asyncio.run(said())) == bool(answered)
+
+
+def test_a_request_in_drips_has_the_time_of_one_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+
+    async def drip() -> None:
+        async with Served().serving() as console:
+            reader, writer = await console.connected(b"GET / HTTP/1.1\r\n")
+            with contextlib.suppress(ConnectionError):
+                while not reader.at_eof():
+                    writer.write(b"a:b\r\n")
+                    await writer.drain()
+                    await asyncio.sleep(0.01)
+            writer.close()
+
+    asyncio.run(asyncio.wait_for(drip(), 10.0))
+
+
+def test_strangers_keep_nobody_out_who_has_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(listening, "MOST_STRANGERS", 4)
+
+    async def come() -> None:
+        async with Served().serving() as console:
+            operator = await console.connected(console.socket_opened())
+            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            strangers = [await console.connected(b"") for _ in range(12)]
+            for reader, _ in strangers[:8]:
+                assert await _ended(reader) == b""
+            another = await console.connected(console.entered())
+            assert b" 303 " in await asyncio.wait_for(another[0].readuntil(b"\r\n\r\n"), 10.0)
+            assert await _pinged(*operator) == PONG
+            for _, writer in (operator, another, *strangers):
+                writer.transport.abort()
+
+    asyncio.run(come())
+
+
+def test_an_open_socket_outlasts_the_time_of_a_request(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
+
+    async def stay() -> None:
+        async with Served().serving() as console:
+            operator = await console.connected(console.socket_opened())
+            assert b" 101 " in await asyncio.wait_for(operator[0].readuntil(b"\r\n\r\n"), 10.0)
+            stranger = await console.connected(b"")
+            await _ended(stranger[0])  # has come later
+            assert await _pinged(*operator) == PONG
+            for _, writer in (operator, stranger):
+                writer.transport.abort()
+
+    asyncio.run(stay())
 
 
 def test_what_is_sent_does_not_wait_until_what_went_before_was_heard() -> None:
@@ -17,9 +177,9 @@ def test_what_is_sent_does_not_wait_until_what_went_before_was_heard() -> None:
             came.set_result(theirs.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
             writer.close()
 
-        listening = listen(HOST, 0)
-        async with await asyncio.start_server(connected, sock=listening):
-            _, writer = await asyncio.open_connection(*listening.getsockname())
+        bound = listen(HOST, 0)
+        async with await asyncio.start_server(connected, sock=bound):
+            _, writer = await asyncio.open_connection(*bound.getsockname())
             writer.close()
             return await asyncio.wait_for(came, 5.0)
 

@@ -1,0 +1,56 @@
+"""One connection of the console's server: a request has little time to arrive and little room.
+
+The guard sees a request only after its head is complete, so the head is limited here, for strangers too.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+LARGEST_HEAD_BYTES = 16 * 1024  # of a request that is incomplete; a browser sends one or two thousand
+REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
+
+
+class Connection(H11Protocol):
+    """HTTP/1.1 of which an incomplete head is dropped when its time is up, however it drips."""
+
+    def __init__(self, *arguments: Any, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self._deadline: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]  # as in uvicorn
+        """Give the first request its time."""
+        super().connection_made(transport)
+        self._expect_request()
+
+    def handle_events(self) -> None:
+        """A complete head has as much time for its answer as this needs."""
+        super().handle_events()
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._stop_waiting()
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """The guard closes a socket without a session, and leaves others open."""
+        self._stop_waiting()
+        super().handle_websocket_upgrade(event)
+
+    def on_response_complete(self) -> None:
+        """Give the next request its time."""
+        self._expect_request()
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Leave no timer behind."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def _expect_request(self) -> None:
+        self._stop_waiting()
+        self._deadline = self.loop.call_later(REQUEST_LIMIT_S, self.transport.abort)
+
+    def _stop_waiting(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
