@@ -1,4 +1,4 @@
-"""TOML of limited size, with keys of a limited number of parts.
+"""TOML of limited size, with keys of a limited number of parts and whole numbers of 64 bits.
 
 The standard library stores every prefix of a key: its memory grows with the square of the parts.
 """
@@ -16,6 +16,7 @@ from ronna_hw.bounded_input.refusal import InputRefused
 from ronna_hw.errors import RonnaError
 
 LARGEST_TOML_BYTES = 300_000  # a plan with a hundred trajectories has twenty thousand
+WHOLE = range(-(2**63), 2**63)  # as TOML requires; a long hexadecimal number cannot even be printed
 DEEPEST = 32  # nested tables and parts of a key; more parts than a DICOM identifier can have
 
 _PART = r"(?:[A-Za-z0-9_-]++|\"(?:[^\"\\\n]|\\.)*+\"|'[^'\n]*+')"
@@ -72,12 +73,14 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise InputRefused("TOML nested too deep", limit=f"{DEEPEST} levels") from error
     level: list[Any] = [content]
     for _ in range(DEEPEST):
-        level = [inner for outer in level for inner in _inside(outer)]
+        inside = [inner for outer in level for inner in _inside(outer)]
+        if any(isinstance(value, int) and value not in WHOLE for value in inside):
+            raise InputRefused("a whole number in TOML is too large", limit="64 bits, signed")
+        level = [inner for inner in inside if isinstance(inner, dict | list)]
         if not level:
             return content
     raise InputRefused("TOML nested too deep", limit=f"{DEEPEST} levels")
 
 
 def _inside(value: Any) -> Iterator[Any]:
-    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
-    return (part for part in parts if isinstance(part, dict | list))
+    return iter(value.values() if isinstance(value, dict) else value)

@@ -50,6 +50,9 @@ HOSTILE_TOML = {
     "nested tables": "a = " + "{a = " * 60 + "1" + "}" * 60,
     "many bytes": "# nothing\n" * 100_000,
     "a whole number without end": "a = " + "1" * 100_000,
+    "a hexadecimal number without end": "a = 0x" + "f" * 4000,  # too long to be printed
+    "a number of 65 bits in a table": f"a = [{{b = {2**63}}}]",
+    "a number of 65 bits below zero": f"a = {-(2**63) - 1}",
     "another encoding": "a = 1".encode("utf-16").decode("latin-1"),
 }
 
@@ -102,6 +105,7 @@ def test_a_file_that_cannot_be_read_is_named() -> None:
 
 def test_toml_of_our_own_forms_passes() -> None:
     assert parse_toml('series = "1.2.840.10008.5.1.4.1.1.2"\n"a.b".c."d.e" = [[1.5, [2]], {x = {y = 3}}]')
+    assert parse_toml(f"a = [{-(2**63)}, {2**63 - 1}]")["a"] == [-(2**63), 2**63 - 1]
 
 
 HOSTILE_JSON = {
