@@ -77,7 +77,8 @@ ROBOT = {
     "corrupt telegrams 5 % for 1 s": set(),
     "lose telegrams 5 % for 1 s": set(),
     "network cut": {*STOPPED, "RSI-002", "RSI-003"},
-    "foreign sender": set(),
+    # With the controller's host and axes it is answered in its place if its telegram opens the session.
+    "foreign sender": {"EKI-010"},
     "emergency stop": STOPPED,
     "guard open": STOPPED,
     "mode T1": {*STOPPED, "EKI-006"},
