@@ -104,7 +104,11 @@ class ControlPortClient:
 
     def _exchange(self, what: str, request: dict[str, Any]) -> dict[str, Any]:
         try:
-            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            line = json.dumps(request, allow_nan=False).encode() + b"\n"
+        except ValueError as error:
+            raise ControlRequestRefused(f"{what} is refused: a number is not finite") from error
+        try:
+            self._socket.sendall(line)
             answer: dict[str, Any] = parse_json(self._answers.readline(LONGEST_LINE) or b"{}")
         except (OSError, ValueError) as error:
             raise self._silent(error) from error

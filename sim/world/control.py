@@ -8,13 +8,14 @@
 from __future__ import annotations
 
 import threading
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import RonnaError
 from sim.world.faults import DEVICES, begin_now, begin_with_step, check_faults, parse_faults, parse_request
-from sim.world.hands import Hands, NoSuchTask
+from sim.world.hands import Hands, NoSuchTask, WrongNumbers
 from sim.world.left_world import write_left_world
 from sim.world.on_stand import OnStand
 from sim.world.world import World
@@ -64,9 +65,11 @@ class Room:
             with self._one_at_a_time:
                 more = action(request) or {}
         except NoSuchTool as error:
-            return {"ok": False, "reason": str(error), "advice": "Give one of these numbers."}
+            return _refused(error, "Give one of these numbers.")
         except NoSuchTask as error:
-            return {"ok": False, "reason": str(error), "advice": error.advice}
+            return _refused(error, error.advice)
+        except WrongNumbers as error:
+            return _refused(error, "Give the numbers as in the question.")
         except RonnaError as error:
             return {
                 "ok": False,
@@ -75,6 +78,9 @@ class Room:
             }
         except (KeyError, TypeError, ValueError, OverflowError) as error:
             return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
+        except Exception as error:  # a mistake of ours: an answer says more than a closed connection
+            traceback.print_exc()
+            return _refused(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
 
     def _step(self, request: dict[str, Any]) -> None:
@@ -86,19 +92,19 @@ class Room:
         self._world.enter_step(name)
 
     def _work(self, request: dict[str, Any]) -> dict[str, Any]:
-        numbers = [float(number) for number in request.get("numbers", ())]
+        numbers = [_number(value) for value in request.get("numbers", ())]
         readings = self._hands.work(str(request["task"]), str(request.get("trajectory", "")), numbers)
         return {"readings": list(readings)}
 
     def _mount(self, request: dict[str, Any]) -> None:
-        number = int(request["number"])
+        number = _number(request["number"])
         mount = self._world.scene.mount
         if number not in (0, mount.tool_number_stereo, mount.tool_number_guide):
             raise NoSuchTool(
-                f"no tool {number}: 0 removes the tool, {mount.tool_number_stereo} is the stereo"
+                f"no tool {number:g}: 0 removes the tool, {mount.tool_number_stereo} is the stereo"
                 f" head, {mount.tool_number_guide} the surgical guide"
             )
-        self._world.mount_tool(number)
+        self._world.mount_tool(int(number))
         if self._folder is not None:
             write_left_world(self._world, self._folder)
 
@@ -117,3 +123,14 @@ class Room:
 
     def _clear_faults(self, _request: dict[str, Any]) -> None:
         self._world.set_fault_script("")
+
+
+def _refused(reason: object, advice: str) -> dict[str, Any]:
+    return {"ok": False, "reason": str(reason)[:LONGEST_REASON], "advice": advice}
+
+
+def _number(value: object) -> float:
+    """Of JSON, where text and truth values are none; raises TypeError."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError(f"expected a number, got {value!r}")
+    return float(value)

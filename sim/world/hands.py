@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from difflib import get_close_matches
-from math import radians
+from math import isfinite, radians
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +43,21 @@ SCALE_MM = 0.05  # divisions of the depth stop's scale: a vernier
 DIAL_MM = 0.001  # of the gauge: a digital one
 
 
+NUMBERS = {  # how many a task needs, and what they are; the others need none
+    DEPTH_STOP: (1, "a length in mm"),
+    GAUGE: (7, "the arm's six joints in deg and the height between the dials in mm"),
+}
+
+
+class WrongNumbers(Exception):
+    """A task was given other numbers than it needs."""
+
+    def __init__(self, task: str, got: Sequence[float]) -> None:
+        _, needed = NUMBERS.get(task, (0, "no numbers"))
+        given = ", ".join(f"{number:g}" for number in got) or "no numbers"
+        super().__init__(f"{task} needs {needed}; got {given}")
+
+
 class NoSuchTask(Exception):
     """The hands know no task with this name."""
 
@@ -64,7 +79,7 @@ class Hands:
         self._done: Counter[str] = Counter()  # how often each task was done, so that no two are alike
 
     def work(self, task: str, trajectory: str, numbers: Sequence[float]) -> Readings:
-        """Carry out one task; raises NoSuchTask, or ValueError if it cannot be done."""
+        """Carry out one task; raises NoSuchTask, WrongNumbers, or ValueError if it cannot be done."""
         nothing: Callable[[], Readings] = tuple
         tasks: dict[str, Callable[[], Readings]] = {
             DEPTH_STOP: lambda: self._set_stop(trajectory, float(numbers[0])),
@@ -77,6 +92,9 @@ class Hands:
         }
         if task not in tasks:
             raise NoSuchTask(task, tasks)
+        needed, _ = NUMBERS.get(task, (0, ""))
+        if len(numbers) != needed or not all(map(isfinite, numbers)):
+            raise WrongNumbers(task, numbers)
         readings = tasks[task]()
         self._done[f"{task} {trajectory}"] += 1
         return readings

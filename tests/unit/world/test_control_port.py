@@ -107,6 +107,27 @@ def test_a_request_with_a_strange_value_is_answered_with_the_reason(
     assert world.mounted_tool() != GUIDE
 
 
+def test_a_mistake_of_the_room_is_answered_and_the_connection_goes_on(
+    port: ControlPort, world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise IndexError("no such room")
+
+    with ControlPortClient(port.endpoint) as client:
+        with monkeypatch.context() as patched:
+            patched.setattr(World, "enter_step", fail)
+            with pytest.raises(ControlRequestRefused, match="the simulator failed: IndexError"):
+                client.ask("step", name="set_up")
+        client.ask("mount", number=GUIDE)
+    assert world.mounted_tool() == GUIDE
+
+
+@pytest.mark.parametrize("number", ["nan", "inf"])
+def test_a_number_that_is_not_finite_is_refused_by_its_name(port: ControlPort, number: str) -> None:
+    told = one_error(in_this_process(ronna_sim, "work", "skin", number, "--control", port.endpoint).stderr)
+    assert told[0].startswith("CTL-002: work is refused: a number is not finite")
+
+
 @pytest.mark.parametrize("sent", [b"", b'{"tok', b"TOKEN", b"TOKEN{"])
 def test_whoever_sends_no_line_is_hung_up_on(port: ControlPort, sent: bytes) -> None:
     with _connected(port) as line:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, INSERT, SKIN
+from ronna_hw.wire.room_tasks import CART_PUSH, DEPTH_STOP, GAUGE, INSERT, SKIN
 from sim.world.control import Room
 from sim.world.hands import Hands
 from sim.world.rigid import matrix_of
@@ -88,6 +88,13 @@ def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> No
         ({"do": "work", "task": INSERT}, "bad request"),
         ({"do": "work", "task": "tea"}, "unknown task 'tea'"),
         ({"do": "work"}, "bad request"),
+        ({"do": "work", "task": DEPTH_STOP}, "depth_stop needs a length in mm; got no numbers"),
+        ({"do": "work", "task": DEPTH_STOP, "numbers": [1, 2, 3]}, "a length in mm; got 1, 2, 3"),
+        ({"do": "work", "task": DEPTH_STOP, "numbers": ["165"]}, "expected a number, got '165'"),
+        ({"do": "work", "task": SKIN, "numbers": [float("nan")]}, "skin needs no numbers; got nan"),
+        ({"do": "work", "task": GAUGE, "numbers": [1]}, "six joints in deg and the height"),
+        ({"do": "mount", "number": 1.5}, "no tool 1.5"),
+        ({"do": "mount", "number": True}, "expected a number, got True"),
     ):
         answer = room.answer(request)
         assert not answer["ok"]
