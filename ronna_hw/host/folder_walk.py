@@ -9,7 +9,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-DEEPEST_LEVEL = 16  # of folders; a run has five
+DEEPEST_LEVEL = 16  # of folders; a run has three
 
 
 class Found(NamedTuple):

@@ -51,9 +51,9 @@ class EventFile:
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            end = max(0, os.fstat(file).st_size - LARGEST_BYTES)
-            tail = os.pread(file, LARGEST_BYTES, end)  # of a killed session the last line may be torn
-            os.ftruncate(file, end + tail.rfind(b"\n") + 1)
+            begin = max(0, os.fstat(file).st_size - LARGEST_BYTES)
+            tail = os.pread(file, LARGEST_BYTES, begin)  # of a killed session the last line may be torn
+            os.ftruncate(file, begin + tail.rfind(b"\n") + 1)
         except OSError as error:
             self._complain(error)
             return None

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from bounded_cost import bounded_cost
 
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, StepState
@@ -106,6 +107,15 @@ def test_a_follower_knows_whether_the_run_came_to_its_own_end(
     run = FollowedRun(tmp_path)
     assert list(map(len, run.batches())) == [0]
     assert run.closed is closed
+
+
+def test_a_file_of_holes_is_continued_without_reading_all_of_it(tmp_path: Path) -> None:
+    (tmp_path / EVENTS_FILE).touch()
+    os.truncate(tmp_path / EVENTS_FILE, 1_000_000_000)
+    stream = EventStream()
+    with bounded_cost(300 << 20, 10.0):
+        file = EventFile(tmp_path, stream)
+    ended(stream, file)
 
 
 def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
