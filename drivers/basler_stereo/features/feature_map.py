@@ -270,7 +270,14 @@ class FeatureMap:
         return decode_register(node, self._memory.read(self._address(node, depth), padded)[:length])
 
     def _encoded(self, node: Node, value: Number) -> bytes:
+        length = register_length(node)
+        if length % REGISTER_BYTES:
+            raise MissingFeature(
+                f"{node.name} cannot be written",
+                expected=f"a multiple of {REGISTER_BYTES} bytes",
+                got=f"{length} bytes",
+            )
         current = b""
         if shares_register(node):
-            current = self._memory.read(self._address(node, 0), register_length(node))
+            current = self._memory.read(self._address(node, 0), length)
         return encode_register(node, value, current)
