@@ -30,12 +30,12 @@ class RunningCase:
 
     @property
     def seen(self) -> str:
-        """Which run, and its process."""
+        """Which run uses the theatre, and its process id."""
         return f"{self.folder.name} (pid {self.pid}) is using this theatre"
 
     @property
     def advice(self) -> str:
-        """Nobody is told to end it."""
+        """What to do instead of ending it; the caller adds when to try again."""
         watch = f"ronna-procedure watch {shlex.quote(str(self.folder))}"
         return f"Leave it alone: its arm may be at a patient. Follow it with {watch}; "
 

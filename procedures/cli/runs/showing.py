@@ -98,7 +98,9 @@ def _listed(folder: Path) -> dict[str, Any]:
 def _largest(row: dict[str, Any]) -> str:
     error_mm = row["max_application_error_mm"]
     mark = "?" if row["problems"] else ""
-    return mark or "-" if error_mm is None else f"{error_mm:.3f}{mark}"
+    if error_mm is None:
+        return mark or "-"
+    return f"{error_mm:.3f}{mark}"
 
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
