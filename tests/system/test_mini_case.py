@@ -32,7 +32,7 @@ from sim.world.scene.seating import spheres_in_theatre
 
 LARGEST_ERROR_MM = 1.5
 WIRES_APART_MM = 0.1  # repeatability, and the stereo head's calibration record: 0.03 mm each per axis
-# The set-up and the change of tools name ports and dates, which differ from run to run.
+DATED = {"set_up", "tool_change"}  # equal only if both runs began in the same second
 MEASURED = {
     "ct_import", "fiducial_localization", "plan_check", "head_clamp", "cart_lock", "global_localization",
     "correspondence", "path_check", "relocalization", "registration", "tool_check",
@@ -249,7 +249,7 @@ def test_an_interrupted_run_has_a_report_that_says_so(interrupted: Path) -> None
 
 def test_the_same_seed_gives_the_same_results_bit_for_bit(finished: MiniRun, interrupted: Path) -> None:
     again, results = ({r.kind: r.payload for r in records_of(run)} for run in (interrupted, finished.folder))
-    assert {kind for kind, result in again.items() if result == results[kind]} == MEASURED
+    assert {kind for kind, result in again.items() if result == results[kind]} - DATED == MEASURED
 
 
 def test_the_work_of_the_devices_takes_theatre_time(finished: MiniRun) -> None:
