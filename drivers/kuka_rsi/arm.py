@@ -333,7 +333,7 @@ class KukaRsiArm:
             self._connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
-        self._watch.notice()
+        self._watch.settle()
         if self._guard.state is Lifecycle.ACTIVE:
             self._guard.enter(Lifecycle.HOLD)
 

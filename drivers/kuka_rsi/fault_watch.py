@@ -7,20 +7,34 @@ The reader of that channel also calls this while nothing arrives, so that no pol
 
 from __future__ import annotations
 
+import contextlib
+import time
+from typing import NamedTuple
+
 from drivers.kuka_rsi.connections import Connections
+from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.controller_state import ControllerState, what_forbids_motion
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.flight_record import attach_flight_record
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, LinkState, StopOrder
+from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
+from ronna_hw.arm.monitor import FOLLOWING_ERROR
 from ronna_hw.devices.lifecycle import READABLE, Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
+REASON_S = 1.0  # host time for the controller to say why the axes no longer follow; they are stopping already
 EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for real-time control
 STREAMING = (Lifecycle.ACTIVE, Lifecycle.HOLD)
+
+
+class _Asked(NamedTuple):
+    """A request for the controller's state, and the end of the wait for its reply, in host time."""
+
+    number: int
+    until_s: float
 
 
 class FaultWatch:
@@ -37,6 +51,7 @@ class FaultWatch:
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
         self._raised: RonnaError | None = None  # the fault that was already raised to a caller
+        self._asked: _Asked | None = None  # why the axes no longer follow
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
 
     @property
@@ -57,6 +72,10 @@ class FaultWatch:
             return
         link = self._connections.link
         error = self._error_of(link.state)
+        if error is not None and eki is not None and eki.failure is None and _no_longer_follows(link.state):
+            error = self._reason(error, eki)
+            if error is None:
+                return
         if error is None and not link.alive:
             error = link.death()
         if error is None and link.stalled_s > self._stall_limit_s:
@@ -73,6 +92,15 @@ class FaultWatch:
             where = f"{self._name}: {eki.where} is silent"
             self._stop_for(NoAnswer(where, expected="a State every 0.1 s", limit=f"{self._eki_limit_s:g} s"))
 
+    def settle(self) -> None:
+        """As `notice`; waits for the controller's reason if the axes no longer follow."""
+        self.notice()
+        eki, asked = self._connections.open_eki, self._asked
+        if eki is not None and asked is not None:
+            with contextlib.suppress(RonnaError):  # a broken channel has latched its own
+                eki.await_reply(asked.number, max(0.0, asked.until_s - time.monotonic()))
+            self.notice()
+
     def latch(self, error: RonnaError) -> None:
         """Latch an error that is about to be raised."""
         link = self._connections.open_link
@@ -83,14 +111,16 @@ class FaultWatch:
 
     def raise_new(self) -> None:
         """Raise a latched fault to the first call after it; later calls are refused and name it."""
-        fault = self.fault
+        self.settle()
+        fault = self._guard.fault
         if fault is not None and fault is not self._raised:
             self._raised = fault
             raise fault
 
     def raise_any(self) -> None:
         """Raise a latched fault."""
-        fault = self.fault
+        self.settle()
+        fault = self._guard.fault
         if fault is not None:
             self._raised = fault
             raise fault
@@ -100,9 +130,9 @@ class FaultWatch:
         self.notice()
         if self._guard.state not in STREAMING:
             return
-        causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
-        if causes:
-            self._stop_for(ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}"))
+        stopped = self._stopped_by(state)
+        if stopped is not None:
+            self._stop_for(stopped)
 
     def controller_quiet(self) -> None:
         """From the EKI reader: nothing has arrived for a while. A silence that is too long is latched."""
@@ -114,6 +144,27 @@ class FaultWatch:
             self.notice()
             self._stop_for(failure)
 
+    def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:
+        causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
+        return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}") if causes else None
+
+    def _reason(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
+        """Why the axes no longer follow: the controller's own reason if it has one, None before it is known.
+
+        Axes that the controller has braked leave their set-points before its unsolicited state has arrived:
+        its reply to a request made after that is what counts.
+        """
+        asked = self._asked
+        if asked is None:
+            try:
+                asked = self._asked = _Asked(eki.ask(), time.monotonic() + REASON_S)
+            except RonnaError:
+                return tripped
+        state = eki.reply(asked.number)
+        if state is not None:
+            return self._stopped_by(state) or tripped
+        return tripped if time.monotonic() > asked.until_s else None
+
     def _stop_for(self, error: RonnaError) -> None:
         link = self._connections.open_link
         if link is None or self._guard.state not in STREAMING:
@@ -124,6 +175,7 @@ class FaultWatch:
     def _keep(self, error: RonnaError, link: LinkClient) -> None:
         if self._guard.state is not Lifecycle.FAULT:
             attach_flight_record(error, self._name, link.recorded_cycles())
+        self._asked = None
         self._guard.latch(error)
 
     def _error_of(self, state: LinkState) -> RonnaError | None:
@@ -133,3 +185,7 @@ class FaultWatch:
         link = self._connections.open_link
         around = NOTHING_AROUND if link is None else link.surroundings
         return error_of_fault(self._name, state, self._options, message, around)
+
+
+def _no_longer_follows(state: LinkState) -> bool:
+    return state.fault is Fault.MONITOR and state.violation_kind == FOLLOWING_ERROR

@@ -6,8 +6,9 @@ was actually sent, and what the receiver reported as not accepted.
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
-from math import degrees
+from math import degrees, radians
 from typing import NamedTuple
 
 from ronna_hw.arm.clearance.live_watch import LiveWatch
@@ -18,8 +19,9 @@ from ronna_hw.devices.readings import JointVector
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
 JERK_MARGIN = 4.0
-FOLLOWING_TIME_S = 0.25  # allowed lag at working speed: dead time and servo lag stay below 0.1 s
-FOLLOWING_LEAST_RAD = 0.02  # the allowed lag of a slow axis
+FOLLOWING_TIME_S = 0.25  # how late an arm may be at a set-point: dead time and servo lag stay below 0.1 s
+FOLLOWING_RAD = radians(0.1)  # how far beside all set-points of that time; servo overshoot is not published
+FOLLOWING_ERROR = "following error"  # the kind of violation that a stop by the controller causes too
 RANGE_ROUNDING_RAD = 2e-6  # half a digit of the wire
 
 
@@ -52,7 +54,10 @@ class Violation(NamedTuple):
 
 @dataclass(frozen=True)
 class MonitorLimits:
-    """Per axis; steps are per cycle. `correction_rad` limits the distance from the pose at RSI_ON."""
+    """Per axis; steps are per cycle. `correction_rad` limits the distance from the pose at RSI_ON.
+
+    `following_cycles`: the arm has to be where a set-point of these last cycles was, within `FOLLOWING_RAD`.
+    """
 
     lower_rad: JointVector
     upper_rad: JointVector
@@ -61,7 +66,7 @@ class MonitorLimits:
     third_difference_rad: JointVector
     correction_lower_rad: JointVector
     correction_upper_rad: JointVector
-    following_rad: JointVector
+    following_cycles: int
 
 
 def monitor_limits(
@@ -80,10 +85,6 @@ def monitor_limits(
         a, b, c, d, e, f = (v - s for v, s in zip(values, start_rad, strict=True))
         return (a, b, c, d, e, f)
 
-    def at_least(values: JointVector, least: float) -> JointVector:
-        a, b, c, d, e, f = (max(v, least) for v in values)
-        return (a, b, c, d, e, f)
-
     return MonitorLimits(
         lower_rad=arm.lower_rad,
         upper_rad=arm.upper_rad,
@@ -92,7 +93,7 @@ def monitor_limits(
         third_difference_rad=times(limits.jerk_rad_s3, JERK_MARGIN * cycle_s**3),
         correction_lower_rad=minus(arm.lower_rad),
         correction_upper_rad=minus(arm.upper_rad),
-        following_rad=at_least(times(limits.speed_rad_s, FOLLOWING_TIME_S), FOLLOWING_LEAST_RAD),
+        following_cycles=round(FOLLOWING_TIME_S / cycle_s),
     )
 
 
@@ -105,6 +106,7 @@ class Monitor:
         # Newest first: the arm starts at rest.
         self._last: History = (start_rad, start_rad, start_rad, start_rad)
         self._held = start_rad
+        self._recent = deque([start_rad], maxlen=limits.following_cycles)  # set-points, one a cycle
         self._watch: LiveWatch | None = None
 
     def watch(self, watch: LiveWatch | None) -> None:
@@ -164,6 +166,7 @@ class Monitor:
         one, two, three, _ = self._last
         self._last = (joints_rad, one, two, three)
         self._held = joints_rad
+        self._recent.append(joints_rad)
         if self._watch is not None:
             self._watch.sent(joints_rad)
 
@@ -179,18 +182,30 @@ class Monitor:
     def sent_again(self) -> None:
         """Record that the last set-point was sent again. The next is checked as if there was no pause."""
         self._held = self._last[0]
+        self._recent.append(self._held)
 
     def stands(self) -> None:
         """Record that the arm has come to rest at the held set-point, and that it was sent."""
         self._last = (self._held, self._held, self._held, self._held)
+        self._recent.append(self._held)
         if self._watch is not None:
             self._watch.sent(self._held)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
-        """Whether the measured axes left their ranges or fell too far behind the last set-point."""
-        commanded, limits = self._last[0], self.limits
+        """Whether each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
+
+        An arm at rest has to be where it was sent, a moving one where it was sent a moment ago: one that is
+        clamped, sticks or was braked is noticed at every speed. The value is the distance from the nearest.
+        """
+        oldest, newest = self._recent[0], self._recent[-1]
         for i in range(len(measured_rad)):
-            error = measured_rad[i] - commanded[i]
-            if not abs(error) <= limits.following_rad[i]:
-                return Violation("following error", i + 1, error, limits.following_rad[i])
+            angle = measured_rad[i]
+            low, high = (oldest[i], newest[i]) if oldest[i] < newest[i] else (newest[i], oldest[i])
+            if low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:
+                continue
+            turned = [sent[i] for sent in self._recent]  # the axis may have turned back meanwhile
+            low, high = min(turned), max(turned)
+            if not low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:  # NaN fails here
+                error = angle - (high if angle > high else low)
+                return Violation(FOLLOWING_ERROR, i + 1, error, FOLLOWING_RAD)
         return None

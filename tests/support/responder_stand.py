@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from itertools import pairwise
-from math import degrees
+from math import degrees, inf
 from typing import Any
 
 from drivers.kuka_rsi.realtime.link_state import (
@@ -70,6 +70,7 @@ class ResponderStand:
         self.commands = 0
         self.axes: JointVector = START_DEG
         self.follows = True
+        self.clamp_deg = inf  # largest correction that the arm carries out
         self.sent: list[tuple[JointVector, int]] = []
         self.give(CommandKind.OPEN)
 
@@ -97,7 +98,10 @@ class ResponderStand:
         self.sent.append((corrections, int(head[head.index(b"<Stop>") + 6 : head.index(b"</Stop>")])))
         self.responder.after_reply(self.pending)
         if self.follows:
-            a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, corrections, strict=True))
+            least, most = -self.clamp_deg, self.clamp_deg
+            a, b, c, d, e, f = (
+                s + min(max(v, least), most) for s, v in zip(START_DEG, corrections, strict=True)
+            )
             self.axes = (a, b, c, d, e, f)
         return True
 

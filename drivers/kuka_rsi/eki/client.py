@@ -129,11 +129,22 @@ class EkiClient:
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        number = self._send(CommandName.STATUS, {})
-        state = self._await(lambda: self._states.get(number), timeout_s)
+        state = self.await_reply(self.ask(), timeout_s)
         if state is None:
             raise NoAnswer(f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s")
         return state
+
+    def ask(self) -> int:
+        """Request the state without waiting for it; returns the request's number. Raises EKI-002."""
+        return self._send(CommandName.STATUS, {})
+
+    def reply(self, number: int) -> ControllerState | None:
+        """The state sent in reply to a request, None before it has come."""
+        return self._states.get(number)
+
+    def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
+        """The same, None after the time limit. Raises EKI-002 or EKI-004 on a broken link."""
+        return self._await(lambda: self._states.get(number), timeout_s)
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
         """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""

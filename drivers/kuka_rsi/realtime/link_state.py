@@ -6,7 +6,7 @@ from enum import IntEnum
 from typing import Annotated, NamedTuple
 
 from ronna_hw.arm.clearance.surroundings import Surroundings
-from ronna_hw.arm.monitor import CLEARANCE, ZONE_SPEED
+from ronna_hw.arm.monitor import CLEARANCE, FOLLOWING_ERROR, ZONE_SPEED
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_layout import IPV4_HOST, one_of
@@ -74,8 +74,8 @@ class Result(IntEnum):
 
 
 VIOLATIONS = (
-    *("", "range", "total correction", "step", "acceleration", "jerk", "following error"),
-    *(CLEARANCE, ZONE_SPEED),
+    *("", "range", "total correction", "step", "acceleration", "jerk"),
+    *(FOLLOWING_ERROR, CLEARANCE, ZONE_SPEED),
 )
 NOTHING_AROUND = Surroundings()
 CHOICES = ("go", "stop", "repeat", "hold")

@@ -6,7 +6,7 @@ import pytest
 
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.monitor import Monitor, MonitorLimits, Violation, monitor_limits
+from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, Violation, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.devices.readings import JointVector
 
@@ -80,13 +80,51 @@ def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> N
 
 
 @pytest.mark.hazard(38)
-def test_an_axis_that_does_not_follow_trips() -> None:
+@pytest.mark.parametrize("sign", [1, -1])
+def test_an_arm_at_rest_has_to_be_where_it_was_sent(sign: int) -> None:
     monitor = _monitor()
-    inside = _with(3, START[2] - 0.9 * LIMITS.following_rad[2])
-    outside = _with(3, START[2] - 1.1 * LIMITS.following_rad[2])
+    inside = _with(3, START[2] + sign * 0.9 * FOLLOWING_RAD)
+    outside = _with(3, START[2] + sign * 1.1 * FOLLOWING_RAD)
     assert monitor.check_measured(inside) is None
     assert _kind(monitor.check_measured(outside)) == ("following error", 3)
     assert _kind(monitor.check_measured(_with(3, math.nan))) == ("following error", 3)
+
+
+@pytest.mark.hazard(38)
+@pytest.mark.parametrize("speed_share", [1.0, 0.1, 0.01])
+def test_an_axis_may_lag_for_the_following_time_at_any_speed(speed_share: float) -> None:
+    monitor = _monitor()
+    step = speed_share * LIMITS.step_rad[2]
+    for cycle in range(1, 3 * LIMITS.following_cycles):
+        monitor.sent(_with(3, START[2] + cycle * step))
+        late = max(0, cycle - LIMITS.following_cycles + 1)
+        assert monitor.check_measured(_with(3, START[2] + late * step)) is None
+    behind = _with(3, START[2] + late * step - FOLLOWING_RAD - step)
+    assert _kind(monitor.check_measured(behind)) == ("following error", 3)
+    ahead = _with(3, START[2] + cycle * step + FOLLOWING_RAD + step)
+    assert _kind(monitor.check_measured(ahead)) == ("following error", 3)
+
+
+@pytest.mark.hazard(38)
+def test_an_axis_that_turns_back_may_still_be_on_its_way_out() -> None:
+    monitor = _monitor()
+    far = START[2] + 5 * FOLLOWING_RAD
+    for angle in (far, START[2]):
+        monitor.sent(_with(3, angle))
+    assert monitor.check_measured(_with(3, far)) is None
+    for _ in range(LIMITS.following_cycles):
+        monitor.sent(START)
+    assert _kind(monitor.check_measured(_with(3, far))) == ("following error", 3)
+
+
+@pytest.mark.hazard(38)
+def test_an_arm_that_holds_a_point_because_the_next_was_not_taken_follows() -> None:
+    monitor = _monitor()
+    monitor.sent(_with(3, START[2] + 5 * FOLLOWING_RAD))
+    monitor.not_taken()
+    for _ in range(2 * LIMITS.following_cycles):
+        monitor.stands()
+    assert monitor.check_measured(START) is None
 
 
 @pytest.mark.hazard(18)

@@ -74,5 +74,5 @@ def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: 
     arm.activate()
     controller.frozen = True
     with pytest.raises(MotionNotFinished) as caught:
-        arm.move_joints(radians6(0, -90, 90, 0, 60, 0.5), timeout_s=0.5)
+        arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
     assert caught.value.code == "RSI-011"

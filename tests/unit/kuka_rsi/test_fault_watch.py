@@ -9,11 +9,12 @@ import pytest
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.controller_state import ControllerState
-from drivers.kuka_rsi.errors import ControllerLost, LinkProcessDied, RecordedCycle
-from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, FaultWatch
+from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied, RecordedCycle
+from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Phase, StopOrder
 from ronna_hw.arm.clearance.surroundings import Surroundings
+from ronna_hw.arm.monitor import FOLLOWING_ERROR
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
@@ -67,6 +68,20 @@ class Eki:
     silent_s: float = 0.0
     failure: RonnaError | None = None
     latest: ControllerState | None = None
+    answer: ControllerState | None = None
+    asked: int = 0
+
+    def ask(self) -> int:
+        self.asked += 1
+        return self.asked
+
+    def reply(self, number: int) -> ControllerState | None:
+        assert number == self.asked
+        return self.answer
+
+    def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
+        assert 0.0 < timeout_s <= REASON_S
+        return self.reply(number)
 
 
 class Watched:
@@ -163,3 +178,50 @@ def test_a_link_process_that_dies_while_the_arm_is_parked_is_a_fault_at_once() -
     watched.link.alive = False
     watched.watch.controller_said(STREAMING_WELL)
     assert isinstance(watched.guard.fault, LinkProcessDied)
+
+
+NO_LONGER_FOLLOWS = MOVING._replace(phase=Phase.FAULT, fault=Fault.MONITOR, violation_kind=FOLLOWING_ERROR)
+
+
+@pytest.mark.hazard(38)
+@pytest.mark.parametrize(
+    ("change", "code"),
+    [({}, "RSI-005"), ({"emergency_stop": True}, "EKI-010"), ({"drives": False}, "EKI-010")],
+    ids=["none", "emergency stop", "drives off"],
+)
+def test_axes_that_no_longer_follow_are_put_down_to_what_the_controller_says_after_it(
+    change: dict[str, Any], code: str
+) -> None:
+    watched = Watched()
+    watched.eki.latest = STREAMING_WELL  # sent before
+    watched.link.state = NO_LONGER_FOLLOWS
+    watched.watch.notice()
+    assert watched.outcome[0] == ""
+    watched.eki.answer = _changed(**change)
+    watched.watch.controller_said(watched.eki.answer)
+    assert watched.outcome[0] == code
+    assert watched.eki.asked == 1
+
+
+@pytest.mark.hazard(38)
+def test_a_call_waits_for_the_reason_that_the_axes_do_not_follow() -> None:
+    watched = Watched()
+    watched.link.state = NO_LONGER_FOLLOWS
+    watched.watch.notice()
+    watched.eki.answer = _changed(guard_open=True)
+    with pytest.raises(ControllerStopped, match="guard is open"):
+        watched.watch.raise_any()
+
+
+@pytest.mark.hazard(38)
+def test_a_controller_that_gives_no_reason_is_not_waited_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    watched, now_s = Watched(), [100.0]
+    monkeypatch.setattr("drivers.kuka_rsi.fault_watch.time.monotonic", lambda: now_s[0])
+    watched.link.state = NO_LONGER_FOLLOWS
+    watched.watch.notice()
+    now_s[0] += REASON_S
+    watched.watch.notice()
+    assert watched.outcome[0] == ""
+    now_s[0] += A_LITTLE_S
+    watched.watch.notice()
+    assert watched.outcome[0] == "RSI-005"

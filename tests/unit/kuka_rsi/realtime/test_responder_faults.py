@@ -24,7 +24,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     Phase,
 )
 from ronna_hw.arm.angles import radians6
-from ronna_hw.arm.monitor import FOLLOWING_TIME_S
+from ronna_hw.arm.monitor import FOLLOWING_RAD, FOLLOWING_TIME_S
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
@@ -83,16 +83,35 @@ def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None
 
 
 @pytest.mark.hazard(38)
-def test_an_axis_that_does_not_follow_stops_the_arm() -> None:
-    stand = moving(cycles=150, target=(START[0] + radians(60), *START[1:]))  # one axis, at its working speed
+@pytest.mark.parametrize("share_per_s", [0.5, 0.02])
+def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: float) -> None:
+    target = (START[0] + radians(40), *START[1:])
+    stand = begun()
+    stand.give(CommandKind.MOVE, MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0)))
+    for _ in range(100):
+        stand.cycle()
+    before = stand.responder.sent_rad[0]
     stand.follows = False
     cycles = _until_fault(stand)
     assert stand.responder.fault is Fault.MONITOR
     assert stand.responder.violation is not None
     assert stand.responder.violation.kind == "following error"
-    assert cycles == pytest.approx(FOLLOWING_TIME_S / CYCLE_S, abs=3)
+    left = [radians(sent[0]) + START[0] - before for sent, _ in stand.sent[-cycles:]]
+    # The first set-point that the axis should have reached by now, but did not.
+    due = next(cycle for cycle, angle in enumerate(left) if angle > FOLLOWING_RAD)
+    assert cycles == pytest.approx(due + FOLLOWING_TIME_S / CYCLE_S, abs=3)
     assert _rests_within(stand, LONGEST_STOP_S)
     assert stand.smooth()
+
+
+@pytest.mark.hazard(38)
+def test_an_arm_that_is_clamped_near_its_end_is_stopped_and_not_waited_for() -> None:
+    stand = moving(cycles=1, target=(START[0] + radians(2.0), *START[1:]))
+    stand.clamp_deg = 1.0
+    cycles = _until_fault(stand)
+    assert stand.responder.violation is not None
+    assert stand.responder.violation.kind == "following error"
+    assert cycles * CYCLE_S < 2.0
 
 
 def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
