@@ -161,3 +161,10 @@ def strangers_text(state: LinkState) -> str:
 def axes_text(state: LinkState) -> str:
     """The measured axes for a message."""
     return "A1..A6 " + " ".join(f"{degrees(angle):.3f}" for angle in state.measured_rad) + " deg"
+
+
+def furthest_text(state: LinkState) -> str:
+    """The axis that is furthest from its set-point, for a message."""
+    off_deg = [degrees(x - y) for x, y in zip(state.measured_rad, state.commanded_rad, strict=True)]
+    axis = max(range(len(off_deg)), key=lambda k: abs(off_deg[k]))
+    return f"A{axis + 1} {off_deg[axis]:.4f} deg from where it was sent"

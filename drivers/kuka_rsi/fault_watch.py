@@ -146,7 +146,14 @@ class FaultWatch:
 
     def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:
         causes = what_forbids_motion(state, drives=True, modes=(self.mode,))
-        return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}") if causes else None
+        if not causes:
+            return None
+        link = self._connections.open_link
+        if link is not None and link.state.foreign:
+            # A stranger that opened the session is answered in the controller's place, which then times out.
+            count, host = link.state.foreign, link.state.foreign_host
+            causes.append(f"{count} telegrams came from another sender, the last from {host}")
+        return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
     def _reason(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
         """Why the axes no longer follow: the controller's own reason if it has one, None before it is known.

@@ -6,13 +6,14 @@ import threading
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionNotFinished, MotionRefused, MotionStopped
-from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, losses_text
+from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, furthest_text, losses_text
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.realtime.link_state import CommandKind, LinkState, Result, StopOrder
 from ronna_hw.arm.motion.planning import MotionPlan
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
+SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second
 STOP_S = 1.0  # host time for a motion that has used up its time to come to rest
 
 
@@ -29,8 +30,8 @@ class MotionFollower:
     def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
         """Execute a plan made when `stops` stops were known; returns the state once it has settled.
 
-        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of controller cycles, RSI-012
-        when it was refused, and the fault that ended it.
+        Raises RSI-010 when it was stopped, RSI-011 when it used up `timeout_s` of controller cycles or did
+        not settle at the end of its path, RSI-012 when it was refused, and the fault that ended it.
         """
         if not self._under_way.acquire(blocking=False):
             raise MotionRefused(f"{self._name}: another motion is running")
@@ -56,6 +57,7 @@ class MotionFollower:
         link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
         begun = link.state
+        moved_cycles = begun.cycles
 
         def ended(state: LinkState) -> bool:
             if state.fault:
@@ -67,7 +69,17 @@ class MotionFollower:
             if link.stalled_s > POLL_S:
                 self._watch.raise_any()
             # The controller's cycles are theatre time; if none arrive, the silence limit trips.
-            waited_s = (link.state.cycles - begun.cycles) * self._cycle_s
+            state = link.state
+            if state.moving or state.command_number < number:
+                moved_cycles = state.cycles
+            elif (state.cycles - moved_cycles) * self._cycle_s > SETTLE_LIMIT_S:
+                raise MotionNotFinished(
+                    f"{self._name}: the path has ended, and the arm does not settle there"
+                    f"{losses_text(begun, state)}",
+                    limit=f"{SETTLE_LIMIT_S:g} s",
+                    got=furthest_text(state),
+                )
+            waited_s = (state.cycles - begun.cycles) * self._cycle_s
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)

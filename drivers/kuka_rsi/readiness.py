@@ -31,7 +31,11 @@ def _standing(state: ControllerState) -> Iterator[Fact]:
         not state.error,
         "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
-    yield Fact("drives", "on" if state.drives else "off, brakes closed; switched on when the case begins")
+    yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
+    brakes = "released" if state.drives else "closed"
+    yield Fact(
+        "brakes", f"{brakes} with the drives; only the controller's own brake test knows how they hold"
+    )
 
 
 def _message(number: int) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 from driven_arm import FAR, THERE, largest_step, moving, state_of
+from waiting import HANG_LIMIT_S
 
 from drivers.kuka_rsi.errors import (
     DrivesOff,
@@ -76,3 +77,14 @@ def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: 
     with pytest.raises(MotionNotFinished) as caught:
         arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
     assert caught.value.code == "RSI-011"
+
+
+def test_an_arm_that_rests_beside_its_end_is_not_given_the_time_of_its_motion(
+    active_arm: Any, controller: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("drivers.kuka_rsi.motion_following.SETTLE_LIMIT_S", 0.5)
+    controller.frozen = True
+    with pytest.raises(
+        MotionNotFinished, match=r"does not settle there; limit 0\.5 s, got A6 -0\.0500 deg from"
+    ):
+        active_arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=HANG_LIMIT_S)

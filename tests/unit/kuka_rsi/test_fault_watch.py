@@ -158,6 +158,16 @@ def test_the_stop_is_ordered_before_the_next_state_is_read(change: dict[str, Any
     assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])  # latched, and ordered once
 
 
+def test_a_stop_names_another_sender_of_telegrams() -> None:
+    watched = Watched()
+    watched.link.state = MOVING._replace(foreign=101, foreign_host="192.168.1.7")
+    watched.watch.controller_said(_changed(error=29002))
+    assert (
+        "29002 is not acknowledged; 101 telegrams came from another sender, the last from 192.168.1.7"
+        in str(watched.guard.fault)
+    )
+
+
 @pytest.mark.hazard(4)
 def test_a_lost_channel_orders_the_stop_itself() -> None:
     watched = Watched()
