@@ -1,0 +1,64 @@
+"""A small finished run to spoil, with all that a run can leave."""
+
+from pathlib import Path
+
+from plain_steps import Image, plain_order
+from recording_cell import RecordingCell
+
+from procedures.cli.case.leaving_report import seal_run
+from procedures.engine.closing import close_run
+from procedures.engine.context import StepContext
+from procedures.engine.left_run import read_left_run
+from procedures.engine.step import Outcome
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.results.result import StepResult
+from ronna_hw.evidence.inspection import closed_files, inspected
+from ronna_hw.evidence.seal import seal
+
+REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
+
+
+def seen(context: StepContext) -> Outcome[StepResult]:
+    context.keep_picture("ct-1.png", b"a picture")
+    return Outcome(Image())
+
+
+def finished_run(folder: Path) -> Path:
+    """A small run with all that a run can leave: records, pictures, case, log, theatre, report."""
+    cell = RecordingCell(folder)
+    (folder / "case").mkdir()
+    (folder / "case" / "plan.toml").write_text("schema = 1\n")
+    (folder / "request.json").write_text("{}")
+    cell.journal.write(Entry.OPENED, 0.0, run=folder.name, request_sha256=REQUEST_HASH)
+    engine = cell.engine(plain_order("T1", image=seen))
+    (folder / "theatre").mkdir()
+    (folder / "theatre" / "truth.jsonl").write_text("where the tip was\n")
+    engine.run_to()
+    engine.close("done")
+    for name in ("log.jsonl", "report.html", "theatre/world.json", "report/targets.csv"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(f"{name}, written after the end\n")
+    sealed(folder)
+    return folder
+
+
+def sealed(folder: Path) -> None:
+    seal(folder, closed_files(tuple(read_journal(folder / JOURNAL_FILE))))
+
+
+def without_last_lines(folder: Path, count: int) -> None:
+    journal = folder / JOURNAL_FILE
+    journal.write_bytes(b"".join(journal.read_bytes().splitlines(keepends=True)[:-count]))
+
+
+def changed_files(folder: Path) -> set[str]:
+    return {problem.file for problem in inspected(folder).changes}
+
+
+def gone_home(run: Path) -> None:
+    """What `home` leaves: the run taken up in spite of the changes, closed and sealed."""
+    left = read_left_run(run, only_leaving=True)
+    journal = Journal.taken_up(run, left.chain)
+    journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
+    close_run(run, journal, 0.0, "left", None)
+    seal_run(run)

@@ -1,0 +1,103 @@
+"""Files and folders that would cost memory, time or a forged line cost nothing of it."""
+
+import os
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from finished_runs import changed_files, gone_home
+from recording_cell import RecordingCell
+
+from procedures.cli.case.leaving_report import seal_run
+from procedures.journal.journal import JOURNAL_FILE, Entry
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal
+
+
+@pytest.fixture
+def chain_of_folders() -> Iterator[Callable[[Path], None]]:
+    """Makes folders nested deeper than the interpreter has frames."""
+    made: list[Path] = []
+
+    def make(folder: Path) -> None:
+        made.append(folder)
+        folder.mkdir()
+        at = os.open(folder, os.O_RDONLY)
+        for _ in range(1200):
+            os.mkdir("d", dir_fd=at)
+            inner = os.open("d", os.O_RDONLY, dir_fd=at)
+            os.close(at)
+            at = inner
+        os.close(at)
+
+    yield make
+    subprocess.run(["rm", "-rf", *made], check=True)  # pytest removes its folders by recursion
+
+
+@pytest.mark.parametrize("where", ["", "report/", "theatre/"])
+def test_a_chain_of_folders_without_end_is_an_added_one(
+    run: Path, where: str, chain_of_folders: Callable[[Path], None]
+) -> None:
+    chain_of_folders(run / f"{where}deep")
+    (problem,) = inspected(run).changes
+    assert problem.file.startswith(f"{where}deep/")
+    assert problem.beside
+    gone_home(run)
+    assert inspected(run).problems == (problem,)
+
+
+@pytest.mark.parametrize("where", ["export", ".report.partial"])
+def test_a_chain_of_folders_outside_the_run_is_not_looked_at(
+    run: Path, where: str, chain_of_folders: Callable[[Path], None]
+) -> None:
+    chain_of_folders(run / where)
+    assert inspected(run).problems == ()
+
+
+@pytest.mark.parametrize("size", [LARGEST_FILE_BYTES + 1, 300_000_000_000])
+def test_a_file_without_end_is_changed_by_its_size_alone(run: Path, size: int) -> None:
+    os.truncate(run / "pictures" / "ct-1.png", size)
+    (problem,) = inspected(run).problems
+    assert str(problem) == "pictures/ct-1.png: changed: larger than any file of a run"
+
+
+def test_a_name_that_is_no_text_never_comes_into_the_seal(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    (run / "report" / os.fsdecode(b"a\xff")).write_text("from elsewhere")
+    seal_run(run)
+    assert [str(problem) for problem in inspected(run).problems] == [
+        "report/a\\udcff: added: not part of the run"
+    ]
+
+
+def test_a_file_whose_name_has_a_line_break_forges_no_line(run: Path) -> None:
+    (run / "note\nwhole.json").write_text("from elsewhere")
+    assert [str(problem) for problem in inspected(run).problems] == [
+        "note whole.json: added: not part of the run"
+    ]
+
+
+def test_a_seal_of_a_journal_of_any_length_costs_no_memory(run: Path) -> None:
+    made = read_seal(run)
+    assert made is not None
+    longer = made.model_copy(update={"journal_bytes": 10**18}).signed()
+    (run / SEAL_FILE).write_text(longer.model_dump_json(by_alias=True, indent=1))
+    assert inspected(run).changes == ()  # of the same bytes, which are all there is
+    (run / JOURNAL_FILE).write_bytes((run / JOURNAL_FILE).read_bytes() + b"\n")
+    assert changed_files(run) == {JOURNAL_FILE}
+
+
+def test_a_line_of_endless_brackets_is_found_like_any_other(run: Path) -> None:
+    with (run / JOURNAL_FILE).open("ab") as journal:
+        journal.write(b"[" * 100_000 + b"\n")
+    assert changed_files(run) == {JOURNAL_FILE}
+
+
+@pytest.mark.parametrize("name", ["9" * 300, "a\0b"], ids=["too long", "with a zero byte"])
+def test_a_journal_may_name_files_that_no_disk_can_hold(tmp_path: Path, name: str) -> None:
+    cell = RecordingCell(tmp_path / "run")
+    cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: "0"})
+    cell.journal.write(Entry.CLOSED, 0.0, files={name: "0"})
+    wrong = {problem.file for problem in inspected(cell.folder).changes}
+    assert wrong >= {f"records/{name}.json", f"pictures/{name}", name}

@@ -1,0 +1,113 @@
+"""Whatever is changed in a run, byte or file, is found and named."""
+
+import json
+import os
+import shutil
+from itertools import combinations
+from pathlib import Path
+
+import pytest
+from finished_runs import (
+    changed_files,
+    finished_run,
+    seen,
+    without_last_lines,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from plain_steps import plain_order
+from recording_cell import RecordingCell
+from spoilt_runs import files_in, with_another_byte
+
+from procedures.journal.journal import JOURNAL_FILE
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.seal import SEAL_FILE
+
+
+def test_a_run_that_was_left_alone_is_whole(finished: Path) -> None:
+    assert inspected(finished).require_whole().problems == ()
+
+
+@pytest.mark.hazard(39)
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
+    path = data.draw(st.sampled_from(files_in(finished)))
+    place = data.draw(st.integers(0, path.stat().st_size - 1))
+    with with_another_byte(path, place, data.draw(st.integers(1, 255))):
+        assert path.relative_to(finished).as_posix() in {one.file for one in inspected(finished).problems}
+        with pytest.raises(RunChanged, match="PRO-033"):
+            inspected(finished).require_whole()
+
+
+@pytest.mark.hazard(39)
+def test_any_file_that_is_gone_is_named(finished: Path, tmp_path: Path) -> None:
+    for path in files_in(finished):
+        aside = path.rename(tmp_path / "aside")
+        try:
+            named = {problem.file for problem in inspected(finished).problems}
+            assert path.relative_to(finished).as_posix() in named
+        finally:
+            aside.rename(path)
+
+
+@pytest.mark.hazard(39)
+def test_any_two_files_that_were_exchanged_are_named(run: Path) -> None:
+    for one, other in combinations(files_in(run), 2):
+        contents = one.read_bytes(), other.read_bytes()
+        one.write_bytes(contents[1])
+        other.write_bytes(contents[0])
+        named = {problem.file for problem in inspected(run).problems}
+        exchanged = {path.relative_to(run).as_posix() for path in (one, other)}
+        # Without journal and seal nothing can be said of the rest.
+        assert (exchanged & {JOURNAL_FILE} or exchanged & {SEAL_FILE} or exchanged) <= named
+        one.write_bytes(contents[0])
+        other.write_bytes(contents[1])
+
+
+@pytest.mark.parametrize("name", ["records/08-image.json", "pictures/more.png", "note.txt", "theatre/a/b"])
+def test_any_file_that_came_is_named(run: Path, name: str) -> None:
+    (run / name).parent.mkdir(parents=True, exist_ok=True)
+    (run / name).write_text("from elsewhere")
+    assert changed_files(run) == {name}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_last_lines_that_are_gone_are_missed_by_the_seal(run: Path, count: int) -> None:
+    without_last_lines(run, count)
+    assert JOURNAL_FILE in changed_files(run)
+
+
+@pytest.mark.hazard(39)
+def test_a_record_of_another_run_is_named(run: Path, tmp_path: Path) -> None:
+    name = "records/02-localization-T1.json"
+    shutil.copy(finished_run(tmp_path / "another") / name, run / name)
+    what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
+    assert "not the record named in the journal" in what
+    assert "is of run another" in what
+
+
+def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -> None:
+    order = plain_order("T1", image=seen)
+    engine = cell.engine(order)
+    for _ in range(3):
+        engine.run_step(order.find("image"))
+    engine.close("left")
+    assert sorted(os.listdir(cell.folder / "pictures")) == ["ct-1-2.png", "ct-1-3.png", "ct-1.png"]
+    assert inspected(cell.folder).changes == ()
+
+
+@pytest.mark.hazard(39)
+def test_a_run_under_another_name_is_not_that_run(run: Path) -> None:
+    assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
+    renamed = run.rename(run.with_name("another"))
+    with pytest.raises(RunChanged, match="of run run, in a folder named another"):
+        inspected(renamed).require_whole()
+
+
+def test_exports_are_made_at_any_time_and_are_no_part_of_the_run(run: Path) -> None:
+    (run / "export").mkdir()
+    (run / "export" / "spheres.csv").write_text("M1")
+    assert inspected(run).problems == ()

@@ -1,0 +1,125 @@
+"""What was changed after a kill is told from what a kill may leave."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from finished_runs import changed_files
+
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.seal import SEAL_FILE
+from ronna_hw.evidence.truth_so_far import truth_so_far
+from ronna_hw.records import read_record, write_record
+
+
+def other_date(folder: Path) -> None:
+    path = folder / "records" / "02-localization-T1.json"
+    record = read_record(path)
+    path.unlink()
+    write_record(replace(record, created="2020-01-01T00:00:00.000+00:00"), path.parent)
+
+
+def exchanged_identifiers(folder: Path) -> None:
+    path = folder / "records" / "02-localization-T1.json"
+    path.write_text(path.read_text().replace("02-localization", "03-localization"))
+
+
+def other_request(folder: Path) -> None:
+    (folder / "request.json").write_text('{"seed": 4}')
+
+
+def other_picture(folder: Path) -> None:
+    (folder / "pictures" / "ct-1.png").write_bytes(b"of somebody else")
+
+
+def link_to_the_same(folder: Path) -> None:
+    path = folder / "pictures" / "ct-1.png"
+    path.rename(folder.parent / "elsewhere.png")
+    path.symlink_to(folder.parent / "elsewhere.png")
+
+
+def pipe(folder: Path) -> None:
+    path = folder / "pictures" / "ct-1.png"
+    path.unlink()
+    os.mkfifo(path)
+
+
+SPOILED = {
+    other_date: "records/02-localization-T1.json",
+    exchanged_identifiers: "records/02-localization-T1.json",
+    other_request: "request.json",
+    other_picture: "pictures/ct-1.png",
+    link_to_the_same: "pictures/ct-1.png",
+    pipe: "pictures/ct-1.png",
+}
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("spoil", SPOILED, ids=lambda spoil: spoil.__name__)
+def test_what_was_changed_after_a_kill_is_told_from_the_kill(
+    killed: Path, spoil: Callable[[Path], None]
+) -> None:
+    assert changed_files(killed) == set()
+    assert [problem.what.partition(":")[0] for problem in inspected(killed).problems] == ["not closed"]
+    spoil(killed)
+    assert changed_files(killed) == {SPOILED[spoil]}
+
+
+@pytest.mark.hazard(39)
+def test_the_truth_is_held_from_the_moment_the_run_is_closed(run: Path) -> None:
+    (run / SEAL_FILE).unlink()
+    assert changed_files(run) == set()
+    (run / "theatre" / "truth.jsonl").write_text("elsewhere\n")
+    (run / "records" / "99-image.json").write_text("{}")
+    assert changed_files(run) == {"theatre/truth.jsonl", "records/99-image.json"}
+
+
+@pytest.fixture
+def sampled(tmp_path: Path) -> Path:
+    """A run that was killed after a sample of the truth had been taken, and a result was written."""
+    folder = tmp_path / "run"
+    (folder / "theatre").mkdir(parents=True)
+    scene, truth = (folder / "theatre" / name for name in ("scene.json", "truth.jsonl"))
+    scene.write_text("where everything is\n")
+    journal = Journal(folder)
+    journal.write(Entry.OPENED, 0.0, run=folder.name, **truth_so_far(folder))
+    journal.write(Entry.INTENT, 1.0, step="at_target:T1")
+    truth.write_text("where the tip was\n")
+    assert changed_files(folder) == set()  # killed at its target
+    journal.write(Entry.FOUND, 2.0, **truth_so_far(folder))
+    journal.close()
+    assert changed_files(folder) == set()
+    return folder
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("scene.json", "where nothing is\n"),
+        ("truth.jsonl", "where the tip was not\n"),
+        ("truth.jsonl", ""),
+        ("truth.jsonl", None),
+        ("truth.jsonl", "where the tip was\nand where it is wanted\n"),
+    ],
+    ids=["scene", "sample", "emptied", "gone", "added"],
+)
+def test_truth_that_is_exchanged_in_a_run_that_was_killed_is_named(
+    sampled: Path, name: str, content: str | None
+) -> None:
+    path = sampled / "theatre" / name
+    path.unlink()
+    if content is not None:
+        path.write_text(content)
+    assert changed_files(sampled) == {f"theatre/{name}"}
+
+
+def test_truth_of_any_length_in_the_journal_costs_no_memory(sampled: Path) -> None:
+    journal = Journal.taken_up(sampled, read_chain(sampled / JOURNAL_FILE))
+    journal.write(Entry.FOUND, 3.0, truth={"theatre/truth.jsonl": [10**18, "0"]})
+    journal.close()
+    assert changed_files(sampled) == {"theatre/truth.jsonl"}

@@ -1,0 +1,97 @@
+"""A run that goes on after its end, or whose arm goes home, vouches for nothing that was changed."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from finished_runs import changed_files, gone_home, sealed
+
+from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from ronna_hw.evidence.errors import RunChanged
+from ronna_hw.evidence.inspection import Problem, closed_files, inspected
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.seal import SEAL_FILE, is_sealed
+
+
+def renamed(run: Path) -> Path:
+    return run.rename(run.with_name("another"))
+
+
+def with_a_stray_file(run: Path) -> Path:
+    (run / "notes.txt").write_text("mine")
+    return run
+
+
+def with_a_changed_picture(run: Path) -> Path:
+    next((run / "pictures").iterdir()).write_bytes(b"another")
+    return run
+
+
+@pytest.mark.parametrize("spoil", [renamed, with_a_stray_file, with_a_changed_picture])
+def test_what_the_way_home_is_not_read_in_does_not_keep_the_arm_from_leaving(
+    run: Path, spoil: Callable[[Path], Path]
+) -> None:
+    found = inspected(spoil(run))
+    with pytest.raises(RunChanged):
+        found.require_unchanged()
+    assert found.require_account().changes != ()
+
+
+def test_going_home_does_not_make_an_added_file_part_of_the_run(run: Path) -> None:
+    stray = with_a_stray_file(run) / "notes.txt"
+    for _ in range(2):
+        gone_home(run)
+        assert [problem.file for problem in inspected(run).problems] == ["notes.txt"]
+    stray.unlink()
+    assert inspected(run).problems == ()
+
+
+def test_going_home_does_not_vouch_for_a_changed_file(run: Path) -> None:
+    plan = run / "case" / "plan.toml"
+    as_it_was = plan.read_bytes()
+    plan.write_bytes(b"schema = 2\n")
+    for _ in range(2):
+        gone_home(run)
+        assert inspected(run).problems == (Problem("case/plan.toml", "changed"),)
+    plan.write_bytes(as_it_was)
+    assert inspected(run).problems == ()
+
+
+@pytest.mark.hazard(39)
+@pytest.mark.parametrize("name", [JOURNAL_FILE, "records/01-image.json"])
+def test_a_changed_account_keeps_the_arm_where_it_is(run: Path, name: str) -> None:
+    (run / name).write_bytes((run / name).read_bytes().replace(b"image", b"imagf"))
+    with pytest.raises(RunChanged, match=name):
+        inspected(run).require_account()
+
+
+@pytest.mark.hazard(39)
+def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) -> None:
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.RESTARTED, 1.0)
+    journal.close()
+    (run / "log.jsonl").write_text("goes on\n")
+    assert changed_files(run) == set()
+    (run / "case" / "plan.toml").write_text("another")
+    assert changed_files(run) == {"case/plan.toml"}
+
+
+def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
+    files = closed_files(tuple(read_journal(run / JOURNAL_FILE)))
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.RESTARTED, 1.0)
+    journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
+    journal.close()
+    assert not is_sealed(run)
+    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    with pytest.raises(RunChanged, match="the last end was not sealed"):
+        inspected(run).require_whole()
+    sealed(run)
+    assert inspected(run).problems == ()
+
+
+def test_nobody_adds_a_line_to_a_sealed_run(run: Path) -> None:
+    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal.write(Entry.FINDING, 1.0, text="all is well")
+    journal.close()
+    assert changed_files(run) == {JOURNAL_FILE}
