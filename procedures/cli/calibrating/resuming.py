@@ -14,7 +14,7 @@ from procedures.cli.calibrating.running import opened_steps
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.request import CalibrationRun
-from procedures.cli.runs.left_runs import close_left, make_ready
+from procedures.cli.runs.left_runs import close_left, make_ready, require_free_theatre
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
@@ -39,9 +39,12 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
         tell(f"{left.run.name} is finished: nothing remains to be done")
         show(kind, read_payload(folder), folder, written=run.write, as_json=as_json)
         return
+    complete = _every_look_taken(recipe, left)
+    if not complete:
+        require_free_theatre(run)
     make_ready(left)
     with leaving_report(folder, with_truth=False):
-        if _every_look_taken(recipe, left):
+        if complete:
             _conclude(kind, run, recipe, left)
         else:
             looked(kind, recipe, run, folder, Resumption(left, accepted))

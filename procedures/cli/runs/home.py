@@ -8,7 +8,13 @@ from pathlib import Path
 from procedures.cli.case.display import following
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption
-from procedures.cli.runs.left_runs import held_left_run, make_ready, opened_left, request_of
+from procedures.cli.runs.left_runs import (
+    held_left_run,
+    make_ready,
+    opened_left,
+    request_of,
+    require_free_theatre,
+)
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import Entry
 from ronna_hw.command_line.terminal import print_json
@@ -24,6 +30,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
         if (nothing := _nothing_to_do(left)) is not None:
             _say(left, nothing, moved=False, as_json=as_json)
             return
+        require_free_theatre(request)
         make_ready(left)
         with leaving_report(left.run.path), following(quiet=as_json) as watcher:
             from procedures.recovery import bring_home

@@ -11,6 +11,7 @@ from pathlib import Path
 from procedures.cli.case.opening import Resumption, Watcher, opened_case
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.case.request_file import read_request
+from procedures.cli.case.running_case import require_no_running_case
 from procedures.engine.closing import close_run
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
@@ -83,6 +84,12 @@ def close_left(
     journal.write(Entry.RESTARTED, moment_s, **left.as_plain())
     close_run(folder, journal, moment_s, outcome, clinical, **more)
     return read_left_run(folder)
+
+
+def require_free_theatre(request: CaseRequest | CalibrationRun) -> None:
+    """Raise PRO-043 while another run has the real devices of this one."""
+    if request.config is not None:
+        require_no_running_case(request.config)
 
 
 def make_ready(left: LeftRun) -> None:

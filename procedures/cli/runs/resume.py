@@ -11,7 +11,13 @@ from procedures.cli.case.leaving_report import leave_report, seal_run
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.outcome import finished, run_case, wall_time_s
 from procedures.cli.case.request import CalibrationRun, CaseRequest
-from procedures.cli.runs.left_runs import close_left, held_left_run, make_ready, request_of
+from procedures.cli.runs.left_runs import (
+    close_left,
+    held_left_run,
+    make_ready,
+    request_of,
+    require_free_theatre,
+)
 from procedures.engine.course import Course
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import theatre_time_s
@@ -39,7 +45,8 @@ def resume(
 
     With a console, nothing is read until someone is in its seat, unless a script accepts.
 
-    Raises PRO-030 to PRO-034, PRO-003 where nothing can be written, and what devices and steps raise.
+    Raises PRO-030 to PRO-034, PRO-043, PRO-003 where nothing can be written, and what devices and steps
+    raise.
     """
     request = request_of(folder, accept=accept, answers=answers)
     with held_left_run(folder) as left:
@@ -56,6 +63,7 @@ def resume(
             tell(f"{left.run.name} is finished: nothing remains to be done")
             show_outcome(outcome, as_json=as_json)
             return
+        require_free_theatre(request)
         make_ready(left)
         follow(
             request,

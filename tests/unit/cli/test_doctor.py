@@ -3,29 +3,22 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from subprocess import PIPE, Popen
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from user_commands import in_this_process
 
-from procedures.cli.case.request_file import RequestFile
-from procedures.cli.case.running_case import RUN
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
 from procedures.cli.doctor.report import Report, examine, show
-from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress
 from ronna_hw.endpoints import BadEndpoint, Endpoint
-from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED, ConnectError
+from ronna_hw.errors import EXIT_NOT_FOUND, ConnectError
 
 WELL = Diagnostic("line tcp://127.0.0.1:1", True, "answered", section="lines", document={"baud": 9600})
 UNWELL = Diagnostic("device tracker", False, "silent", "Switch it on.")
@@ -189,47 +182,3 @@ def test_an_expired_calibration_is_a_problem_also_for_a_script() -> None:
     with pytest.raises(SystemExit) as ended:
         show(Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)), as_json=True)
     assert ended.value.code == EXIT_NOT_FOUND
-
-
-@contextmanager
-def run_on(theatre: Path, folder: Path) -> Iterator[int]:
-    """A run on this theatre in this folder; yields the number of the process that holds it."""
-    folder.mkdir(parents=True)
-    request = RequestFile(program="1", scene="mini", speed="max", config=theatre.resolve())
-    (folder / "request.json").write_text(request.model_dump_json(by_alias=True))
-    hold = "import sys; from procedures.engine.run_lock import held_run; from pathlib import Path\n"
-    hold += "with held_run(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
-    with Popen([sys.executable, "-c", hold, str(folder)], stdin=PIPE, stdout=PIPE, text=True) as run:
-        assert run.stdout is not None
-        assert run.stdout.readline() == "held\n"
-        yield run.pid
-        run.communicate("")
-
-
-def test_while_a_run_has_the_theatre_its_devices_are_not_asked_and_the_run_is_named(
-    theatre: Path, tmp_path: Path
-) -> None:
-    folder = tmp_path / "runs" / "20261121T180000-ab12"
-    with run_on(theatre, folder) as number:
-        report = examine(theatre)
-    assert report.devices == ()
-    (told,) = [one for one in report.case if one.subject == RUN]
-    assert f"{folder.name} (pid {number}) is using this theatre" in told.seen
-    assert f"ronna-procedure watch {folder}" in told.advice
-    assert not report.verdicts[-1].ready
-    assert examine(theatre).devices != ()
-
-
-@pytest.mark.parametrize(
-    "command", [("calibrate", "tool-tip"), ("calibrate", "tracker-frame"), ("run", "--case", ".")]
-)
-def test_while_a_run_has_the_theatre_no_other_command_asks_for_anything_there(
-    theatre: Path, tmp_path: Path, command: tuple[str, ...]
-) -> None:
-    folder, out = tmp_path / "runs" / "20261121T180000-ab12", tmp_path / "other"
-    with run_on(theatre, folder) as number:
-        done = in_this_process(ronna_procedure, *command, "--config", theatre, "--out", out)
-    assert done.returncode == EXIT_REFUSED
-    assert f"PRO-043: {folder.name} (pid {number}) is using this theatre" in done.stderr
-    assert f"ronna-procedure watch {folder}" in done.stderr
-    assert not out.exists()
