@@ -116,7 +116,7 @@ CAMERA = {
     "truncate left": REFUSED_PAIR,
     "unplug left": {"GEV-001", "GEV-014"},
     "ignore heartbeat left": {"GEV-014", "GEV-015"},
-    "seize left": {"GEV-015", "GEV-014"},
+    "seize left": {"GEV-005", "GEV-014", "GEV-015"},  # GEV-005: before the case has it
     "delay answers left 50 ms": set(),
     "lose answers left 10 %": set(),
     "restart left": {"GEV-015", "GEV-014", *REFUSED_PAIR},
