@@ -114,7 +114,7 @@ class ConsoleMissing(RonnaError):
 
 
 class TheatreInUse(RefusedError):
-    """A run that is under way has the devices of this theatre."""
+    """Another program has the devices of this theatre."""
 
     code = "PRO-043"
     action = "Wait until it has ended; its arm may be at a patient."

@@ -25,6 +25,7 @@ PARSER_NAMES = (
     "record",
     "journal",
     "events",
+    "theatre in use",
     "seal",
     "request",
     "recorded bytes",

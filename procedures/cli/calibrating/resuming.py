@@ -14,7 +14,7 @@ from procedures.cli.calibrating.running import opened_steps
 from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
 from procedures.cli.case.opening import Resumption, Watcher
 from procedures.cli.case.request import CalibrationRun
-from procedures.cli.runs.left_runs import close_left, make_ready, require_free_theatre
+from procedures.cli.runs.left_runs import close_left, make_ready, require_free_devices
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
@@ -41,7 +41,7 @@ def resume_calibration(run: CalibrationRun, left: LeftRun, *, accepted: bool, as
         return
     complete = _every_look_taken(recipe, left)
     if not complete:
-        require_free_theatre(run)
+        require_free_devices(run)
     make_ready(left)
     with leaving_report(folder, with_truth=False):
         if complete:

@@ -1,11 +1,10 @@
-"""An earlier run on the same theatre that left the arm away from home: a new case would park it there."""
+"""An earlier run on the same theatre that left the arm away from home: a new run would park it there."""
 
 from __future__ import annotations
 
 import shlex
 from pathlib import Path
 
-from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import read_request
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.workcell.arm_as_left import arm_as_left
@@ -13,23 +12,21 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
 
 
-def left_away(request: CaseRequest, folder: Path) -> str | None:
-    """What the operator must know of the newest other run beside `folder` with the same theatre file.
+def left_away(last: Path | None) -> str | None:
+    """What the operator must know of the last run that moved the arm of this theatre.
 
-    None if it brought the arm home, there is none, or the theatre is simulated for this run alone.
+    None if it brought the arm home, or nothing is known of one.
     """
-    if request.config is None:
+    if last is None:
         return None
-    for other in sorted(folder.parent.iterdir(), reverse=True):
-        if other.name >= folder.name or other.name.startswith("."):
-            continue
-        try:
-            config = read_request(other).config
-            if config is None or config.resolve() != request.config.resolve():
-                continue
-            away = arm_as_left(read_chain(other / JOURNAL_FILE).lines).away
-        except (RonnaError, OSError):  # no run, or one that cannot be read
-            continue
-        home = f"ronna-procedure home {shlex.quote(str(other.resolve()))}"
-        return f"run {other.name} left the arm away from its home; {home} brings it there" if away else None
-    return None
+    try:
+        if not arm_as_left(read_chain(last / JOURNAL_FILE).lines).away:
+            return None
+    except (RonnaError, OSError):  # its folder is gone or damaged
+        return None
+    left = f"run {last.name} left the arm away from its home"
+    try:
+        read_request(last)
+    except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
+        return left
+    return f"{left}; ronna-procedure home {shlex.quote(str(last))} brings it there"

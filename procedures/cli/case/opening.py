@@ -112,9 +112,11 @@ def opened_engine(
     `procedure` is called with the theatre, before its devices are connected; a simulated patient is made in
     the folder `phantom`. With `resumption` the folder is that of a run that is taken up again.
     """
+    from procedures.cli.case.left_away import left_away
     from procedures.engine.body_view import BodyView
     from procedures.engine.device_watch import PERIOD_S, SEEN_MOVING_S, DeviceWatch
     from procedures.engine.outlook import publish_order
+    from procedures.engine.theatre_lock import held_theatre
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 
@@ -126,7 +128,9 @@ def opened_engine(
         operator = operator_of(request, watcher, answers, resumption)
         if watcher.pilot is not None:
             operator = watcher.pilot.operator(operator)
+        away = None
         if file is not None:
+            away = left_away(stack.enter_context(held_theatre(file, folder)))
             room: Room = TerminalRoom(watcher.asking, simulated=is_simulated(read_theatre_file(file)))
             if watcher.pilot is not None:
                 from procedures.cli.console.room import ConsoleRoom
@@ -147,7 +151,9 @@ def opened_engine(
             file = simulated.theatre.file
             watcher.room_open(f"control port {simulated.theatre.control}")
             room = SimulatedRoom(simulated.theatre.control)
-        engine = _make_engine(request, folder, file, procedure, operator, room, stack, resumption)
+        engine = _make_engine(
+            request, folder, file, procedure, operator, room, stack, resumption, left_away=away
+        )
         outcome, ended_by = "failed", None
         publish_order(engine)
         watcher.opened(engine)
@@ -253,8 +259,9 @@ def _make_engine(
     room: Room,
     stack: contextlib.ExitStack,
     resumption: Resumption | None,
+    *,
+    left_away: str | None,
 ) -> Engine:
-    from procedures.cli.case.left_away import left_away
     from procedures.engine.case import Case
     from procedures.engine.context import CaseSetting, this_second
     from procedures.engine.engine import Engine
@@ -339,9 +346,7 @@ def _make_engine(
             settings=theatre.file.procedure,
             surroundings=theatre.file.cell_with_tools,
             clinical=wanted.clinical,
-            left_away=left_away(request, folder)
-            if isinstance(request, CaseRequest) and left is None
-            else None,
+            left_away=left_away if left is None else None,
             began=began,
         ),
         journal,

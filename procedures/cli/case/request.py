@@ -71,7 +71,7 @@ def check_theatre(request: TheatreRequest) -> None:
     """
     from procedures.calibration.arm.check import require_record
     from procedures.cli.calibrating.files import require_records
-    from procedures.cli.case.running_case import require_no_running_case
+    from procedures.engine.theatre_lock import require_free_theatre
     from ronna_hw.config import read_theatre_file
 
     require_records(request.choice.records)
@@ -79,7 +79,7 @@ def check_theatre(request: TheatreRequest) -> None:
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
-        require_no_running_case(request.config)
+        require_free_theatre(request.config)
 
 
 def check_request(request: CaseRequest) -> None:

@@ -9,12 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.case.running_case import RUN, running_case
 from procedures.cli.doctor.calibrations import calibration_diagnostics, tool_diagnostics
 from procedures.cli.doctor.computer import computer_diagnostics
 from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, case_diagnostics
 from procedures.cli.doctor.verdicts import Verdict, verdicts
+from procedures.engine.theatre_lock import theatre_user
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
 from ronna_hw.config import DeviceConfig, read_theatre_file
 from ronna_hw.devices.probing import Diagnostic, Inspection
@@ -22,6 +22,7 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 from ronna_hw.registry import endpoint_probes, load_probe
 
+RUN = "run"  # subject of a theatre that is in use
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
 
 Look = Callable[[Progress], Sequence[Diagnostic]]
@@ -63,9 +64,10 @@ def examine(
         now = datetime.now(UTC)
         calibrations = (*calibration_diagnostics(file, config, now), *tool_diagnostics(file, now))
         case = tuple(case_diagnostics(file))
-        running = running_case(config)
-        if running is not None:
-            case = (running.diagnostic, *case)
+        user = theatre_user(config)
+        if user is not None:
+            seen = f"{user.seen}: its devices were not checked"
+            case = (Diagnostic(RUN, False, seen, f"{user.advice}check again when it has ended."), *case)
         else:
             devices = list(file.devices)
             for name, device in file.devices.items():

@@ -11,13 +11,12 @@ import typer
 
 from procedures.cli.case.leaving_report import leaving_report
 from procedures.cli.case.opening import Resumption, Watcher
-from procedures.cli.case.running_case import require_no_running_case
 from procedures.cli.runs.left_runs import (
     held_left_run,
     make_ready,
     opened_left,
     request_of,
-    require_free_theatre,
+    require_free_devices,
 )
 from procedures.engine.device_faults import acknowledged
 from ronna_hw.command_line.terminal import on_terminal, print_json, tell
@@ -36,7 +35,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
         if left.finished:
             _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
             return
-        require_free_theatre(request)
+        require_free_devices(request)
         make_ready(left)
         path, resumption = left.run.path, Resumption(left, False, only_leaving=True, asks=False)
         with leaving_report(path), opened_left(request, path, Watcher(), resumption) as engine:
@@ -54,11 +53,11 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises DEV-006, PRO-043, and what a driver raises that cannot be recovered yet.
     """
+    from procedures.engine.theatre_lock import held_theatre
     from ronna_hw.theatre import Theatre
 
     by = _person(by)
-    require_no_running_case(file)
-    with Theatre.from_file(file) as theatre:
+    with held_theatre(file, None), Theatre.from_file(file) as theatre:
         devices = theatre.devices
         _recover_all(
             devices,

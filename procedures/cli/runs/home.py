@@ -13,7 +13,7 @@ from procedures.cli.runs.left_runs import (
     make_ready,
     opened_left,
     request_of,
-    require_free_theatre,
+    require_free_devices,
 )
 from procedures.engine.left_run import LeftRun
 from procedures.journal.journal import Entry
@@ -30,7 +30,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
         if (nothing := _nothing_to_do(left)) is not None:
             _say(left, nothing, moved=False, as_json=as_json)
             return
-        require_free_theatre(request)
+        require_free_devices(request)
         make_ready(left)
         with leaving_report(left.run.path), following(quiet=as_json) as watcher:
             from procedures.recovery import bring_home

@@ -11,12 +11,12 @@ from pathlib import Path
 from procedures.cli.case.opening import Resumption, Watcher, opened_case
 from procedures.cli.case.request import CalibrationRun, CaseRequest
 from procedures.cli.case.request_file import read_request
-from procedures.cli.case.running_case import require_no_running_case
 from procedures.engine.closing import close_run
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.run_lock import held_run
+from procedures.engine.theatre_lock import require_free_theatre
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, theatre_time_s
 from ronna_hw.command_line.errors import UsageMistake
@@ -86,10 +86,10 @@ def close_left(
     return read_left_run(folder)
 
 
-def require_free_theatre(request: CaseRequest | CalibrationRun) -> None:
-    """Raise PRO-043 while another run has the real devices of this one."""
+def require_free_devices(request: CaseRequest | CalibrationRun) -> None:
+    """Raise PRO-043 while another program has the real devices of this run."""
     if request.config is not None:
-        require_no_running_case(request.config)
+        require_free_theatre(request.config)
 
 
 def make_ready(left: LeftRun) -> None:

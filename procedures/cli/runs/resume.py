@@ -16,7 +16,7 @@ from procedures.cli.runs.left_runs import (
     held_left_run,
     make_ready,
     request_of,
-    require_free_theatre,
+    require_free_devices,
 )
 from procedures.engine.course import Course
 from procedures.engine.left_run import LeftRun
@@ -63,7 +63,7 @@ def resume(
             tell(f"{left.run.name} is finished: nothing remains to be done")
             show_outcome(outcome, as_json=as_json)
             return
-        require_free_theatre(request)
+        require_free_devices(request)
         make_ready(left)
         follow(
             request,

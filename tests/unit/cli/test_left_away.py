@@ -12,40 +12,60 @@ from procedures.cli.case.left_away import left_away
 from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.request_file import write_request
 from procedures.engine.order import order_of
+from procedures.engine.theatre_lock import held_theatre
 from procedures.journal.journal import Entry
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import set_up
 
 
-def earlier(runs: Path, *whats: str, config: str = "theatre.toml") -> None:
-    """A run that made these motions and was killed."""
+def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Path:
+    """A run on the theatre that made these motions and was killed."""
     runs.mkdir(exist_ok=True)
-    cell = RecordingCell(runs / "20260101T000000-abcd")
-    write_request(CaseRequest(out=runs, config=runs / config, case=runs), cell.folder)
-    for what in whats:
-        cell.journal.write(Entry.MOTION, 0.0, what=what)
-        cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME))
+    cell = RecordingCell(runs / f"2026010{number}T000000-abcd")
+    theatre = runs / "theatre.toml"
+    theatre.touch()
+    if resumable:
+        write_request(CaseRequest(out=runs, config=theatre, case=runs), cell.folder)
+    with held_theatre(theatre, cell.folder):
+        for what in whats:
+            cell.journal.write(Entry.MOTION, 0.0, what=what)
+            cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME))
     cell.journal.close()
+    return cell.folder
 
 
-def told(runs: Path) -> str | None:
-    request = CaseRequest(out=runs, config=runs / "theatre.toml", case=runs)
-    return left_away(request, runs / "20260102T000000-abcd")
+def warning(runs: Path) -> str | None:
+    """What a new run on that theatre is warned of."""
+    with held_theatre(runs / "theatre.toml", runs / "20260109T000000-abcd") as last:
+        return left_away(last)
 
 
-def test_the_run_that_left_the_arm_away_is_named_with_the_way_on(tmp_path: Path) -> None:
-    earlier(tmp_path, "go")
-    words = told(tmp_path)
-    assert words is not None
-    assert f"ronna-procedure home {tmp_path / '20260101T000000-abcd'}" in words
+def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
+    away = earlier(tmp_path, 1, "go")
+    assert f"ronna-procedure home {away}" in str(warning(tmp_path))
 
 
-def test_a_run_that_brought_the_arm_home_or_was_elsewhere_says_nothing(tmp_path: Path) -> None:
-    earlier(tmp_path / "home", "go", "home")
-    earlier(tmp_path / "elsewhere", "go", config="another.toml")
-    assert told(tmp_path / "home") is None
-    assert told(tmp_path / "elsewhere") is None
+def test_a_run_that_moved_nothing_does_not_hide_the_one_that_left_the_arm_away(tmp_path: Path) -> None:
+    away = earlier(tmp_path, 1, "go")
+    earlier(tmp_path, 2)
+    for _ in range(2):
+        assert away.name in str(warning(tmp_path))
+
+
+def test_a_check_that_left_the_arm_away_is_named_without_a_home_command(tmp_path: Path) -> None:
+    check = earlier(tmp_path, 1, "go", resumable=False)
+    assert warning(tmp_path) == f"run {check.name} left the arm away from its home"
+
+
+def test_a_run_that_brought_the_arm_home_gives_no_warning(tmp_path: Path) -> None:
+    earlier(tmp_path, 1, "go", "home")
+    assert warning(tmp_path) is None
+
+
+def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> None:
+    (tmp_path / "theatre.toml").touch()
+    assert warning(tmp_path) is None
 
 
 @pytest.mark.hazard(5)

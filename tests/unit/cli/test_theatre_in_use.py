@@ -14,8 +14,7 @@ import pytest
 from user_commands import in_this_process
 
 from procedures.cli.case.request_file import RequestFile
-from procedures.cli.case.running_case import RUN
-from procedures.cli.doctor.report import examine
+from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.errors import EXIT_REFUSED
@@ -33,14 +32,10 @@ def theatre(tmp_path: Path) -> Path:
 @contextmanager
 def run_on(theatre: Path, folder: Path) -> Iterator[int]:
     """A run on this theatre in this folder; yields the number of the process that holds it."""
-    folder.mkdir(parents=True)
-    request = RequestFile(
-        program=version("ronna-hw"), scene="mini", speed="max", strategy="ocs", config=theatre.resolve()
-    )
-    (folder / "request.json").write_text(request.model_dump_json(by_alias=True))
-    hold = "import sys; from procedures.engine.run_lock import held_run; from pathlib import Path\n"
-    hold += "with held_run(Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()"
-    with Popen([sys.executable, "-c", hold, str(folder)], stdin=PIPE, stdout=PIPE, text=True) as run:
+    hold = "import sys; from procedures.engine.theatre_lock import held_theatre; from pathlib import Path\n"
+    hold += "with held_theatre(*map(Path, sys.argv[1:])): print('held', flush=True); sys.stdin.read()"
+    words = [sys.executable, "-c", hold, str(theatre), str(folder)]
+    with Popen(words, stdin=PIPE, stdout=PIPE, text=True) as run:
         assert run.stdout is not None
         assert run.stdout.readline() == "held\n"
         yield run.pid
