@@ -1,4 +1,4 @@
-"""The default case, from the first click to the last, with a fault in it that is explained and repaired."""
+"""The default case by clicks, from the first to the last, with a fault that is explained and repaired."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def mount(case: OperatedCase, number: str) -> None:
 
 
 @pytest.mark.slow  # three trajectories by clicks, and once more without a console
-def test_the_default_case_by_clicks_with_a_fault_comes_to_what_it_comes_to_without_either(
+def test_the_default_case_by_clicks_with_a_fault_matches_the_run_without_fault_or_console(
     start: OperatedCases, page: Any
 ) -> None:
     case = start("step", scene=DEFAULT)

@@ -18,7 +18,7 @@ from waiting import eventually
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 
-def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_console(
+def test_a_whole_case_by_clicks_gives_bit_for_bit_the_results_of_a_run_without_a_console(
     start: OperatedCases, page: Any
 ) -> None:
     script = rehearsal()  # as the how-to has it: whoever follows it comes to the end
@@ -44,7 +44,7 @@ def test_a_whole_case_by_clicks_gives_bit_for_bit_what_it_gives_without_a_consol
     assert targets(case.run) == targets(alone.run)
 
 
-def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
+def test_a_second_operator_can_only_view_and_sees_who_is_operating(
     start: OperatedCases, page: Any, browser: Any
 ) -> None:
     case = start("step")
@@ -66,7 +66,7 @@ def test_a_second_operator_looks_on_and_is_told_whose_seat_it_is(
     assert not any((case.run / "records").iterdir())
 
 
-def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases, page: Any) -> None:
+def test_the_case_continues_after_its_console_is_killed(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json")
     enter(page, case.addresses["url"])
     os.kill(case.console_pid, signal.SIGKILL)
@@ -79,9 +79,7 @@ def test_a_console_that_is_killed_leaves_the_case_to_go_on(start: OperatedCases,
     assert outcome_of(case)["targets"]
 
 
-def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(
-    start: OperatedCases, page: Any
-) -> None:
+def test_a_killed_engine_is_shown_in_a_banner_and_orders_are_refused(start: OperatedCases, page: Any) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
@@ -93,7 +91,7 @@ def test_an_engine_that_is_killed_is_told_in_a_banner_and_orders_are_refused(
     page.wait_for_selector("text=Refused: the engine has ended")
 
 
-def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases, page: Any) -> None:
+def test_a_stray_click_and_enter_do_not_accept_a_motion(start: OperatedCases, page: Any) -> None:
     case = start("step")
     enter(page, case.addresses["url"])
     take_seat(page)
@@ -118,7 +116,7 @@ def test_a_slip_and_enter_do_not_accept_what_moves_the_arm(start: OperatedCases,
     eventually(lambda: page.locator("[data-do=next]").is_enabled())
 
 
-def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: OperatedCases, page: Any) -> None:
+def test_a_suspended_browser_does_not_hold_up_the_case(start: OperatedCases, page: Any) -> None:
     case = start("run", "--json")
     enter(page, case.addresses["viewer_url"])
     ours = psutil.Process().children(recursive=True)
@@ -134,7 +132,7 @@ def test_a_browser_that_stands_still_for_a_while_holds_nothing_up(start: Operate
     assert outcome_of(case)["targets"]
 
 
-def test_eight_viewers_look_on_and_one_more_is_refused(start: OperatedCases, browser: Any) -> None:
+def test_eight_viewers_are_served_and_a_ninth_is_refused(start: OperatedCases, browser: Any) -> None:
     case = start("step")
     contexts = [opened_context(browser) for _ in range(9)]
     pages = [context.new_page() for context in contexts]

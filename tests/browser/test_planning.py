@@ -65,7 +65,7 @@ def save(page: Any, name: str = "Dr Test") -> None:
     page.locator("[data-do=save]").click()
 
 
-def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_its_target(
+def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_a_case_reaches_its_target(
     opened: Open, page: Any, patient: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "new.toml"
@@ -106,7 +106,7 @@ def test_a_plan_made_by_clicks_and_typing_passes_the_check_and_is_followed_to_it
     assert page.complaints == []
 
 
-def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(
+def test_spheres_can_be_rejected_picked_and_proposed_and_a_step_can_be_undone(
     opened: Open, page: Any, plan: Path
 ) -> None:
     enter_planner(page, opened(plan)["url"])
@@ -128,7 +128,7 @@ def test_spheres_are_rejected_picked_and_proposed_and_a_step_is_taken_back(
     assert page.complaints == []
 
 
-def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any, plan: Path) -> None:
+def test_a_viewer_sees_the_draft_and_cannot_change_it(opened: Open, page: Any, plan: Path) -> None:
     enter_planner(page, opened(plan)["viewer_url"])
     assert page.locator("[data-do=save]:visible").count() == 0
     assert page.get_by_role("button", name="set the entry").count() == 0
@@ -143,7 +143,7 @@ def test_a_viewer_looks_at_the_draft_and_changes_nothing(opened: Open, page: Any
     assert field_value(page, "entry L") == "8.4"
 
 
-def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_too_near(
+def test_structures_can_be_drawn_and_imported_and_reject_a_trajectory_that_comes_too_close(
     opened: Open, page: Any, plan: Path
 ) -> None:
     enter_planner(page, opened(plan)["url"])
@@ -176,7 +176,7 @@ def test_structures_are_drawn_and_imported_and_refuse_a_trajectory_that_comes_to
     assert page.complaints == []
 
 
-def test_its_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_named_and_reached(
+def test_the_planner_has_readable_text_and_named_controls_reachable_by_tab_in_light_and_dark(
     opened: Open, page: Any, plan: Path
 ) -> None:
     enter_planner(page, opened(plan)["url"])
@@ -189,7 +189,7 @@ def test_its_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_na
     assert not_reached_by_tab(page) == []
 
 
-def test_a_case_that_begins_on_the_plan_ends_the_editing_until_it_is_over(
+def test_a_case_that_starts_on_the_plan_blocks_editing_until_it_ends(
     opened: Open, page: Any, plan: Path
 ) -> None:
     enter_planner(page, opened(plan)["url"])

@@ -1,4 +1,4 @@
-"""A page that everybody can read and press: contrast, names, keyboard, small screens, no 3-D."""
+"""A page that everybody can read and use: contrast, names, keyboard, small screens, no 3-D."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 
 
 @pytest.mark.parametrize("last", [QUESTION, WAITING], ids=["asked", "waiting"])
-def test_all_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_named_and_reached(
+def test_the_console_has_readable_text_and_named_controls_reachable_by_tab_in_light_and_dark(
     page: Any, tmp_path: Path, last: Questioned | Waiting
 ) -> None:
     with served_at(tmp_path, content=(*EVENTFUL, last)) as (_, addresses):
@@ -82,7 +82,7 @@ def test_all_text_stands_out_in_light_and_dark_and_all_that_can_be_pressed_is_na
 
 
 @pytest.mark.parametrize(("width", "height"), [(390, 844), (1280, 720)])
-def test_nothing_is_wider_than_the_screen_and_stop_is_in_sight(
+def test_nothing_is_wider_than_the_screen_and_stop_stays_in_view(
     page: Any, tmp_path: Path, width: int, height: int
 ) -> None:
     with served_at(tmp_path, content=(*EVENTFUL, QUESTION)) as (_, addresses):
@@ -96,7 +96,9 @@ def test_nothing_is_wider_than_the_screen_and_stop_is_in_sight(
         assert 0 <= box["y"] <= box["y"] + box["height"] <= height
 
 
-def test_without_3d_the_panels_work_and_the_scene_says_why_it_is_empty(page: Any, tmp_path: Path) -> None:
+def test_without_webgl_the_panels_work_and_the_scene_explains_why_it_is_empty(
+    page: Any, tmp_path: Path
+) -> None:
     page.add_init_script(NO_WEBGL)
     with served_at(tmp_path, content=(*EVENTFUL, WAITING)) as (_, addresses):
         enter(page, addresses["url"])

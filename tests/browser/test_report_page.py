@@ -1,4 +1,4 @@
-"""The report on a phone and on paper, as a browser lays it out: nothing is cut."""
+"""The report on a phone and on paper, as a browser lays it out: nothing is cut off."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def report(tmp_path: Path) -> Path:
     return write_report(cell.folder, truth=TRUTH)
 
 
-def test_on_a_phone_the_page_is_as_wide_as_the_screen(page: Any, report: Path) -> None:
+def test_the_page_fits_the_width_of_a_phone(page: Any, report: Path) -> None:
     page.set_viewport_size({"width": PHONE_PX, "height": 800})
     page.goto(report.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") == PHONE_PX
@@ -65,7 +65,7 @@ def test_on_a_phone_the_page_is_as_wide_as_the_screen(page: Any, report: Path) -
     assert page.requested == [report.as_uri()]
 
 
-def test_on_a4_paper_no_table_and_no_picture_is_cut(page: Any, report: Path) -> None:
+def test_no_table_or_picture_is_cut_off_on_a4_paper(page: Any, report: Path) -> None:
     page.set_viewport_size({"width": A4_PX, "height": 1000})
     page.emulate_media(media="print")
     page.goto(report.as_uri())

@@ -1,4 +1,4 @@
-"""A case that is over, gone through in the browser."""
+"""Reviewing a finished case in the browser."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from page_reading import low_contrast_by_scheme, not_reached_by_tab, without_nam
 from waiting import eventually
 
 
-def test_a_finished_case_is_reviewed_back_to_its_first_event(
+def test_a_finished_case_can_be_reviewed_back_to_its_first_event(
     start: OperatedCases, page: Any, tmp_path: Path
 ) -> None:
     case = start("run", "--json")

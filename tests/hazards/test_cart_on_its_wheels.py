@@ -1,4 +1,4 @@
-"""Hazard 49: with the tracker's noise a locked cart is never taken for one that rolls, nor the other way."""
+"""Hazard 49: despite tracker noise a locked cart never counts as rolling, nor a rolling one as locked."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def looks() -> Iterator[tuple[TrackedCase, RoomWatch, RoomReading]]:
             yield case, watch, case.reading(watch, case.home_rad)
 
 
-def test_a_cart_that_stands_is_never_refused() -> None:
+def test_a_cart_at_rest_is_never_refused() -> None:
     moved_mm = []
     for case, watch, first in looks():
         second = case.reading(watch, case.home_rad)
@@ -35,7 +35,7 @@ def test_a_cart_that_stands_is_never_refused() -> None:
     assert max(moved_mm) < 0.8 * LOCKED_LIMIT_MM
 
 
-def test_a_cart_that_rolls_by_a_millimetre_is_always_noticed() -> None:
+def test_a_cart_that_rolls_by_a_millimetre_is_always_detected() -> None:
     for case, watch, first in looks():
         second = case.reading(watch, case.home_rad, STILL, ROLLED_MM * case.direction())
         with pytest.raises(CartNotLocked, match="PRO-041"):

@@ -1,4 +1,4 @@
-"""Hazard 1: CT or plan change on disk while a case runs, and nothing moves by what was computed from them."""
+"""Hazard 1: the CT or plan changes on disk during a case, and nothing moves on results computed from them."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ def motions(engine: Engine) -> list[object]:
 
 @pytest.mark.hazard(1)
 @pytest.mark.parametrize("change", [another_series, one_slice_less, another_target])
-def test_what_was_computed_from_another_ct_or_plan_moves_nothing(
+def test_results_computed_from_another_ct_or_plan_move_nothing(
     engine: Engine, change: Callable[[Engine], None]
 ) -> None:
     change(engine)
@@ -128,7 +128,7 @@ def test_what_was_computed_from_another_ct_or_plan_moves_nothing(
 
 
 @pytest.mark.hazard(1)
-def test_a_plan_that_changes_during_an_approach_is_noticed_before_the_next_motion(engine: Engine) -> None:
+def test_a_plan_that_changes_during_an_approach_is_detected_before_the_next_motion(engine: Engine) -> None:
     def change_on_the_way(_start: object, _target: object) -> bool:
         another_target(engine)
         return False  # the way is clear
@@ -142,7 +142,7 @@ def test_a_plan_that_changes_during_an_approach_is_noticed_before_the_next_motio
 
 
 @pytest.mark.hazard(1)
-def test_files_that_were_only_touched_or_copied_have_not_changed(engine: Engine) -> None:
+def test_files_that_were_only_touched_or_copied_count_as_unchanged(engine: Engine) -> None:
     os.utime(plan_of(engine), (0, 0))
     copy = shutil.copytree(series_of(engine), series_of(engine).with_name("copy"))
     shutil.rmtree(series_of(engine))
@@ -151,7 +151,7 @@ def test_files_that_were_only_touched_or_copied_have_not_changed(engine: Engine)
 
 
 @pytest.mark.hazard(1)
-def test_files_that_are_out_of_reach_suspend_the_case_until_they_are_back(engine: Engine) -> None:
+def test_unreadable_files_suspend_the_case_until_they_are_readable_again(engine: Engine) -> None:
     (guard,) = engine.checkpoint.guards
     hidden = series_of(engine).rename(series_of(engine).with_name("hidden"))
     assert "cannot be read" in (guard.unmet() or "")
@@ -190,7 +190,7 @@ def placed(tmp_path: Path) -> Engine:
 
 
 @pytest.mark.hazard(1)
-def test_another_proposed_place_is_noticed_and_the_lock_that_was_compared_with_it_is_void(
+def test_a_changed_proposed_position_is_detected_and_voids_the_cart_lock_compared_with_it(
     placed: Engine,
 ) -> None:
     place = plan_of(placed).with_name("place.json")
@@ -204,7 +204,9 @@ def test_another_proposed_place_is_noticed_and_the_lock_that_was_compared_with_i
 
 
 @pytest.mark.hazard(1)
-def test_a_proposed_place_that_is_gone_suspends_the_case_and_differs_after_a_restart(placed: Engine) -> None:
+def test_a_missing_proposed_position_suspends_the_case_and_is_a_difference_after_a_restart(
+    placed: Engine,
+) -> None:
     plan_of(placed).with_name("place.json").unlink()
     (guard,) = placed.checkpoint.guards
     assert "place.json cannot be read" in (guard.unmet() or "")
@@ -215,7 +217,7 @@ def test_a_proposed_place_that_is_gone_suspends_the_case_and_differs_after_a_res
 
 
 @pytest.mark.hazard(1)
-def test_a_place_that_is_proposed_after_the_cart_was_locked_is_told_and_voids_nothing(tmp_path: Path) -> None:
+def test_a_position_proposed_after_the_cart_lock_is_a_finding_and_voids_nothing(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     clinical = cell.setting().clinical
     assert clinical is not None

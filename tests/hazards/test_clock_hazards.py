@@ -1,4 +1,4 @@
-"""Hazard 29: no limit hangs on the wall clock, so it may jump."""
+"""Hazard 29: no limit depends on the wall clock, so it may jump."""
 
 from __future__ import annotations
 
@@ -61,5 +61,5 @@ def _wall_clock_uses() -> Iterator[str]:
 
 
 @pytest.mark.hazard(29)
-def test_the_wall_clock_dates_records_and_decides_nothing_else() -> None:
+def test_the_wall_clock_only_dates_records_and_decides_nothing() -> None:
     assert list(_wall_clock_uses()) == []

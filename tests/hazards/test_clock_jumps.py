@@ -1,4 +1,4 @@
-"""Hazard 29: somebody sets the computer's clock in the middle of a case."""
+"""Hazard 29: the computer's clock is set in the middle of a case."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def commands() -> Iterator[Commands]:
 @pytest.mark.slow
 @pytest.mark.hazard(29)
 @pytest.mark.parametrize("jumps_s", [(HOUR_S, 0.0), (-HOUR_S, HOUR_S), (20 * YEAR_S, -20 * YEAR_S)])
-def test_a_case_whose_clock_jumps_comes_to_the_same_numbers_and_says_that_it_jumped(
+def test_clock_jumps_leave_the_results_of_a_case_unchanged_and_are_reported(
     commands: Commands,
     tmp_path: Path,
     tmp_path_factory: pytest.TempPathFactory,

@@ -1,4 +1,4 @@
-"""Hazards 9 and 36: only a listed word, whole and in time, answers; motions and the patient are read back."""
+"""Hazards 9 and 36: only a listed word, in full and in time, answers; motions and patient are read back."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def ask(timeout_s: float = 5.0, read_back: ReadBack | None = None) -> str:
 
 
 @pytest.mark.hazard(36)
-def test_without_an_answer_in_time_the_answer_is_no_and_the_time_is_said(
+def test_no_answer_in_time_counts_as_no_and_the_time_limit_is_shown(
     keyboard: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert ask(timeout_s=0.05) == "no"
@@ -63,7 +63,7 @@ def test_without_an_answer_in_time_the_answer_is_no_and_the_time_is_said(
 
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize("typed", [b"\n", b"y\n", b"ok\n", b"stop\n", b"yes please\n"])
-def test_anything_but_a_listed_word_is_asked_again(
+def test_an_answer_that_is_not_a_listed_word_is_asked_for_again(
     keyboard: int, typed: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, typed, b"no\n"))
@@ -73,7 +73,7 @@ def test_anything_but_a_listed_word_is_asked_again(
 
 
 @pytest.mark.hazard(36)
-def test_answers_of_several_words_are_quoted_and_may_be_typed_with_the_quotes(
+def test_answers_of_several_words_are_shown_in_quotes_and_may_be_typed_with_them(
     keyboard: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"placed\n", b"'placed again'\n"))
@@ -84,20 +84,22 @@ def test_answers_of_several_words_are_quoted_and_may_be_typed_with_the_quotes(
 
 
 @pytest.mark.hazard(36)
-def test_a_typed_yes_is_a_yes_and_the_value_was_shown(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_typed_yes_counts_as_yes_and_the_value_was_shown(
+    keyboard: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n"))
     assert ask() == "yes"
     assert VALUE in screen.getvalue()
 
 
 @pytest.mark.hazard(36)
-def test_a_yes_that_was_typed_before_the_question_stood_there_answers_nothing(keyboard: int) -> None:
+def test_a_yes_typed_before_the_question_appears_is_ignored(keyboard: int) -> None:
     os.write(keyboard, b"yes\n")
     assert ask(timeout_s=0.2) == "no"
 
 
 @pytest.mark.hazard(36)
-def test_without_a_terminal_nothing_is_confirmed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_confirmed_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     reader, writer = os.pipe()
     os.write(writer, b"yes\n")
     os.close(writer)
@@ -115,16 +117,14 @@ def test_a_motion_is_confirmed_by_a_yes_and_its_distance(
 
 
 @pytest.mark.hazard(36)
-def test_who_types_yes_to_everything_confirms_no_motion(
-    keyboard: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_typing_yes_to_everything_confirms_no_motion(keyboard: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *[b"yes\n"] * 50))
     assert ask(0.3, READ_BACK) == "no"
     assert screen.prompts > 1
 
 
 @pytest.mark.hazard(36)
-def test_who_does_not_read_back_in_time_has_not_confirmed(
+def test_a_read_back_that_is_not_typed_in_time_confirms_nothing(
     keyboard: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("sys.stderr", Screen(keyboard, b"yes\n"))
@@ -132,7 +132,7 @@ def test_who_does_not_read_back_in_time_has_not_confirmed(
 
 
 @pytest.mark.hazard(36)
-def test_what_is_read_back_wrongly_is_said_and_recorded_without_what_was_typed(
+def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     keyboard: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"yes\n", b"63\n", b"no\n"))
@@ -147,7 +147,7 @@ def test_what_is_read_back_wrongly_is_said_and_recorded_without_what_was_typed(
 
 
 @pytest.mark.hazard(9)
-def test_another_patients_identifier_confirms_nothing_and_the_right_one_is_not_shown(
+def test_a_wrong_patient_identifier_confirms_nothing_and_the_right_one_is_not_revealed(
     keyboard: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wristband = ReadBack("the patient's identifier", "Case-17")

@@ -28,7 +28,7 @@ def ended(scenes: int, trials: int, moved: Moved, shift_mm: float, *, covers: bo
 @pytest.mark.hazard(12)
 @pytest.mark.hazard(13)
 @pytest.mark.parametrize(("scenes", "trials"), SIZES)
-def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
+def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_suspends_them(
     scenes: int, trials: int
 ) -> None:
     quiet = list(ended(scenes, trials, Moved.NOTHING, 0.0, covers=False))
@@ -42,7 +42,7 @@ def test_quiet_approaches_raise_no_alarm_and_only_a_covered_head_holds_them_up(
 
 @pytest.mark.hazard(12)
 @pytest.mark.parametrize(("scenes", "trials"), SIZES)
-def test_a_shift_of_the_head_is_noticed_before_the_next_motion(scenes: int, trials: int) -> None:
+def test_a_head_shift_is_detected_before_the_next_motion(scenes: int, trials: int) -> None:
     for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=False):
         assert one.how is How.NOTICED or (one.arm_hides and one.how is How.SUSPENDED)
         assert one.begun == 0 or one.unseen_s > READING_S  # the arm itself was in the way over the target
@@ -50,7 +50,7 @@ def test_a_shift_of_the_head_is_noticed_before_the_next_motion(scenes: int, tria
 
 @pytest.mark.hazard(12)
 @pytest.mark.parametrize(("scenes", "trials"), SIZES)
-def test_nothing_goes_to_a_covered_head_that_was_not_seen_for_longer_than_allowed(
+def test_no_approach_continues_to_a_head_that_was_covered_for_longer_than_allowed(
     scenes: int, trials: int
 ) -> None:
     for one in ended(scenes, trials, Moved.HEAD, HEAD_MM, covers=True):
@@ -60,7 +60,7 @@ def test_nothing_goes_to_a_covered_head_that_was_not_seen_for_longer_than_allowe
 
 @pytest.mark.hazard(13)
 @pytest.mark.parametrize(("scenes", "trials"), SIZES)
-def test_a_shift_of_the_cart_is_noticed_at_the_latest_when_the_guide_is_out(scenes: int, trials: int) -> None:
+def test_a_cart_shift_is_detected_by_the_time_the_guide_is_out(scenes: int, trials: int) -> None:
     late = 0
     for one in ended(scenes, trials, Moved.CART, CART_MM, covers=False):
         assert one.how is How.NOTICED or (one.arm_hides and one.how is How.SUSPENDED)

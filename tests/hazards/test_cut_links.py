@@ -1,4 +1,4 @@
-"""Hazard 4: whichever link dies in whichever step, the case is held and names the device."""
+"""Hazard 4: whichever link fails in whichever step, the case is held and names the device."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def prepared(cell: ClinicalCell) -> Engine:
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize("role", ["arm", "stereo", "tracker"])
 @pytest.mark.parametrize("step", [one.name for one in WORKING])
-def test_a_link_that_is_cut_in_a_step_holds_the_case(tmp_path: Path, step: str, role: str) -> None:
+def test_a_link_cut_during_a_step_holds_the_case(tmp_path: Path, step: str, role: str) -> None:
     cell = ClinicalCell(tmp_path)
     engine = prepared(cell)
     key = next(key for key in engine.order.sequence if key.name == step and key.trajectory in (None, FIRST))
@@ -124,7 +124,7 @@ def test_a_link_that_is_cut_in_a_step_holds_the_case(tmp_path: Path, step: str, 
         ("positioning", "robot eki cut"),
     ],
 )
-def test_a_link_that_is_cut_in_a_whole_case_ends_it_with_the_code_of_a_lost_link(
+def test_a_link_cut_during_a_whole_case_ends_it_with_the_exit_code_of_a_lost_link(
     commands: Commands, tmp_path: Path, step: str, fault: str
 ) -> None:
     script = tmp_path / "faults.txt"

@@ -1,4 +1,4 @@
-"""Hazard 24: what the theatre file puts around the arm is kept clear, such as a moved clamp."""
+"""Hazard 24: the arm keeps clear of the bodies that the theatre file describes, such as a moved clamp."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(24)
-def test_a_body_in_the_way_refuses_the_case_by_name_before_anything_moves(tmp_path: Path) -> None:
+def test_a_body_in_the_way_is_named_and_the_case_refused_before_anything_moves(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     with_body(cell, "place of the staff", away_mm=0.0)
     with pytest.raises(RonnaError, match="place of the staff"):
@@ -43,7 +43,7 @@ def test_a_body_in_the_way_refuses_the_case_by_name_before_anything_moves(tmp_pa
 
 
 @pytest.mark.hazard(24)
-def test_the_same_body_far_from_the_way_refuses_nothing(tmp_path: Path) -> None:
+def test_a_body_far_from_the_path_does_not_refuse_the_case(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     with_body(cell, "clamp", away_mm=900.0)
     check(cell)

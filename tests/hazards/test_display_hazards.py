@@ -1,4 +1,4 @@
-"""Hazard 6: numbers are shown whole, also extreme ones."""
+"""Hazard 6: numbers are shown in full, even extreme ones."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ OUTCOME = FinishedRun(
 
 
 @pytest.mark.hazard(6)
-def test_every_number_of_the_table_is_whole_off_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_number_of_the_table_is_complete_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     show_outcome(OUTCOME, as_json=False)
     rows = [line.split("\t") for line in capsys.readouterr().out.splitlines()[1 : 1 + len(SHOWN)]]
     assert rows == [[f"T{k}", "123456.7", shown, shown] for k, shown in enumerate(SHOWN)]
 
 
 @pytest.mark.hazard(6)
-def test_every_number_of_the_report_is_whole(tmp_path: Path) -> None:
+def test_every_number_of_the_report_is_complete(tmp_path: Path) -> None:
     case, journal = Case(tmp_path), Journal(tmp_path)
     predicted = tuple(
         Prediction(target=f"T{k}", rms_mm=value, limit_mm=value, confidence=0.95, formula="")
@@ -69,7 +69,7 @@ def test_every_number_of_the_report_is_whole(tmp_path: Path) -> None:
 
 @pytest.mark.hazard(6)
 @pytest.mark.parametrize("columns", [80, 30])
-def test_every_number_is_whole_on_a_usual_and_on_a_narrow_terminal(
+def test_every_number_is_complete_on_a_normal_and_on_a_narrow_terminal(
     columns: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)

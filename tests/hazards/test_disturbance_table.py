@@ -1,4 +1,4 @@
-"""The table of disturbances holds: its tests are there and test its codes, no fault is left out."""
+"""The disturbance table is consistent: its tests exist and check its codes, and no fault is missing."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ OTHER_FAULTS = {
 }
 
 
-def test_every_test_of_the_table_exists_once() -> None:
+def test_every_test_named_in_the_table_exists_exactly_once() -> None:
     files = disturbance_table.files_of_tests()
     named = {name for one in disturbance_table.read_disturbances() for name in one.tests}
     assert {name: files.get(name, ()) for name in named if len(files.get(name, ())) != 1} == {}
 
 
-def test_every_promise_has_a_test_and_each_code_stands_in_one_of_them() -> None:
+def test_every_promise_has_a_test_and_each_code_appears_in_one_of_them() -> None:
     files = disturbance_table.files_of_tests()
     classes = {
         error.code: error.__name__
@@ -37,7 +37,7 @@ def test_every_promise_has_a_test_and_each_code_stands_in_one_of_them() -> None:
             assert code in text or classes[code] in text, f"{one.disturbance}: {code}"
 
 
-def test_every_fault_of_the_robot_has_its_promise() -> None:
+def test_every_robot_fault_has_a_promise() -> None:
     promised = {fault for one in disturbance_table.read_disturbances() for fault in one.faults}
     assert promised | set(OTHER_FAULTS) == {kind.name for kind in ROBOT_FAULTS}
     assert not promised & set(OTHER_FAULTS)

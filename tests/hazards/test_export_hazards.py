@@ -1,4 +1,4 @@
-"""Hazard 35: names that are sown into series and plan are in nothing that an export writes."""
+"""Hazard 35: names planted in the series and the plan appear in nothing that an export writes."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def run(tmp_path: Path) -> Path:
 
 
 @pytest.mark.hazard(35)
-def test_no_sown_name_is_in_any_exported_file_or_in_its_name(run: Path, tmp_path: Path) -> None:
+def test_no_planted_name_appears_in_any_exported_file_or_its_name(run: Path, tmp_path: Path) -> None:
     written = export_run(run, tmp_path / "export")
     assert {path for path in (tmp_path / "export").rglob("*") if path.is_file()} == set(written)
     for path in written:
@@ -113,7 +113,7 @@ def keys_of(content: object) -> Iterator[str]:
 
 
 @pytest.mark.hazard(35)
-def test_every_exported_field_is_on_the_list(run: Path, tmp_path: Path) -> None:
+def test_every_exported_field_is_on_the_allow_list(run: Path, tmp_path: Path) -> None:
     out = tmp_path / "export"
     export_run(run, out)
     listed = {
@@ -135,7 +135,7 @@ def test_every_exported_field_is_on_the_list(run: Path, tmp_path: Path) -> None:
 
 @pytest.mark.hazard(35)
 @pytest.mark.parametrize("attribute", ["PatientName", "InstitutionName"])
-def test_an_object_with_anything_else_in_it_is_not_written(run: Path, tmp_path: Path, attribute: str) -> None:
+def test_an_object_with_any_other_field_is_refused(run: Path, tmp_path: Path, attribute: str) -> None:
     export_run(run, tmp_path / "export")
     made = dcmread(tmp_path / "export" / "spheres.dcm")
     only_allowed(made)

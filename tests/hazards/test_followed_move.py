@@ -1,4 +1,4 @@
-"""Hazard 12: the head moves by little under the guide, and the registration follows only when agreed to."""
+"""Hazard 12: the head moves slightly under the guide, and the registration follows only with consent."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def voided(cell: ClinicalCell) -> list[str]:
     return [step for _, step in cell.entries("voided")]
 
 
-def test_only_the_registrations_are_void_and_nothing_is_approached_before_they_follow(tmp_path: Path) -> None:
+def test_only_the_registrations_are_voided_and_no_approach_starts_before_they_follow(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     assert voided(cell) == [NAME, f"registration:{LAST}"]
@@ -81,7 +81,7 @@ def test_only_the_registrations_are_void_and_nothing_is_approached_before_they_f
         run(engine, f"positioning:{FIRST}")
 
 
-def test_what_is_agreed_to_follows_the_head_and_says_what_that_costs(tmp_path: Path) -> None:
+def test_with_consent_the_registration_follows_the_head_and_states_the_added_error(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = under_the_guide(cell)
     before = cell.case.get(RegisteredRobot, FIRST)
@@ -104,7 +104,7 @@ def test_what_is_agreed_to_follows_the_head_and_says_what_that_costs(tmp_path: P
     assert any("follows a head movement" in text for text in findings(cell))
 
 
-def test_the_guide_goes_where_the_head_is_now_and_a_second_move_is_noticed(tmp_path: Path) -> None:
+def test_the_guide_goes_to_where_the_head_is_now_and_a_second_move_is_detected(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     run(engine, NAME)
@@ -121,7 +121,7 @@ def test_the_guide_goes_where_the_head_is_now_and_a_second_move_is_noticed(tmp_p
         run(engine, f"positioning:{FIRST}")
 
 
-def test_what_is_not_agreed_to_is_void(tmp_path: Path) -> None:
+def test_without_consent_the_localization_is_voided(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.operator.refusing = (Topic.MOVE_FOLLOWED,)
@@ -145,7 +145,7 @@ def test_a_large_move_voids_the_localization_at_once(tmp_path: Path) -> None:
         (SMALL_MM[:2], (0.0, 0.0, 0.0), PatientUnseen),
     ],
 )
-def test_nothing_else_is_offered(
+def test_no_other_kind_of_move_is_offered_for_following(
     spheres_mm: Array, frame_shift_mm: tuple[float, float, float], refused: type[Exception], tmp_path: Path
 ) -> None:
     cell = ClinicalCell(tmp_path)
@@ -157,7 +157,7 @@ def test_nothing_else_is_offered(
     assert not engine.case.stands(engine.order.find(NAME))
 
 
-def test_it_is_measured_at_home_only(tmp_path: Path) -> None:
+def test_the_move_is_measured_only_with_the_arm_at_home(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     A1, *others = cell.arm.joints_rad
@@ -166,7 +166,7 @@ def test_it_is_measured_at_home_only(tmp_path: Path) -> None:
         run(engine, NAME)
 
 
-def test_a_head_that_came_back_needs_no_consent(tmp_path: Path) -> None:
+def test_a_head_that_moved_back_needs_no_consent(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = seen_to_move(cell)
     cell.tracker.spheres_mm = SPHERES_MM

@@ -1,4 +1,4 @@
-"""Hazard 25: a whole case with cameras that lose packets ends at its target."""
+"""Hazard 25: a whole case with cameras that lose packets reaches its target."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LARGEST_ERROR_MM = 1.5
     ],
     ids=["packets are sent again", "the left camera has forgotten them"],
 )
-def test_a_case_whose_cameras_lose_packets_ends_at_its_target(
+def test_a_case_whose_cameras_lose_packets_reaches_its_target(
     commands: Commands, tmp_path: Path, faults: str
 ) -> None:
     script = tmp_path / "faults.txt"

@@ -1,4 +1,4 @@
-"""Hazard 31: a theatre of simulated and real devices is refused before anything moves."""
+"""Hazard 31: a theatre that mixes simulated and real devices is refused before anything moves."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def theatre(clock: str, **endpoints: Any) -> TheatreFile:
 @pytest.mark.hazard(31)
 @pytest.mark.parametrize("clock", [THEATRE_CLOCK, HOST_CLOCK])
 @pytest.mark.parametrize("device", sorted(REAL))
-def test_one_real_device_among_simulated_ones_is_refused_and_named(clock: str, device: str) -> None:
+def test_a_real_device_among_simulated_ones_is_refused_and_named(clock: str, device: str) -> None:
     with pytest.raises(MixedTheatre, match=r"CFG-004.*real: ") as refused:
         require_one_kind(theatre(clock, **{device: REAL[device]}))
     assert refused.value.exit_code == EXIT_REFUSED
@@ -65,14 +65,14 @@ def test_theatres_of_one_kind_pass(sound: TheatreFile) -> None:
 
 
 @pytest.mark.hazard(31)
-def test_a_mixed_theatre_has_no_workcell(tmp_path: Path) -> None:
+def test_a_mixed_theatre_gets_no_workcell(tmp_path: Path) -> None:
     mixed = mini_theatre().model_copy(update={"tracker": theatre(HOST_CLOCK, **REAL).tracker})
     with pytest.raises(MixedTheatre):
         RecordingCell(tmp_path, theatre=mixed)
 
 
 @pytest.mark.hazard(31)
-def test_the_command_refuses_it_before_there_is_a_run(tmp_path: Path) -> None:
+def test_the_command_refuses_a_mixed_theatre_before_it_creates_a_run(tmp_path: Path) -> None:
     write_theatre_file(content(HOST_CLOCK, polaris=REAL["polaris"]), tmp_path / "theatre.toml")
     words = ("run", "--config", tmp_path / "theatre.toml", "--case", tmp_path, "--out", tmp_path / "runs")
     done = in_this_process(ronna_procedure, *words)

@@ -1,4 +1,4 @@
-"""Hazard 35: the patient's name is in no output, whatever goes wrong with the series."""
+"""Hazard 35: the patient's name appears in no output, whatever goes wrong with the series."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def _with_an_unreadable_name(series: Path) -> None:
 
 @pytest.mark.hazard(35)
 @pytest.mark.parametrize("spoil", [_sound, _without_a_slice, _truncated, _with_an_unreadable_name])
-def test_no_message_no_trace_and_no_log_carries_patient_data(series: Path, spoil: object) -> None:
+def test_no_message_traceback_or_log_contains_patient_data(series: Path, spoil: object) -> None:
     assert callable(spoil)
     spoil(series)
     command = (

@@ -1,4 +1,4 @@
-"""Hazards 4, 18 and 38: every fault of controller and wire while the arm moves, and what is said of it."""
+"""Hazards 4, 18 and 38: every controller and wire fault while the arm moves, and how it is reported."""
 
 from __future__ import annotations
 
@@ -116,7 +116,7 @@ def _acted(cell: Any, fault: str) -> bool:
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("case", _parameters(WORKED_THROUGH))
-def test_what_the_link_can_lose_is_worked_through(robot_cell: Any, case: Case) -> None:
+def test_a_motion_completes_despite_losses_that_the_link_tolerates(robot_cell: Any, case: Case) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     start = cell.true_joints_rad()
@@ -132,7 +132,7 @@ def test_what_the_link_can_lose_is_worked_through(robot_cell: Any, case: Case) -
 @pytest.mark.hazard(4)
 @pytest.mark.hazard(38)
 @pytest.mark.parametrize("case", _parameters(STOPPED))
-def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(robot_cell: Any, case: Case) -> None:
+def test_controller_and_wire_faults_stop_the_arm_and_are_named(robot_cell: Any, case: Case) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     start = cell.true_joints_rad()
@@ -160,7 +160,7 @@ def test_what_the_controller_or_the_wire_does_stops_the_arm_and_is_named(robot_c
 
 
 @pytest.mark.hazard(4)
-def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(robot_cell: Any) -> None:
+def test_a_halted_real_time_process_is_reported_and_replaced(robot_cell: Any) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(silence_limit_s=0.25, heartbeat_limit_s=1.0)
     process = arm._connections.link._process
@@ -180,7 +180,7 @@ def test_a_real_time_process_that_runs_no_more_is_told_and_replaced(robot_cell: 
 @pytest.mark.slow  # a busy machine adds stalls of its own
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("stall_ms", [5, 50, 500])
-def test_a_stall_of_the_host_is_worked_through_or_named(robot_cell: Any, stall_ms: int) -> None:
+def test_a_host_stall_is_tolerated_or_reported(robot_cell: Any, stall_ms: int) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(**LIMITS)
     process = arm._connections.link._process

@@ -1,4 +1,4 @@
-"""Hazards 4, 18, 20, 30: the robot link, through the wire, judged by where the arm truly is."""
+"""Hazards 4, 18, 20, 30: the robot link over the wire, judged by the arm's true position."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def _largest_steps(tap: RsiTap) -> tuple[float, float]:
 @pytest.mark.parametrize(
     "lost_percent", [*(pytest.param(share, marks=pytest.mark.slow) for share in (1, 5, 10)), 20]
 )
-def test_while_replies_are_lost_at_full_working_speed_the_arm_arrives_without_a_jump(
+def test_the_arm_arrives_without_a_jump_while_replies_are_lost_at_full_working_speed(
     tapped_cell: Any, lost_percent: int, late: bool
 ) -> None:
     cell, tap = tapped_cell(late=late)
@@ -122,7 +122,7 @@ def _lose_at_speed(cell: Any, tap: RsiTap, neighbours: int, speed_fraction: floa
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("late", [False, True], ids=["told at once", "told a telegram late"])
 @pytest.mark.parametrize("neighbours", [2, 25])
-def test_after_a_burst_of_lost_replies_at_full_working_speed_the_arm_goes_on_without_a_jump(
+def test_the_arm_continues_without_a_jump_after_a_burst_of_lost_replies_at_full_working_speed(
     tapped_cell: Any, neighbours: int, late: bool
 ) -> None:
     cell, tap = tapped_cell(late=late)
@@ -144,7 +144,7 @@ def test_after_a_burst_of_lost_replies_at_full_working_speed_the_arm_goes_on_wit
         (2, TWO_UNTOLD_SPEED_FRACTION),
     ],
 )
-def test_what_a_controller_never_tells_is_one_longer_step_that_it_takes(
+def test_lost_replies_the_controller_never_reports_lead_to_one_longer_step_that_it_accepts(
     tapped_cell: Any, neighbours: int, speed_fraction: float
 ) -> None:
     cell, tap = tapped_cell(never=True)
@@ -164,7 +164,7 @@ def test_what_a_controller_never_tells_is_one_longer_step_that_it_takes(
 
 
 @pytest.mark.hazard(18)
-def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_working_speed(
+def test_two_unreported_lost_replies_in_a_row_at_full_working_speed_make_the_controller_stop(
     tapped_cell: Any,
 ) -> None:
     cell, tap = tapped_cell(never=True)
@@ -193,7 +193,7 @@ def test_two_neighbours_that_a_controller_never_tells_end_in_its_stop_at_full_wo
         ),  # the driver works through it, a case waits for a better link
     ],
 )
-def test_a_case_goes_on_to_its_targets_while_replies_are_lost(
+def test_a_case_reaches_its_targets_while_replies_are_lost(
     tmp_path: Path, fault: str, suspends: bool
 ) -> None:
     script = tmp_path / "faults"
@@ -226,7 +226,7 @@ def test_a_controller_in_another_mode_or_cycle_is_refused_before_anything_moves(
 
 
 @pytest.mark.hazard(20)
-def test_in_a_cycle_of_twelve_milliseconds_the_arm_arrives_as_well(robot_cell: Any) -> None:
+def test_the_arm_also_arrives_with_a_cycle_of_twelve_milliseconds(robot_cell: Any) -> None:
     cell = robot_cell("--cycle-ms", "12")
     arm = cell.active_arm(cycle_ms=12, silence_limit_s=GENEROUS_S)
     target = _away(arm.read_state().joints_rad, 0.1)
@@ -236,7 +236,9 @@ def test_in_a_cycle_of_twelve_milliseconds_the_arm_arrives_as_well(robot_cell: A
 
 
 @pytest.mark.hazard(4)
-def test_a_controller_that_dies_on_the_way_latches_a_fault_and_gives_no_more_poses(robot_cell: Any) -> None:
+def test_a_controller_that_dies_during_a_motion_latches_a_fault_and_no_more_poses_are_returned(
+    robot_cell: Any,
+) -> None:
     cell = robot_cell(paced=True)
     arm = cell.active_arm(silence_limit_s=0.2, heartbeat_limit_s=GENEROUS_S)
     os.kill(cell.controller.process.pid, signal.SIGKILL)
@@ -250,7 +252,7 @@ def test_a_controller_that_dies_on_the_way_latches_a_fault_and_gives_no_more_pos
 
 @pytest.mark.hazard(30)
 @pytest.mark.parametrize("halt", [signal.SIGSTOP, signal.SIGKILL])
-def test_when_the_program_that_leads_the_arm_halts_the_arm_comes_to_rest_on_its_way(
+def test_the_arm_comes_to_rest_before_its_target_when_the_program_driving_it_halts(
     robot_cell: Any, halt: signal.Signals
 ) -> None:
     cell = robot_cell(paced=True)

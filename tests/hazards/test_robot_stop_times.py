@@ -1,4 +1,4 @@
-"""Hazard 4: how soon the moving arm rests and the operator is told, in cycles of a world in lock-step.
+"""Hazard 4: how soon the moving arm rests and the operator is informed, in cycles of a world in lock-step.
 
 Somebody on the wire holds the next telegram back until EKI has been heard. The world stands still meanwhile,
 so that nothing here depends on the pace of the machine.
@@ -104,7 +104,7 @@ def tapped_arm(robot_cell: Any) -> Iterator[tuple[Any, RsiTap, Any]]:
         for case in CASES
     ],
 )
-def test_the_first_telegram_after_it_was_told_is_answered_by_a_stop_and_the_arm_rests_in_time(
+def test_the_first_telegram_after_the_report_is_answered_by_a_stop_and_the_arm_rests_in_time(
     tapped_arm: tuple[Any, RsiTap, Any], case: Case
 ) -> None:
     cell, tap, arm = tapped_arm

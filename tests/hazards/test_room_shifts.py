@@ -1,4 +1,4 @@
-"""Hazards 12 and 13: head, cart or tracker move after the localization, and the case notices it."""
+"""Hazards 12 and 13: head, cart or tracker move after the localization, and the case detects it."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_a_thousand_quiet_cases_raise_no_alarm() -> None:
         pytest.param(0.0, CART_MM, BaseShifted, marks=pytest.mark.hazard(13)),
     ],
 )
-def test_a_shift_while_the_arm_rests_is_noticed_before_the_next_motion_a_thousand_times(
+def test_a_shift_while_the_arm_rests_is_detected_before_the_next_motion_in_a_thousand_cases(
     head_mm: float, cart_mm: float, noticed: type[Exception]
 ) -> None:
     for case in trials():
@@ -79,7 +79,7 @@ def test_a_shift_while_the_arm_rests_is_noticed_before_the_next_motion_a_thousan
 
 
 @pytest.mark.hazard(13)
-def test_a_tracker_that_was_moved_is_told_from_a_cart_and_a_head_that_were() -> None:
+def test_a_moved_tracker_is_distinguished_from_a_moved_cart_and_a_moved_head() -> None:
     case = TrackedCase(3)
     way = np.array([0.0, 2.0, 0.0])
     for head_mm, cart_mm, said in ((STILL, way, "cart"), (-way, -way, "tracker"), (way, STILL, "head")):
@@ -89,7 +89,7 @@ def test_a_tracker_that_was_moved_is_told_from_a_cart_and_a_head_that_were() -> 
 
 
 @pytest.mark.hazard(13)
-def test_a_tracker_that_was_moved_by_little_is_a_finding_as_arm_and_head_agree() -> None:
+def test_a_slightly_moved_tracker_is_a_finding_because_arm_and_head_agree() -> None:
     case = TrackedCase(3)
     watch, way = case.begin(), np.array([0.6, 0.0, 0.0])
     (finding,) = watch.check(case.reading(watch, case.home_rad, way, way))
@@ -97,7 +97,7 @@ def test_a_tracker_that_was_moved_by_little_is_a_finding_as_arm_and_head_agree()
 
 
 @pytest.mark.hazard(12)
-def test_what_the_tracker_does_not_see_is_said() -> None:
+def test_a_hidden_frame_and_too_few_spheres_are_reported_as_findings() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad)
@@ -109,7 +109,7 @@ def test_what_the_tracker_does_not_see_is_said() -> None:
 
 
 @pytest.mark.hazard(12)
-def test_one_sphere_that_moved_alone_is_not_said_to_be_the_head() -> None:
+def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad)
@@ -119,7 +119,7 @@ def test_one_sphere_that_moved_alone_is_not_said_to_be_the_head() -> None:
 
 
 @pytest.mark.hazard(12)
-def test_two_spheres_that_are_not_in_their_places_are_enough() -> None:
+def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
@@ -129,7 +129,7 @@ def test_two_spheres_that_are_not_in_their_places_are_enough() -> None:
 
 
 @pytest.mark.hazard(12)
-def test_a_sphere_near_the_head_in_no_known_place_is_not_passed_over_where_others_are_hidden() -> None:
+def test_an_unknown_sphere_near_the_head_is_not_ignored_while_others_are_hidden() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = case.reading(watch, case.home_rad, np.array([0.0, 9.0, 0.0]))
@@ -156,7 +156,7 @@ def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
 
 
 @pytest.mark.hazard(12)
-def test_a_crossing_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_a_moved_head() -> None:
+def test_an_intersection_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_a_moved_head() -> None:
     case = TrackedCase(3)
     watch = case.begin()
     reading = with_crossings(case.reading(watch, case.home_rad), watch.spheres_mm)
@@ -166,7 +166,7 @@ def test_a_crossing_of_lines_to_known_markers_is_not_taken_for_a_sphere_of_a_mov
 
 
 @pytest.mark.hazard(12)
-def test_no_sphere_of_a_moved_head_is_taken_for_a_crossing_of_lines() -> None:
+def test_no_sphere_of_a_moved_head_is_taken_for_an_intersection_of_lines() -> None:
     generator = np.random.default_rng(12)
     for seed in range(10):
         case = TrackedCase(seed)
@@ -188,7 +188,7 @@ def before(cell: ClinicalCell) -> tuple[StepResult, ...]:
         pytest.param("frame_shift_mm", BaseShifted, marks=pytest.mark.hazard(13)),
     ],
 )
-def test_nothing_moves_after_a_shift_and_what_was_localized_is_superseded(
+def test_nothing_moves_after_a_shift_and_the_localization_is_superseded(
     tmp_path: Path, moved: str, noticed: type[Exception]
 ) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
@@ -207,7 +207,7 @@ def test_nothing_moves_after_a_shift_and_what_was_localized_is_superseded(
 
 
 @pytest.mark.hazard(12)
-def test_a_head_that_moves_while_the_spheres_are_localized_voids_them(tmp_path: Path) -> None:
+def test_a_head_that_moves_during_the_relocalization_voids_it(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     engine = cell.begin(*before(cell), relocalization.STEP)
 
@@ -234,7 +234,7 @@ def before_the_approach(cell: ClinicalCell) -> Engine:
 
 
 @pytest.mark.hazard(12)
-def test_a_head_that_has_moved_before_the_approach_is_not_approached(tmp_path: Path) -> None:
+def test_a_head_that_moved_before_the_approach_is_not_approached(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = before_the_approach(cell)
     shift(cell, HEAD_MM)

@@ -1,4 +1,4 @@
-"""Hazard 34: who else talks to the tracker's network port is refused, or noticed by what the unit says then.
+"""Hazard 34: another client of the tracker's network port is refused, or detected from the unit's replies.
 
 A unit with one connection lets a second program wait and answers it nothing. One that serves several hands
 out one state to all of them: the driver sees from the replies that it is no longer the only one.
@@ -36,7 +36,7 @@ def tracker_at(endpoint: str) -> PolarisTracker:
 
 
 @pytest.mark.hazard(34)
-def test_a_second_client_gets_no_answer_and_the_first_tracks_on(unit_on_a_port: str) -> None:
+def test_a_second_client_gets_no_answer_and_the_first_keeps_tracking(unit_on_a_port: str) -> None:
     first, second = tracker_at(unit_on_a_port), tracker_at(unit_on_a_port)
     first.connect()
     first.configure()
@@ -57,7 +57,7 @@ def test_a_second_client_gets_no_answer_and_the_first_tracks_on(unit_on_a_port: 
 
 
 @pytest.mark.hazard(34)
-def test_a_second_client_that_ends_the_tracking_is_noticed_at_the_next_frame() -> None:
+def test_a_second_client_that_ends_tracking_is_detected_at_the_next_frame() -> None:
     unit = UnitInProcess()
     tracker = bring_up(tracker_on(unit, StillClock(), "tcp://127.0.0.1:8765"))
     tracker.read_frame()

@@ -1,4 +1,4 @@
-"""Hazard 5: stopped anywhere, a case goes on by a way that is planned anew and stays clear of everything.
+"""Hazard 5: stopped anywhere, a case continues along a newly planned path that stays clear of everything.
 
 The arm is driven in process, planned and checked by the driver's own planner; what it passes is looked at
 again, densely, by the sweep alone. Without the planner's check the arm would pass the post too near.
@@ -134,7 +134,7 @@ def to_the_end(engine: Engine) -> None:
 
 @pytest.mark.hazard(5)
 @pytest.mark.slow
-def test_stopped_at_two_hundred_random_places_the_case_ends_and_nothing_came_near(tmp_path: Path) -> None:
+def test_a_case_stopped_at_two_hundred_random_places_finishes_and_keeps_its_clearance(tmp_path: Path) -> None:
     arm = PlanningArm("arm")
     for number in range(STOPS):
         if len(arm.stopped_at) >= STOPS:

@@ -1,4 +1,4 @@
-"""Hazards 3, 25, 26, 37: the wrong tool, a swapped camera, an old calibration; refused before any motion."""
+"""Hazards 3, 25, 26, 37: a wrong tool, swapped cameras or an old calibration are refused before motion."""
 
 from __future__ import annotations
 
@@ -36,9 +36,7 @@ def run_set_up(cell: RecordingCell, **changed: Any) -> None:
 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("mounted", [0, GUIDE])
-def test_the_case_does_not_begin_while_another_tool_than_the_stereo_head_hangs_there(
-    cell: RecordingCell, mounted: int
-) -> None:
+def test_the_case_does_not_start_without_the_stereo_head_mounted(cell: RecordingCell, mounted: int) -> None:
     cell.arm.mounted = mounted
     with pytest.raises(WrongTool, match=f"number {STEREO_HEAD}, got number {mounted}"):
         run_set_up(cell)
@@ -46,7 +44,7 @@ def test_the_case_does_not_begin_while_another_tool_than_the_stereo_head_hangs_t
 
 
 @pytest.mark.hazard(25)
-def test_swapped_cameras_are_refused_at_set_up(cell: RecordingCell) -> None:
+def test_set_up_refuses_swapped_cameras(cell: RecordingCell) -> None:
     left, right = cell.stereo.serials
     cell.stereo.serials = (right, left)
     with pytest.raises(WrongCamera) as refused:
@@ -56,7 +54,7 @@ def test_swapped_cameras_are_refused_at_set_up(cell: RecordingCell) -> None:
 
 @pytest.mark.hazard(26)
 @pytest.mark.parametrize("record", ["stereo_head", "tool_tip", "tracker_frame"])
-def test_an_expired_calibration_is_refused_at_set_up(cell: RecordingCell, record: str) -> None:
+def test_set_up_refuses_an_expired_calibration(cell: RecordingCell, record: str) -> None:
     calibration = getattr(cell.calibrations, record)
     expired = calibration.model_copy(update={"expires": datetime.now(UTC) - timedelta(seconds=1)})
     with pytest.raises(CalibrationExpired) as refused:
@@ -65,7 +63,7 @@ def test_an_expired_calibration_is_refused_at_set_up(cell: RecordingCell, record
 
 
 @pytest.mark.hazard(26)
-def test_an_expired_calibration_of_the_arm_is_refused_at_set_up(cell: RecordingCell) -> None:
+def test_set_up_refuses_an_expired_arm_calibration(cell: RecordingCell) -> None:
     content = theatre_content(load_scene("mini", seed=3, calibrated=True), ENDPOINTS, "host:", {}, 1.0)
     calibrations = parse_theatre(content).calibration
     assert calibrations is not None
@@ -76,7 +74,7 @@ def test_an_expired_calibration_of_the_arm_is_refused_at_set_up(cell: RecordingC
 
 
 @pytest.mark.hazard(29)
-def test_a_calibration_of_the_future_is_refused_for_the_clock_may_have_been_set_back(
+def test_a_calibration_dated_in_the_future_is_refused_because_the_clock_may_have_been_set_back(
     cell: RecordingCell,
 ) -> None:
     to_come = cell.calibrations.tool_tip.model_copy(update={"created": datetime.now(UTC) + timedelta(days=2)})
@@ -84,7 +82,7 @@ def test_a_calibration_of_the_future_is_refused_for_the_clock_may_have_been_set_
         run_set_up(cell, tool_tip=to_come)
 
 
-def test_what_the_drivers_say_the_operator_should_know_is_in_the_result(cell: RecordingCell) -> None:
+def test_the_result_of_set_up_contains_the_notices_of_the_drivers(cell: RecordingCell) -> None:
     notice = "left: the camera sends no test packets; packets of 1500 bytes"
     cell.stereo.notices = (notice,)
     run_set_up(cell)

@@ -1,4 +1,4 @@
-"""The hazard table holds: what is called covered has a test, and the page says what the tests say."""
+"""The hazard table is consistent: every covered hazard has a test, and the page matches the tests."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_sample(number):
 """
 
 
-def test_hazards_whose_tests_are_all_skipped_deselected_or_fail_fail_the_run(tmp_path: Path) -> None:
+def test_a_hazard_without_a_passing_test_fails_the_run(tmp_path: Path) -> None:
     sample = tmp_path / "test_sample.py"
     sample.write_text(SAMPLE)
     program = (sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-p", "hazard_ledger")
@@ -54,7 +54,7 @@ def test_hazards_whose_tests_are_all_skipped_deselected_or_fail_fail_the_run(tmp
     assert "7, 11, 13" in done.stdout.splitlines()
 
 
-def test_every_bound_test_names_a_hazard() -> None:
+def test_every_bound_test_names_a_known_hazard() -> None:
     bound = {test.number for test in hazard_matrix.bound_tests()}
     assert bound - {hazard.number for hazard in hazard_matrix.read_hazards()} == set()
 
@@ -89,7 +89,7 @@ def test_marks_are_found_on_functions_classes_modules_and_parameters(tmp_path: P
         "status = 'partly'",
     ],
 )
-def test_a_table_that_contradicts_itself_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_contradictory_table_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "hazards.toml"
     path.write_text(f"[[hazard]]\nnumber = 1\nhazard = 'a'\ncontrol = 'b'\n{text}\n")
     with pytest.raises(ValueError, match=r"nearly|remains"):

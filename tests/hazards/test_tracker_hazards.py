@@ -1,4 +1,4 @@
-"""Hazards 14 and 17: what the tracker does not see has no pose; no tool is taken for another."""
+"""Hazards 14 and 17: a tool the tracker does not see has no pose; no tool is taken for another."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def tracker(world: World) -> Iterator[PolarisTracker]:
 
 
 @pytest.mark.hazard(14)
-def test_while_a_tool_is_hidden_it_is_missing_without_a_pose_and_comes_back_by_itself(
+def test_a_hidden_tool_is_missing_without_a_pose_and_returns_by_itself(
     world: World, tracker: PolarisTracker
 ) -> None:
     assert tracker.read_frame().tool(TOOL).validity is Validity.OK
@@ -59,7 +59,7 @@ def test_while_a_tool_is_hidden_it_is_missing_without_a_pose_and_comes_back_by_i
 
 
 @pytest.mark.hazard(14)
-def test_hiding_a_tool_makes_none_of_the_other_spheres_its_own(world: World, tracker: PolarisTracker) -> None:
+def test_hiding_a_tool_assigns_none_of_the_other_spheres_to_it(world: World, tracker: PolarisTracker) -> None:
     assert len(tracker.read_frame().strays) == STRAYS
     world.set_fault_script(f"at {world.clock.now_s()} s: tracker occlude tool {TOOL} for 0.5 s")
     frame = tracker.read_frame()
@@ -68,7 +68,7 @@ def test_hiding_a_tool_makes_none_of_the_other_spheres_its_own(world: World, tra
 
 
 @pytest.mark.hazard(17)
-def test_a_definition_that_is_exchanged_after_the_theatre_was_set_up_is_refused(tmp_path: Path) -> None:
+def test_a_definition_replaced_after_the_theatre_was_set_up_is_refused(tmp_path: Path) -> None:
     rom = tmp_path / "robot_frame.rom"
     shutil.copy(SHIPPED_DEFINITIONS / "robot_frame.rom", rom)
     endpoints = {

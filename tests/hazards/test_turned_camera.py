@@ -1,4 +1,4 @@
-"""Hazard 26: a camera that turns in its mount during a case is noticed before its positions are used."""
+"""Hazard 26: a camera that turns in its mount during a case is detected before its positions are used."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ STATED_MM = 0.02  # error of the theatre's stereo head records
 
 
 @pytest.mark.hazard(26)
-def test_positions_of_a_head_with_a_turned_camera_are_refused(tmp_path: Path) -> None:
+def test_positions_from_a_head_with_a_turned_camera_are_refused(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     cell.workcell.radii_mm = (RADIUS_MM * 1.0024, RADIUS_MM * 1.0042)  # 0.2 degrees
     before = (checked_paths(cell), *coarse(), checked_plan(), fiducials())
@@ -40,7 +40,7 @@ def test_positions_of_a_head_with_a_turned_camera_are_refused(tmp_path: Path) ->
 
 
 @pytest.mark.hazard(26)
-def test_lines_of_sight_that_pass_each_other_at_more_than_the_record_promises_are_refused() -> None:
+def test_lines_of_sight_with_a_larger_gap_than_the_record_states_are_refused() -> None:
     alike = [(RADIUS_MM, RADIUS_MM)] * 3
     check_head(alike, [0.03, 0.5, 0.04], STATED_MM)  # one bad sphere is not the head's fault
     with pytest.raises(HeadTurned, match="lines of sight"):
@@ -50,7 +50,7 @@ def test_lines_of_sight_that_pass_each_other_at_more_than_the_record_promises_ar
 @pytest.mark.slow
 @pytest.mark.hazard(26)
 @pytest.mark.parametrize("seed", SEEDS)
-def test_a_fifth_of_a_degree_is_noticed_at_every_head_and_an_intact_head_never_refused(
+def test_a_turn_of_a_fifth_of_a_degree_is_detected_on_every_head_and_an_intact_head_passes(
     seed: int, tmp_path: Path
 ) -> None:
     scene = named_scene("default", seed=seed)

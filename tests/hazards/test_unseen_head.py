@@ -1,4 +1,4 @@
-"""Hazard 12: every sphere is covered while a guide approaches the head or is in it, and that is bounded."""
+"""Hazard 12: every sphere is covered while a guide approaches the head or is in it; the time is bounded."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def topics(cell: ClinicalCell) -> list[Topic]:
     return [question.topic for question in cell.operator.asked]
 
 
-def test_a_head_that_is_covered_on_the_way_stops_the_arm_and_the_case_is_suspended(tmp_path: Path) -> None:
+def test_a_head_covered_during_a_motion_stops_the_arm_and_suspends_the_case(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "leave")
@@ -82,7 +82,7 @@ def test_a_head_that_is_covered_on_the_way_stops_the_arm_and_the_case_is_suspend
     assert cell.workcell.at_home
 
 
-def test_the_operator_may_go_on_without_sight_and_the_motion_is_asked_about_anew(tmp_path: Path) -> None:
+def test_the_operator_may_continue_without_sight_and_the_motion_is_confirmed_again(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "continue")
@@ -93,7 +93,7 @@ def test_the_operator_may_go_on_without_sight_and_the_motion_is_asked_about_anew
     assert asked[asked.index(Topic.HEAD_UNSEEN) + 1] is Topic.FIRST_MOTION
 
 
-def test_a_question_that_stands_for_long_does_not_stop_the_motion_that_follows(tmp_path: Path) -> None:
+def test_a_long_pending_question_does_not_stop_the_motion_that_follows(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
 
@@ -114,7 +114,7 @@ def test_a_question_that_stands_for_long_does_not_stop_the_motion_that_follows(t
     assert cell.arm.stops == 1  # for the covered head
 
 
-def test_a_head_that_moved_while_it_was_covered_is_noticed_when_it_is_seen_again(tmp_path: Path) -> None:
+def test_a_head_that_moved_while_covered_is_detected_when_it_is_visible_again(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
 
@@ -129,7 +129,7 @@ def test_a_head_that_moved_while_it_was_covered_is_noticed_when_it_is_seen_again
     assert cell.entries("voided") == [("voided", "registration")]  # which may follow
 
 
-def test_work_at_a_target_that_was_not_watched_is_not_done_unasked(tmp_path: Path) -> None:
+def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     positioned(engine)
@@ -152,7 +152,7 @@ def test_work_at_a_target_that_was_not_watched_is_not_done_unasked(tmp_path: Pat
     assert engine.instrument_in == FIRST
 
 
-def test_the_time_counts_when_the_tracker_fails_under_way(tmp_path: Path) -> None:
+def test_the_unseen_time_also_counts_when_the_tracker_fails_during_a_motion(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = guarded(cell)
     answering(cell, "leave")

@@ -52,7 +52,7 @@ def head_moves(cell: ClinicalCell) -> Callable[[], None]:
 
 
 @pytest.mark.branch("REFERENCE_MOVED")
-def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_registered(tmp_path: Path) -> None:
+def test_a_head_that_moves_during_a_motion_stops_the_arm_and_voids_the_registration(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     on_the_way(cell, head_moves(cell))
@@ -68,7 +68,7 @@ def test_a_head_that_moves_on_the_way_stops_the_arm_and_voids_what_was_registere
     assert cell.workcell.at_home
 
 
-def test_a_tracker_that_is_moved_on_the_way_in_is_told_from_the_head(tmp_path: Path) -> None:
+def test_a_tracker_moved_during_the_way_in_is_distinguished_from_a_moved_head(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     move, way_mm = cell.arm.move_linear, (0.0, 2.0, 0.0)
@@ -85,7 +85,7 @@ def test_a_tracker_that_is_moved_on_the_way_in_is_told_from_the_head(tmp_path: P
     assert cell.entries("voided") == [("voided", "global_localization")]
 
 
-def test_a_head_that_moves_while_the_surgeon_works_is_told_at_once(tmp_path: Path) -> None:
+def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     positioned(engine)
@@ -120,7 +120,7 @@ def test_a_head_out_of_sight_is_a_finding(tmp_path: Path, monkeypatch: pytest.Mo
     assert len([text for text in findings(cell) if "has not seen the head" in text]) == 1
 
 
-def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
+def test_a_tracker_that_fails_during_a_motion_stops_nothing_and_is_a_finding(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     read, reader = cell.tracker.read_frame, engine.events.subscribe()
@@ -144,7 +144,7 @@ def test_a_tracker_that_fails_on_the_way_stops_nothing_and_is_a_finding(tmp_path
 
 
 @pytest.mark.parametrize(("when", "watches"), [(WatchPatient.NEVER, False), (WatchPatient.INSTRUMENT, True)])
-def test_the_watch_is_a_setting(tmp_path: Path, when: WatchPatient, watches: bool) -> None:
+def test_watching_the_patient_can_be_switched_off(tmp_path: Path, when: WatchPatient, watches: bool) -> None:
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
     watch = patient_watch(engine, voiding(engine))
@@ -156,7 +156,9 @@ def test_the_watch_is_a_setting(tmp_path: Path, when: WatchPatient, watches: boo
     assert (seen == [Lifecycle.ACTIVE]) is watches
 
 
-def test_home_the_stereo_head_is_mounted_again_and_the_case_begins_with_the_tracker(tmp_path: Path) -> None:
+def test_at_home_the_stereo_head_is_mounted_again_and_the_case_starts_with_the_tracker(
+    tmp_path: Path,
+) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.GUIDE)
     engine = cell.begin(checked_set_up(cell), global_localization.STEP)
     engine.run_to(engine.order.sequence[0])
@@ -173,7 +175,7 @@ def test_home_the_stereo_head_is_mounted_again_and_the_case_begins_with_the_trac
     assert engine.upcoming is None
 
 
-def test_half_a_millimetre_is_noticed_within_twelve_frames_and_quiet_motions_raise_no_alarm() -> None:
+def test_half_a_millimetre_is_detected_within_twelve_frames_and_quiet_motions_raise_no_alarm() -> None:
     noticed = [frames_to_alarm(trial, 0.5) for trial in range(TRIALS)]
     assert max(noticed, key=lambda count: count or 99) in range(1, MOST_FRAMES + 1), noticed
     assert {frames_to_alarm(trial, 0.0) for trial in range(TRIALS)} == {None}

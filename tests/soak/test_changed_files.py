@@ -1,4 +1,4 @@
-"""Every file of real runs: bytes changed all over it, the file gone, emptied, or exchanged for another."""
+"""Every file of real runs: bytes changed throughout, the file missing, emptied, or replaced by another."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def named(folder: Path) -> set[str]:
 
 
 @pytest.mark.hazard(39)
-def test_every_changed_byte_is_found(
+def test_every_changed_byte_is_detected(
     real_run: tuple[str, Path], record_property: Callable[[str, object], None]
 ) -> None:
     scene, folder = real_run
@@ -54,9 +54,7 @@ def test_every_changed_byte_is_found(
 
 
 @pytest.mark.hazard(39)
-def test_every_file_that_is_gone_emptied_or_another_is_named(
-    real_run: tuple[str, Path], tmp_path: Path
-) -> None:
+def test_every_missing_emptied_or_replaced_file_is_named(real_run: tuple[str, Path], tmp_path: Path) -> None:
     _, folder = real_run
     files = files_in(folder)
     for path, other in zip(files, [*files[1:], files[0]], strict=True):

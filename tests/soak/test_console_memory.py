@@ -1,4 +1,4 @@
-"""A console that is looked at for half an hour, by people who come and go, needs no more than at first."""
+"""A console viewed for half an hour, by people who come and go, needs no more memory than at first."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ MOST_GROWTH_MB = 15.0  # in all of the rest; a page that stayed would be a megab
 
 
 @pytest.mark.skipif(MISSING is not None, reason=MISSING or "")
-def test_tabs_that_are_opened_and_closed_leave_nothing_in_the_server(tmp_path: Path) -> None:
+def test_opening_and_closing_tabs_does_not_grow_the_memory_of_the_server(tmp_path: Path) -> None:
     found = memory_by_minute(tmp_path, MINUTES)
     assert found[-1].tabs > 100
     assert found[-1].megabytes - found[SETTLED - 1].megabytes < MOST_GROWTH_MB, found

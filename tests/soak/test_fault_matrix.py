@@ -34,7 +34,7 @@ CELLS = [
 ]
 
 
-def test_the_matrix_has_three_hundred_cells() -> None:
+def test_the_matrix_has_at_least_three_hundred_cells() -> None:
     assert len(CELLS) >= 300
 
 
@@ -49,7 +49,7 @@ def codes_told(stop: Line, outcome_code: str) -> set[str]:
 
 
 @pytest.mark.parametrize(("line", "codes"), CELLS, ids=[line for line, _ in CELLS])
-def test_under_a_fault_a_case_ends_as_promised(
+def test_a_case_with_a_fault_ends_as_promised(
     commands: Commands, tmp_path: Path, line: str, codes: frozenset[str]
 ) -> None:
     script = tmp_path / "faults.txt"

@@ -1,4 +1,4 @@
-"""A client that means harm: the simulator goes on serving others, and nothing grows."""
+"""A malicious client: the simulator keeps serving others, and nothing grows."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ class StreamClients:
 
 
 @lengths
-def test_tracker(duration_s: float) -> None:
+def test_the_tracker_keeps_serving_despite_hostile_clients(duration_s: float) -> None:
     words = ("polaris", "--endpoint", "tcp://127.0.0.1:0", "--set", f"silent_host_s={SILENCE_S}")
     with ChildProcess("ronna-sim polaris", command("sim.cli", *words)) as child:
         clients = StreamClients(child.ready["endpoint"], TRACKER, seed=1)
@@ -144,7 +144,7 @@ def controller() -> Iterator[ChildProcess]:
     ("channel", "good", "answer"),
     [("eki_project", COMMANDS, b'<State Id="1"'), ("eki", (REQUEST,), b"<Robot>")],
 )
-def test_command_channels_of_the_arm(
+def test_the_command_channels_of_the_arm_keep_serving_despite_hostile_clients(
     controller: ChildProcess, duration_s: float, channel: str, good: tuple[bytes, ...], answer: bytes
 ) -> None:
     clients = StreamClients(controller.ready["endpoints"][channel], good, seed=2)
@@ -159,7 +159,9 @@ def test_command_channels_of_the_arm(
 
 
 @lengths
-def test_real_time_link_of_the_arm(controller: ChildProcess, duration_s: float) -> None:
+def test_the_arm_controller_keeps_serving_despite_hostile_real_time_replies(
+    controller: ChildProcess, duration_s: float
+) -> None:
     chosen, ended = random.Random(3), threading.Event()
     where = parse_endpoint(controller.ready["endpoints"]["rsi"])
     clients = StreamClients(controller.ready["endpoints"]["eki_project"], COMMANDS, seed=4)
@@ -188,7 +190,7 @@ def test_real_time_link_of_the_arm(controller: ChildProcess, duration_s: float) 
 
 
 @lengths
-def test_cameras(duration_s: float) -> None:
+def test_the_cameras_keep_serving_despite_hostile_commands(duration_s: float) -> None:
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as child:
         address = (parse_endpoint(child.ready["endpoints"]["left"]).host, GVCP_PORT)
         chosen, numbers = random.Random(5), count(1)
@@ -216,7 +218,7 @@ def test_cameras(duration_s: float) -> None:
 
 
 @lengths
-def test_control_port(duration_s: float) -> None:
+def test_the_control_port_keeps_serving_despite_hostile_clients(duration_s: float) -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as child:
         control = child.ready["control"]
         address = ControlAddress.parse(control)

@@ -1,4 +1,4 @@
-"""A device that means harm: the driver says so with a code, in time, and nothing grows."""
+"""A malicious device: the driver reports a code in time, and nothing grows."""
 
 from __future__ import annotations
 
@@ -119,7 +119,7 @@ def at_most(limit_s: float, what: str) -> Iterator[None]:
 
 
 @lengths
-def test_tracker(duration_s: float) -> None:
+def test_the_tracker_driver_withstands_a_hostile_unit(duration_s: float) -> None:
     with ExitStack() as stack:
         words = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0")
         unit = stack.enter_context(ChildProcess("ronna-sim polaris", words))
@@ -192,7 +192,9 @@ def _arm_calls(arm: KukaRsiArm) -> list[Callable[[], Any]]:
 
 
 @lengths
-def test_arm_by_its_command_channel(controller: tuple[World, dict[str, str]], duration_s: float) -> None:
+def test_the_arm_driver_withstands_a_hostile_command_channel(
+    controller: tuple[World, dict[str, str]], duration_s: float
+) -> None:
     world, endpoints = controller
     with HostileLine(parse_endpoint(endpoints["eki_project"]), seed=2) as line:
 
@@ -208,7 +210,9 @@ def test_arm_by_its_command_channel(controller: tuple[World, dict[str, str]], du
 
 
 @lengths
-def test_arm_by_its_real_time_link(controller: tuple[World, dict[str, str]], duration_s: float) -> None:
+def test_the_arm_driver_withstands_a_hostile_real_time_link(
+    controller: tuple[World, dict[str, str]], duration_s: float
+) -> None:
     world, endpoints = controller
     behind = own_udp_endpoint(BEHIND_THE_TAP)
     tap = HostileTelegrams(parse_endpoint(endpoints["rsi"]), parse_endpoint(behind), seed=3)
@@ -228,7 +232,7 @@ def test_arm_by_its_real_time_link(controller: tuple[World, dict[str, str]], dur
 
 
 @lengths
-def test_cameras(duration_s: float) -> None:
+def test_the_stereo_driver_withstands_hostile_cameras(duration_s: float) -> None:
     with ExitStack() as stack:
         child = stack.enter_context(ChildProcess("ronna-sim basler", command("sim.cli", "basler")))
         true = [child.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]

@@ -1,4 +1,4 @@
-"""A million inputs, guided by the coverage of our code, for every parser of what comes from outside."""
+"""A million inputs, guided by the coverage of our code, for every parser of external input."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ TOLD = 3000  # characters of what went wrong
 
 
 @pytest.mark.parametrize("name", PARSER_NAMES)
-def test_a_million_inputs_that_look_for_new_ways_cost_a_bounded_amount(tmp_path: Path, name: str) -> None:
+def test_a_million_coverage_guided_inputs_cost_a_bounded_amount(tmp_path: Path, name: str) -> None:
     with memory_folder(tmp_path) as folder:
         words = [sys.executable, str(PROGRAM), name, str(folder), str(tmp_path), str(MILLION), str(SEED)]
         done = subprocess.run(words, capture_output=True, text=True, timeout=LIMIT_S, check=False)

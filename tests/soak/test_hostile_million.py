@@ -1,4 +1,4 @@
-"""A million mutants for every parser of what comes from outside."""
+"""A million mutants for every parser of external input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Kills at every line of the journal of a mini case, at ten of a full one, and power cuts at some of them."""
+"""Kills at every journal line of a mini case and at ten of a full one, and power cuts at some of them."""
 
 import json
 from collections.abc import Callable
@@ -87,7 +87,7 @@ def assert_same_targets(outcome: dict[str, Any], uninterrupted_mm: list[float]) 
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("line", range(MINI_LINES))
-def test_killed_at_any_line_the_case_reaches_its_target(
+def test_a_case_killed_at_any_journal_line_reaches_its_target(
     commands: Commands, mini: Case, tmp_path: Path, line: int
 ) -> None:
     folder, uninterrupted_mm = mini
@@ -100,7 +100,7 @@ def test_killed_at_any_line_the_case_reaches_its_target(
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("zeroed", [False, True], ids=["torn", "zeroed"])
 @pytest.mark.parametrize("moment", POWER_CUTS, ids=" ".join)
-def test_a_power_cut_tears_every_file_that_was_being_written(
+def test_a_case_reaches_its_target_after_a_power_cut_tore_its_open_files(
     commands: Commands, mini: Case, tmp_path: Path, moment: tuple[str, str], zeroed: bool
 ) -> None:
     folder, uninterrupted_mm = mini
@@ -111,7 +111,7 @@ def test_a_power_cut_tears_every_file_that_was_being_written(
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("line", FULL_LINES)
-def test_killed_at_ten_lines_a_full_case_reaches_its_targets(
+def test_a_full_case_killed_at_any_of_ten_journal_lines_reaches_its_targets(
     commands: Commands, full: Case, tmp_path: Path, line: int
 ) -> None:
     folder, uninterrupted_mm = full

@@ -1,4 +1,4 @@
-"""A hundred times the program that leads the arm is killed at a random moment: the arm rests, the controller
+"""A hundred kills of the program driving the arm, at random moments: the arm rests, the controller
 is left clean, and the next program goes on from there without a jump.
 """
 
@@ -61,7 +61,7 @@ def endpoints() -> Iterator[dict[str, str]]:
         assert child.alive
 
 
-def test_killed_at_random_moments_the_arm_rests_and_the_next_program_goes_on(
+def test_after_kills_at_random_moments_the_arm_rests_and_the_next_program_continues(
     endpoints: dict[str, str],
 ) -> None:
     chance = random.Random(30)

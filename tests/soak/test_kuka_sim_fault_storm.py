@@ -1,4 +1,4 @@
-"""Faults in a random order, many at once: the arm never jumps, and the controller can be brought back."""
+"""Faults in random order, many at once: the arm never jumps, and the controller can be brought back."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _bring_back(cell: Cell, eki: EkiClient) -> EkiClient:
 
 @pytest.mark.timeout(1200)
 @pytest.mark.parametrize("streams", ["true", "false"])
-def test_after_every_storm_the_controller_is_brought_back(world: World, streams: str) -> None:
+def test_the_controller_recovers_after_every_storm(world: World, streams: str) -> None:
     generator = random.Random(7)
     with ExitStack() as stack:
         cell = Cell(stack, "--set", f"streams_after_stop={streams}", world=world)

@@ -1,4 +1,4 @@
-"""The controller's own pace in real time, which only a quiet machine can show."""
+"""The controller's own timing in real time, which only a quiet machine can show."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ FAULTS = {
 
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("markers", [3, 4, 6, 8])
-def test_every_seed_of_the_matrix_ends_at_its_target(
+def test_every_seed_of_the_matrix_reaches_its_target(
     commands: Commands, tmp_path: Path, markers: int, fault: str
 ) -> None:
     script = tmp_path / "faults.txt"
@@ -43,7 +43,7 @@ def test_every_seed_of_the_matrix_ends_at_its_target(
         assert json.loads(done.stdout)["max_application_error_mm"] <= LARGEST_ERROR_MM
 
 
-def test_killed_at_fifty_random_moments_nothing_stays_behind(commands: Commands, tmp_path: Path) -> None:
+def test_no_process_survives_kills_at_fifty_random_moments(commands: Commands, tmp_path: Path) -> None:
     chosen = random.Random(50)
     for number in range(50):
         process = commands.start(

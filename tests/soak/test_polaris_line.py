@@ -1,4 +1,4 @@
-"""The tracker's driver on a line in real time, and for a very long time."""
+"""The tracker driver on a line in real time, and over a very long time."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class Exchanges:
 @pytest.mark.parametrize(
     "minutes", [pytest.param(1, marks=pytest.mark.slow), pytest.param(10, marks=pytest.mark.soak)]
 )
-def test_at_230400_baud_no_frame_is_missed(
+def test_no_frame_is_missed_at_230400_baud(
     tmp_path: Path, minutes: int, capsys: pytest.CaptureFixture[str]
 ) -> None:
     exchanges = Exchanges()
@@ -195,7 +195,7 @@ def test_at_230400_baud_no_frame_is_missed(
 
 @pytest.mark.soak
 @pytest.mark.timeout(7200)
-def test_a_million_frames_over_the_line_leave_no_memory_behind_on_either_side(tmp_path: Path) -> None:
+def test_a_million_frames_over_the_line_leak_no_memory_on_either_side(tmp_path: Path) -> None:
     with tracking(tmp_path, "--endpoint", "tcp://127.0.0.1:0", paced=False) as (tracker, unit_pid):
 
         def read(frames: int) -> None:

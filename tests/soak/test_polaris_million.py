@@ -19,13 +19,13 @@ FRAMES = 1_000_000
 
 @pytest.mark.hazard(16)
 @pytest.mark.parametrize("seed", range(100, 100 + SHARES))
-def test_no_reply_of_a_disturbed_million_is_believed(seed: int) -> None:
+def test_none_of_a_million_disturbed_replies_is_accepted(seed: int) -> None:
     campaign = Campaign(seed, reply="BX" if seed % 2 else "TX")
     campaign.run(MUTATED // SHARES)
     assert campaign.mutated >= MUTATED // SHARES
 
 
-def test_a_million_frames_leave_no_memory_behind() -> None:
+def test_a_million_frames_leak_no_memory() -> None:
     unit, clock = UnitInProcess(baud=None), StillClock()
     unit.strays = [(40.0 * k, 0.0, -1500.0) for k in range(8)]
     tracker = tracker_on(unit, clock, "tcp://127.0.0.1:1")

@@ -1,4 +1,4 @@
-"""One seed two hundred times, while the computer has other work that comes and goes: each gives the same."""
+"""One seed two hundred times, under other load that comes and goes: each run gives the same results."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def other_work(request: pytest.FixtureRequest) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("share", range(SHARES))
-def test_a_seed_gives_the_same_numbers_whatever_else_the_computer_does(
+def test_a_seed_gives_the_same_numbers_under_any_other_load(
     commands: Commands, other_work: None, tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, share: int
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)

@@ -1,4 +1,4 @@
-"""Half a millimetre of the head at random moments of motions, thousands of times; as many quiet motions."""
+"""Half a millimetre of head movement at random moments of thousands of motions; as many quiet motions."""
 
 import pytest
 from frame_trials import frames_to_alarm
@@ -9,7 +9,7 @@ TRIALS = 10_000
 MOST_FRAMES = 12
 
 
-def test_a_shift_is_noticed_within_twelve_frames_ten_thousand_times() -> None:
+def test_a_shift_is_detected_within_twelve_frames_in_ten_thousand_motions() -> None:
     noticed = [frames_to_alarm(trial, 0.5) for trial in range(TRIALS)]
     assert all(count is not None and 0 < count <= MOST_FRAMES for count in noticed)
 

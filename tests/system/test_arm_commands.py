@@ -1,4 +1,4 @@
-"""`ronna-arm` as a user runs it: on recorded looks, on a simulated theatre, and with what goes wrong."""
+"""`ronna-arm` as a user runs it: on recorded measurements, on a simulated theatre, and with errors."""
 
 from __future__ import annotations
 
@@ -27,9 +27,7 @@ def looks(tmp_path: Path) -> Path:
     return folder
 
 
-def test_recorded_looks_are_computed_again_into_records_for_the_theatre_file(
-    looks: Path, tmp_path: Path
-) -> None:
+def test_recorded_looks_are_recomputed_into_records_for_the_theatre_file(looks: Path, tmp_path: Path) -> None:
     done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     payload = json.loads(done.stdout)
@@ -40,7 +38,7 @@ def test_recorded_looks_are_computed_again_into_records_for_the_theatre_file(
     assert parse_theatre(content).calibration is not None
 
 
-def test_the_table_names_what_the_looks_do_not_reveal(looks: Path, tmp_path: Path) -> None:
+def test_the_table_names_the_parameters_that_the_looks_do_not_determine(looks: Path, tmp_path: Path) -> None:
     done = in_this_process(app, "calibrate", "--from", looks, "--out", tmp_path / "out")
     assert "not determined by the measurements" in done.stdout
     assert "A1 offset" in done.stdout
@@ -50,13 +48,13 @@ def test_the_table_names_what_the_looks_do_not_reveal(looks: Path, tmp_path: Pat
     ("content", "code"),
     [("", "CAL-005"), ('{"schema": 1}', "CAL-005"), ('{"schema": 2}', "CAL-005")],
 )
-def test_a_damaged_file_of_looks_is_refused(tmp_path: Path, content: str, code: str) -> None:
+def test_a_damaged_looks_file_is_refused(tmp_path: Path, content: str, code: str) -> None:
     (tmp_path / LOOKS_FILE).write_text(content)
     done = in_this_process(app, "calibrate", "--from", tmp_path, "--out", tmp_path / "out")
     assert code in " ".join(one_error(done.stderr))
 
 
-def test_too_few_looks_are_refused_with_the_number_that_is_needed(looks: Path, tmp_path: Path) -> None:
+def test_too_few_looks_are_refused_with_the_required_number(looks: Path, tmp_path: Path) -> None:
     stored = json.loads((looks / LOOKS_FILE).read_text())
     stored["looks"] = stored["looks"][:30]
     (looks / LOOKS_FILE).write_text(json.dumps(stored))
@@ -65,11 +63,11 @@ def test_too_few_looks_are_refused_with_the_number_that_is_needed(looks: Path, t
 
 
 @pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
-def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...]) -> None:
+def test_incompatible_options_are_refused(arguments: tuple[str, ...]) -> None:
     assert in_this_process(app, "calibrate", *arguments).returncode == 2
 
 
-def test_calibrated_needs_a_record_in_the_theatre_file(tmp_path: Path) -> None:
+def test_calibrated_requires_a_record_in_the_theatre_file(tmp_path: Path) -> None:
     from procedures.cli.procedure import app as procedure
 
     path = tmp_path / "theatre.toml"
@@ -96,7 +94,7 @@ def test_a_simulated_theatre_is_calibrated_and_checked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", ['[answers]\ncalibrate = "yes"\n', '[answers]\ncalibration = "perhaps"\n']
 )
-def test_answers_to_what_is_not_asked_are_refused_before_anything_starts(
+def test_answers_to_unknown_topics_or_with_unknown_words_are_refused_before_anything_starts(
     tmp_path: Path, content: str
 ) -> None:
     answers = tmp_path / "answers.toml"

@@ -1,4 +1,4 @@
-"""Each bad input gives one clear message with its code and what to do, and the documented exit code."""
+"""Each bad input gives one clear message with its code and an action, and the documented exit code."""
 
 import json
 import resource
@@ -57,7 +57,7 @@ def _doctor(theatre: Path) -> subprocess.CompletedProcess[str]:
     return in_this_process(ronna_procedure, "doctor", "--config", theatre, "--json")
 
 
-def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(silent_port: int, tmp_path: Path) -> None:
+def test_the_doctor_reports_an_endpoint_that_does_not_answer(silent_port: int, tmp_path: Path) -> None:
     theatre = _tracker_at(f"tcp://127.0.0.1:{silent_port}", tmp_path)
     done = _doctor(theatre)
     assert done.returncode == EXIT_NOT_FOUND
@@ -67,7 +67,7 @@ def test_an_endpoint_that_does_not_answer_and_what_the_doctor_says(silent_port: 
     assert finding["advice"]
 
 
-def test_an_endpoint_where_nothing_listens_and_what_the_doctor_says(tmp_path: Path) -> None:
+def test_the_doctor_reports_that_nothing_listens_at_an_endpoint(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         free = probe.getsockname()[1]
@@ -77,7 +77,7 @@ def test_an_endpoint_where_nothing_listens_and_what_the_doctor_says(tmp_path: Pa
     assert "Nothing listens" in json.loads(done.stdout)["findings"][-1]["advice"]
 
 
-def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
+def test_the_doctor_reports_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
     robot = commands.start(
         "ronna-sim", "kuka", "--eki", "tcp://127.0.0.1:0", "--eki-project", "tcp://127.0.0.1:0"
     )
@@ -93,13 +93,13 @@ def test_a_device_of_the_wrong_kind(commands: Commands, tmp_path: Path) -> None:
     assert "NDI-" in json.loads(done.stdout)["findings"][-1]["seen"]
 
 
-def test_a_port_in_use(silent_port: int) -> None:
+def test_the_simulator_reports_a_port_in_use(silent_port: int) -> None:
     done = in_this_process(ronna_sim, "polaris", "--endpoint", f"tcp://127.0.0.1:{silent_port}")
     line = _refused(done, "SIM-004", EXIT_NOT_FOUND)
     assert str(silent_port) in line
 
 
-def test_truth_with_a_bad_line(tmp_path: Path) -> None:
+def test_verify_reports_the_bad_line_of_a_truth_file(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre"
     theatre.mkdir()
     (theatre / "scene.json").write_text(named_scene("mini").model_dump_json(by_alias=True))
@@ -108,12 +108,12 @@ def test_truth_with_a_bad_line(tmp_path: Path) -> None:
     assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)
 
 
-def test_an_output_folder_that_cannot_be_written(tmp_path: Path) -> None:
+def test_an_output_path_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file, not a folder")
     _refused(_run_mini(tmp_path / "runs"), "CLI-005", EXIT_FAILED)
 
 
-def test_a_read_only_output_folder() -> None:
+def test_a_read_only_output_folder_is_refused() -> None:
     _refused(_run_mini(Path("/proc/self/runs")), "CLI-00", EXIT_FAILED)
 
 
@@ -124,7 +124,7 @@ def test_a_read_only_output_folder() -> None:
         ("--scene", "schema = 1\nname = 'mine'\n", "head: is missing"),
     ],
 )
-def test_a_refused_theatre_leaves_no_run_and_says_why(
+def test_a_refused_theatre_leaves_no_run_and_gives_the_reason(
     tmp_path: Path, option: str, content: str, said: str
 ) -> None:
     (path := tmp_path / "given.toml").write_text(content)
@@ -138,7 +138,7 @@ def _run_mini(out: Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.hazard(33)
-def test_a_full_disk_loses_nothing_already_written(commands: Commands, tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_and_leaves_no_partial_files(commands: Commands, tmp_path: Path) -> None:
     """A limit on the size of a file stands in for a full disk: the first CT slice already exceeds it."""
     out = tmp_path / "runs"
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""What is typed wrongly is answered by one message: what, which value, what was expected, what to do.
+"""Wrong input is answered by one message: what is wrong, which value, what was expected, what to do.
 
 Without a trace, and without a file left behind. The table is `bad_inputs.txt`.
 """
@@ -46,7 +46,7 @@ def names() -> Iterator[Mapping[str, str]]:
 
 
 @pytest.mark.parametrize("bad", BAD_INPUTS, ids=lambda bad: bad.command)
-def test_a_bad_input_is_answered_with_what_it_is_what_was_expected_and_what_to_do(
+def test_a_bad_input_gets_a_message_with_the_value_the_expectation_and_the_action(
     bad: BadInput, bench: Path, names: Mapping[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(bench)
@@ -61,5 +61,5 @@ def test_a_bad_input_is_answered_with_what_it_is_what_was_expected_and_what_to_d
     assert sorted(bench.rglob("*")) == before
 
 
-def test_there_are_enough_of_them() -> None:
+def test_the_table_has_enough_distinct_bad_inputs() -> None:
     assert len({bad.command for bad in BAD_INPUTS}) == len(BAD_INPUTS) >= FEWEST

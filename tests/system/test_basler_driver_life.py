@@ -1,4 +1,4 @@
-"""The stereo driver's life on cameras that run: whom it accepts, what it refuses, faults, and the end."""
+"""The stereo driver's lifecycle on running cameras: what it accepts and refuses, faults, and closing."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_identity_states_and_observation_follow_the_lifecycle(cameras: Cameras) 
 
 
 @pytest.mark.hazard(25)
-def test_swapped_cables_another_camera_and_another_model_are_told_apart(cameras: Cameras) -> None:
+def test_swapped_cables_another_camera_and_another_model_are_distinguished(cameras: Cameras) -> None:
     with pytest.raises(CablesSwapped, match="GEV-004"):
         cameras.new_pair(left_serial=SERIALS[1], right_serial=SERIALS[0]).connect(LIMIT_S)
     with pytest.raises(WrongSerial, match="GEV-003"):
@@ -65,7 +65,7 @@ def test_swapped_cables_another_camera_and_another_model_are_told_apart(cameras:
 
 
 @pytest.mark.hazard(34)
-def test_a_second_controller_is_refused_and_the_first_goes_on(cameras: Cameras) -> None:
+def test_a_second_controller_is_refused_and_the_first_continues(cameras: Cameras) -> None:
     pair, second = cameras.streaming(heartbeat_ms=500), cameras.new_pair()
     second.connect(LIMIT_S)
     with pytest.raises(ControlTaken, match="GEV-005"):
@@ -84,7 +84,7 @@ def test_after_a_failed_configure_neither_camera_is_controlled(cameras: Cameras)
     assert cameras.streaming().grab_pair(LIMIT_S).validity is Validity.OK
 
 
-def test_a_camera_without_test_packets_is_believed(cameras: Cameras) -> None:
+def test_a_camera_without_test_packets_is_accepted_with_a_notice(cameras: Cameras) -> None:
     cameras.fault("narrow path left 100 bytes")
     pair = cameras.new_pair()
     pair.connect(LIMIT_S)
@@ -92,7 +92,7 @@ def test_a_camera_without_test_packets_is_believed(cameras: Cameras) -> None:
     assert [notice.split(":")[0] for notice in pair.notices if "no test packets" in notice] == ["left"]
 
 
-def test_impossible_areas_and_exposures_are_refused_and_the_old_ones_stay(cameras: Cameras) -> None:
+def test_impossible_areas_and_exposures_are_refused_and_the_old_areas_stay(cameras: Cameras) -> None:
     pair = cameras.streaming()
     for offset_x, offset_y, width, height in (
         (0, 0, 2080, 1088),
@@ -113,7 +113,7 @@ def test_impossible_areas_and_exposures_are_refused_and_the_old_ones_stay(camera
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
-def test_images_and_control_survive_a_driver_that_computes_without_pause(cameras: Cameras) -> None:
+def test_images_and_control_survive_a_driver_process_that_computes_without_pause(cameras: Cameras) -> None:
     pair = cameras.streaming(heartbeat_ms=500)
     for _ in range(2):
         # one operation that never lets another thread of this process run, longer than the time-out
@@ -124,7 +124,7 @@ def test_images_and_control_survive_a_driver_that_computes_without_pause(cameras
     assert pair.counters[0].incomplete_frames == 0
 
 
-def test_a_silent_camera_is_a_fault_while_it_is_being_set_and_none_before_its_time_out(
+def test_a_silent_camera_is_a_fault_during_a_setting_but_not_during_a_grab_before_its_time_out(
     cameras: Cameras,
 ) -> None:
     pair = cameras.streaming(heartbeat_ms=60_000)
@@ -141,7 +141,7 @@ def test_a_silent_camera_is_a_fault_while_it_is_being_set_and_none_before_its_ti
 
 
 @pytest.mark.hazard(4)
-def test_a_killed_receiver_process_is_a_fault_and_a_named_person_recovers(cameras: Cameras) -> None:
+def test_a_killed_receiver_process_is_a_fault_and_recovery_requires_a_named_person(cameras: Cameras) -> None:
     pair = cameras.streaming()
     assert pair._receiver_process is not None
     os.kill(pair._receiver_process.pid, signal.SIGKILL)
@@ -157,7 +157,7 @@ def test_a_killed_receiver_process_is_a_fault_and_a_named_person_recovers(camera
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
 
 
-def test_a_recovery_with_other_cameras_at_the_addresses_is_refused_and_the_fault_stays(
+def test_recovery_is_refused_with_other_cameras_at_the_addresses_and_the_fault_stays(
     cameras: Cameras, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pair = cameras.streaming()
@@ -175,7 +175,7 @@ def test_a_recovery_with_other_cameras_at_the_addresses_is_refused_and_the_fault
     assert pair.state is Lifecycle.CONFIGURED
 
 
-def test_close_gives_control_back_and_leaves_no_thread_and_no_process(cameras: Cameras) -> None:
+def test_close_releases_control_and_leaves_no_thread_and_no_process(cameras: Cameras) -> None:
     pair = cameras.streaming()
     before = threading.active_count()
     assert pair._receiver_process is not None
@@ -200,7 +200,7 @@ def test_close_is_bounded_with_cameras_that_do_not_reply(cameras: Cameras) -> No
 
 @pytest.mark.slow  # cameras off the network say the same, but for the host's report of a closed port
 @pytest.mark.hazard(4)
-def test_cameras_whose_power_went_latch_a_fault_and_can_be_closed() -> None:
+def test_cameras_that_lose_power_latch_a_fault_and_the_pair_can_be_closed() -> None:
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as child:
         cameras = Cameras(child)
         pair = cameras.streaming(heartbeat_ms=500)

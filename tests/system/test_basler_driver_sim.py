@@ -42,7 +42,7 @@ def pair():
         device.close()
 
 
-def test_a_sphere_is_measured_alike_in_the_full_frame_and_in_an_area(pair):
+def test_a_sphere_measures_the_same_in_the_full_frame_and_in_an_area(pair):
     pair.activate(5.0)
     full = pair.grab_pair(5.0)
     pair.set_areas(AREA, AREA)
@@ -65,7 +65,7 @@ def test_a_longer_exposure_is_brighter(pair):
     assert pair.grab_pair(5.0).left.pixels.mean() > 1.5 * dim
 
 
-def test_a_share_of_the_exposure_is_one_of_what_was_set_and_one_brings_it_back(pair):
+def test_the_exposure_share_refers_to_the_set_exposure_and_a_share_of_one_restores_it(pair):
     pair.set_areas(AREA, AREA)
     pair.set_exposure(500.0, 36)
     pair.activate(5.0)
@@ -79,7 +79,7 @@ def test_a_share_of_the_exposure_is_one_of_what_was_set_and_one_brings_it_back(p
     assert again == pytest.approx(dim, rel=0.1)
 
 
-def test_after_a_client_was_killed_the_next_one_waits_for_the_cameras():
+def test_the_next_client_waits_for_the_cameras_of_a_killed_client():
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as cameras:
         endpoints = dict(cameras.ready["endpoints"])
         with subprocess.Popen(

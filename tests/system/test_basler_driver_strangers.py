@@ -1,4 +1,4 @@
-"""Our camera client against a camera that we did not write: the fake camera of Aravis.
+"""Our camera client against a third-party camera: the fake camera of Aravis.
 
 Needs Debian's package aravis-tools (`arv-fake-gv-camera-0.8`) and nobody else on 127.0.0.1:3956.
 """
@@ -99,7 +99,7 @@ def grab(camera: Camera):
     return frame
 
 
-def test_a_strangers_camera_answers_when_everybody_is_asked():
+def test_a_third_party_camera_answers_broadcast_discovery():
     with fake_camera():
         deadline_s = soon()
         while SERIAL not in (
@@ -109,7 +109,7 @@ def test_a_strangers_camera_answers_when_everybody_is_asked():
     assert (found[SERIAL].vendor, found[SERIAL].model) == ("Aravis", "Fake")
 
 
-def test_a_strangers_camera_is_found_configured_triggered_and_grabbed_from():
+def test_a_third_party_camera_can_be_configured_triggered_and_grabbed_from():
     with controlled() as camera:
         assert camera.area == AreaOfInterest(0, 0, 2048, 2048)
         camera.set_area(AREA, soon())
@@ -135,14 +135,14 @@ def test_a_strangers_camera_is_found_configured_triggered_and_grabbed_from():
 
 
 @pytest.mark.slow
-def test_the_heartbeat_keeps_control_of_a_strangers_camera():
+def test_the_heartbeat_keeps_control_of_a_third_party_camera():
     with controlled() as camera:
         time.sleep(1.2 * camera.control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, soon()) / 1000.0)
         assert camera.lost is None
         assert camera.control.read_register(Bootstrap.CCP, soon()) != 0
 
 
-def test_packets_that_a_stranger_loses_for_good_are_counted():
+def test_packets_lost_for_good_by_a_third_party_camera_are_counted():
     with controlled("-r", "20") as camera:  # 2 % lost, and this camera knows no resend
         camera.set_area(AREA, soon())
         camera.start(soon())
@@ -172,7 +172,7 @@ until [ "$(ss -Hlun 'src 10.9.0.0/16 and sport = 3956' | wc -l)" = 2 ]; do sleep
 
 
 @pytest.mark.slow
-def test_a_pair_of_strangers_cameras_passes_the_suite_of_any_pair() -> None:
+def test_a_pair_of_third_party_cameras_passes_the_generic_suite() -> None:
     apart = ["unshare", "--net", "--map-root-user"]
     if subprocess.run([*apart, "ip", "link"], capture_output=True).returncode:
         pytest.skip("this machine allows no network namespace, in which two fake cameras find room")

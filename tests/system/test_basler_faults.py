@@ -1,4 +1,4 @@
-"""Every fault of the cameras, switched on in simulators that run, and what a client sees of it."""
+"""Every fault of the cameras, switched on in running simulators, and what a client sees of it."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def grab_on(pair: BaslerStereoPair) -> None:
 @pytest.mark.parametrize(
     "phrase", ["lose left 10 %", "omit leader left", "omit trailer left", "omit frames left"]
 )
-def test_lost_packets_are_repeated(cameras, phrase):
+def test_lost_packets_are_resent(cameras, phrase):
     pair = cameras.streaming(packet_bytes=1500)
     cameras.show_ramp(pair)
     cameras.fault(phrase)
@@ -50,7 +50,7 @@ def test_lost_packets_are_repeated(cameras, phrase):
 
 
 @pytest.mark.parametrize("phrase", ["shuffle both", "duplicate both 50 %"])
-def test_disorder_and_repetition_change_nothing(cameras, phrase):
+def test_reordered_and_duplicate_packets_change_nothing(cameras, phrase):
     pair = cameras.streaming(packet_bytes=1500)
     cameras.show_ramp(pair)
     cameras.fault(phrase)
@@ -62,7 +62,7 @@ def test_disorder_and_repetition_change_nothing(cameras, phrase):
 
 
 @pytest.mark.hazard(25)
-def test_packets_that_are_forgotten_leave_a_partial_image(cameras):
+def test_packets_the_camera_has_forgotten_leave_a_partial_image(cameras):
     pair = cameras.streaming(packet_bytes=1500)
     cameras.fault("lose right 10 %")
     cameras.fault("forget right")
@@ -72,7 +72,7 @@ def test_packets_that_are_forgotten_leave_a_partial_image(cameras):
     assert reading.right.missing_packets > 0
 
 
-def test_a_frame_that_is_lost_for_good_leaves_its_partner_alone(cameras):
+def test_a_frame_lost_for_good_leaves_its_partner_intact(cameras):
     pair = cameras.streaming()
     cameras.fault("omit frames left")
     cameras.fault("forget left")
@@ -84,7 +84,7 @@ def test_a_frame_that_is_lost_for_good_leaves_its_partner_alone(cameras):
 
 
 @pytest.mark.hazard(25)
-def test_a_leader_that_tells_of_another_area_makes_the_image_corrupt(cameras):
+def test_a_leader_with_another_area_makes_the_image_corrupt(cameras):
     pair = cameras.streaming()
     cameras.fault("shift area left")
     reading = pair.grab_pair(LIMIT_S)
@@ -92,14 +92,14 @@ def test_a_leader_that_tells_of_another_area_makes_the_image_corrupt(cameras):
     assert reading.right.validity is Validity.OK
 
 
-def test_images_with_half_of_their_data_are_no_complete_pair(cameras):
+def test_images_with_half_of_their_data_are_not_a_complete_pair(cameras):
     pair = cameras.streaming()
     cameras.fault("truncate left")
     assert pair.grab_pair(LIMIT_S).validity in (Validity.PARTIAL, Validity.MISSING)
 
 
 @pytest.mark.hazard(25)
-def test_one_camera_that_misses_a_trigger_leaves_the_other_unpaired(cameras):
+def test_a_camera_that_misses_a_trigger_leaves_the_other_unpaired(cameras):
     pair = cameras.streaming()
     cameras.fault("miss triggers right")
     reading = pair.grab_pair(SILENT_SIDE_S)
@@ -109,7 +109,7 @@ def test_one_camera_that_misses_a_trigger_leaves_the_other_unpaired(cameras):
     assert pair.block_ids == (1, 1)
 
 
-def test_a_trigger_that_reaches_nobody_is_told(cameras):
+def test_a_trigger_that_reaches_no_camera_is_reported(cameras):
     pair = cameras.streaming()
     cameras.fault("miss triggers both")
     with pytest.raises(TriggerMissed, match=r"GEV-013.*'no image' from both cameras\. Reconnect"):
@@ -120,7 +120,7 @@ def test_a_trigger_that_reaches_nobody_is_told(cameras):
     assert pair.grab_pair(2.0).validity is Validity.OK
 
 
-def test_images_that_the_network_swallows_are_told_from_triggers_that_nobody_took(cameras):
+def test_images_lost_in_the_network_are_distinguished_from_missed_triggers(cameras):
     pair = cameras.streaming(resend=False)
     cameras.fault("omit frames both")
     with pytest.raises(TriggerMissed, match=r"GEV-013.*got no packets.*firewall"):
@@ -128,7 +128,7 @@ def test_images_that_the_network_swallows_are_told_from_triggers_that_nobody_too
 
 
 @pytest.mark.hazard(25)
-def test_a_pair_that_is_out_of_step_is_flagged_and_comes_back_into_step(cameras):
+def test_a_pair_out_of_step_is_flagged_and_returns_into_step(cameras):
     pair = cameras.streaming()
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
     cameras.fault("expose late right 300 ms")
@@ -138,7 +138,7 @@ def test_a_pair_that_is_out_of_step_is_flagged_and_comes_back_into_step(cameras)
 
 
 @pytest.mark.parametrize("which", ["left", "both"])  # not of one moment; both older than their trigger
-def test_a_clock_that_begins_anew_is_noticed_and_tied_anew(cameras, which):
+def test_a_restarted_camera_clock_is_detected_and_resynchronized(cameras, which):
     pair = cameras.streaming()
     for _ in range(2):
         assert pair.grab_pair(LIMIT_S).validity is Validity.OK
@@ -148,7 +148,7 @@ def test_a_clock_that_begins_anew_is_noticed_and_tied_anew(cameras, which):
     assert pair.block_ids == (1, 1)  # the pair was no pair, and the streams were begun anew
 
 
-def test_a_clock_that_drifts_as_cameras_do_keeps_the_pair_and_a_wild_one_does_not(cameras):
+def test_a_clock_with_realistic_drift_keeps_the_pair_and_a_wild_one_does_not(cameras):
     pair = cameras.streaming()
     cameras.fault("drift left +100 ppm")
     assert all(pair.grab_pair(LIMIT_S).validity is Validity.OK for _ in range(3))
@@ -186,7 +186,7 @@ def test_an_absence_shorter_than_the_heartbeat_needs_no_recovery(cameras):
 
 
 @pytest.mark.hazard(4)
-def test_an_absence_that_begins_during_a_grab_costs_time_only(cameras):
+def test_an_absence_that_begins_during_a_grab_only_costs_time(cameras):
     pair = cameras.streaming(heartbeat_ms=10_000)
     assert pair.grab_pair(LIMIT_S).validity is Validity.OK
     cameras.fault("unplug right for 2 s")  # longer than a command is repeated
@@ -196,7 +196,7 @@ def test_an_absence_that_begins_during_a_grab_costs_time_only(cameras):
 
 
 @pytest.mark.hazard(4)
-def test_an_absence_that_begins_while_areas_are_set_costs_time_only(cameras):
+def test_an_absence_that_begins_while_areas_are_set_only_costs_time(cameras):
     pair = cameras.streaming(heartbeat_ms=10_000)
     part = AreaOfInterest(896, 416, 128, 128)
     cameras.fault("unplug right for 2 s")
@@ -212,21 +212,21 @@ def test_two_cameras_off_the_network_are_not_found(cameras):
         cameras.new_pair().connect(1.0)
 
 
-def test_both_cameras_are_found_by_asking_everybody(cameras):
+def test_both_cameras_are_found_by_broadcast_discovery(cameras):
     found = {each.address: each.serial for each in discover_cameras(interface_of("127.0.0.1"))}
     assert {address: found.get(address) for address in cameras.addresses} == dict(
         zip(cameras.addresses, ("21904411", "21904412"), strict=True)
     )
 
 
-def test_where_one_camera_is_not_found_the_other_is_named(cameras):
+def test_when_one_camera_is_not_found_the_other_is_named(cameras):
     cameras.fault("unplug left")
     with pytest.raises(NoCamera, match=rf"{cameras.addresses[0]}; .*21904412 at {cameras.addresses[1]}"):
         cameras.new_pair().connect(1.0)
 
 
 @pytest.mark.parametrize("phrase", ["restart left", "seize left"])
-def test_a_camera_that_is_no_longer_ours_is_told(cameras, phrase):
+def test_losing_control_of_a_camera_is_reported(cameras, phrase):
     pair = cameras.streaming()
     cameras.fault(phrase)
     with pytest.raises(ControlLost, match="GEV-015"):
@@ -234,14 +234,14 @@ def test_a_camera_that_is_no_longer_ours_is_told(cameras, phrase):
     assert pair.state is Lifecycle.FAULT
 
 
-def test_heartbeats_that_do_not_count_end_control(cameras):
+def test_ignored_heartbeats_end_control(cameras):
     pair = cameras.streaming(heartbeat_ms=500)
     cameras.fault("ignore heartbeat left")
     with pytest.raises(ControlLost, match="GEV-015"):
         grab_on(pair)
 
 
-def test_another_controller_is_told(cameras):
+def test_another_controller_is_reported(cameras):
     cameras.fault("seize right")
     pair = cameras.new_pair()
     pair.connect(LIMIT_S)
@@ -264,7 +264,7 @@ def test_the_packet_size_is_what_the_path_carries(cameras):
     assert once == [packets, packets]
 
 
-def test_spoiled_light_is_seen(cameras):
+def test_image_degradations_are_visible_in_the_pixels(cameras):
     pair = cameras.streaming()
     plain = pair.grab_pair(LIMIT_S).left.pixels.astype(float)
     seen = {}

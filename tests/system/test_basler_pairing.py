@@ -1,4 +1,4 @@
-"""Which two images are a pair, on theatre time: what the host's computer does meanwhile is not in it."""
+"""Which two images form a pair, in theatre time: the load of the host computer has no influence."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def skew_ms(reading: StereoReading) -> float:
 
 
 @pytest.mark.parametrize("trigger", ["software", "action"])
-def test_one_command_to_each_gives_one_pair_of_one_moment(theatre: Theatre, trigger: str) -> None:
+def test_one_command_to_each_camera_gives_one_simultaneous_pair(theatre: Theatre, trigger: str) -> None:
     pair = theatre.streaming(trigger=trigger)
     begun_ns = theatre.world.clock.now_ns()
     for number in (1, 2, 3):
@@ -112,7 +112,7 @@ def test_one_command_to_each_gives_one_pair_of_one_moment(theatre: Theatre, trig
     assert 3 * frame_ms <= (theatre.world.clock.now_ns() - begun_ns) / 1e6 + 1e-4 <= 3 * (frame_ms + SKEW_MS)
 
 
-def test_one_pulse_on_the_line_gives_one_pair_of_one_moment(theatre: Theatre) -> None:
+def test_one_pulse_on_the_line_gives_one_simultaneous_pair(theatre: Theatre) -> None:
     pair = theatre.streaming(trigger="line1")
     with pytest.raises(TriggerMissed, match=r"GEV-013.*no pulse.*Line1"):
         pair.grab_pair(0.2)  # nobody pulses
@@ -129,7 +129,7 @@ def test_one_pulse_on_the_line_gives_one_pair_of_one_moment(theatre: Theatre) ->
 @pytest.mark.parametrize(
     "phrase", ["delay answers both 300 ms", "announce answers both 300 ms", "lose answers both 30 %"]
 )
-def test_answers_that_are_late_or_lost_delay_and_no_trigger_acts_twice(theatre: Theatre, phrase: str) -> None:
+def test_late_or_lost_answers_only_delay_and_no_trigger_acts_twice(theatre: Theatre, phrase: str) -> None:
     pair = theatre.streaming()
     theatre.script(phrase)
     for number in (1, 2):
@@ -140,7 +140,7 @@ def test_answers_that_are_late_or_lost_delay_and_no_trigger_acts_twice(theatre: 
         theatre.script()
 
 
-def test_twelve_bits_are_the_same_packed_or_not(theatre: Theatre) -> None:
+def test_twelve_bit_pixels_are_identical_packed_and_unpacked(theatre: Theatre) -> None:
     images = {}
     for pixel_format in ("Mono12", "Mono12Packed"):
         pair = theatre.streaming(pixel_format=pixel_format)
@@ -153,7 +153,7 @@ def test_twelve_bits_are_the_same_packed_or_not(theatre: Theatre) -> None:
 
 
 @pytest.mark.parametrize(("late_ms", "validity"), [(0.3, Validity.OK), (4.0, Validity.UNPAIRED)])
-def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
+def test_a_side_that_exposes_later_than_allowed_is_unpaired(
     theatre: Theatre, late_ms: float, validity: Validity
 ) -> None:
     pair = theatre.streaming(trigger="action")
@@ -163,7 +163,7 @@ def test_a_side_that_exposes_later_than_allowed_is_not_of_the_pair(
     assert skew_ms(reading) >= late_ms - SKEW_MS
 
 
-def test_the_first_pair_is_judged_although_the_counters_stood_at_zero() -> None:
+def test_the_first_pair_is_judged_although_the_counters_start_at_zero() -> None:
     with started(at_ns=0) as theatre:
         pair = theatre.streaming(trigger="action")
         theatre.script("expose late right 4 ms")
@@ -175,7 +175,7 @@ def test_the_first_pair_is_judged_although_the_counters_stood_at_zero() -> None:
 @pytest.mark.parametrize(
     "loss", [("expose late right 4 ms",), ("lose right 10 %", "forget right")], ids=["unpaired", "partial"]
 )
-def test_a_lost_pair_changes_none_of_the_next_pictures(theatre: Theatre, loss: tuple[str, ...]) -> None:
+def test_a_lost_pair_does_not_change_the_next_pictures(theatre: Theatre, loss: tuple[str, ...]) -> None:
     def pictures(lost: int | None) -> list[NDArray[np.integer]]:
         pair = theatre.streaming(trigger="action")
         found = []

@@ -78,7 +78,7 @@ def node(pair, side, name):
     return pair._pair[side]._camera.GetNodeMap().GetNode(name)
 
 
-def test_it_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
+def test_the_pair_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     device = make_pair()
     assert isinstance(device, StereoPair)
     with pytest.raises(WrongState):
@@ -97,14 +97,14 @@ def test_it_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     "case",
     [pytest.param(case, id=case.number) for case in SUITE.cases if case.number not in EMULATION_LACKS],
 )
-def test_it_passes_the_suite_of_any_pair_as_far_as_the_emulation_goes(case: Case) -> None:
+def test_the_pair_passes_the_generic_suite_as_far_as_the_emulation_goes(case: Case) -> None:
     dut = DeviceUnderTest("stereo", configured(), HostClock())
     result = run_case(case, dut)
     dut.release()
     assert result.outcome is Outcome.PASS, result.reason
 
 
-def test_a_pair_that_was_closed_leaves_no_file_open(make_pair):
+def test_a_closed_pair_leaves_no_file_open(make_pair):
     def open_files() -> int:
         return len(os.listdir("/proc/self/fd"))
 
@@ -132,7 +132,7 @@ def test_every_trigger_gives_one_pair(pair):
             assert image.pixels.max() > 0
 
 
-def test_areas_and_exposure_are_set_on_a_running_stream(pair):
+def test_areas_and_exposure_can_be_set_on_a_running_stream(pair):
     area = AreaOfInterest(64, 32, 128, 64)
     pair.set_areas(area, area)
     pair.set_exposure(3000.0, 200)
@@ -144,7 +144,7 @@ def test_areas_and_exposure_are_set_on_a_running_stream(pair):
     assert pair.grab_pair().validity is Validity.OK
 
 
-def test_twelve_bits_arrive_as_twelve_bits(make_pair):
+def test_twelve_bit_pixels_arrive_as_sixteen_bit_values(make_pair):
     device = make_pair(pixel_format="Mono12")
     device.connect()
     device.configure()
@@ -153,7 +153,7 @@ def test_twelve_bits_arrive_as_twelve_bits(make_pair):
     assert device.grab_pair().left.pixels.dtype == np.uint16
 
 
-def test_a_buffer_that_failed_leaves_its_partner_alone(pair):
+def test_a_failed_buffer_leaves_its_partner_intact(pair):
     node(pair, 1, "ForceFailedBufferCount").SetValue(1)
     node(pair, 1, "ForceFailedBuffer").Execute()
     reading = pair.grab_pair()
@@ -162,14 +162,14 @@ def test_a_buffer_that_failed_leaves_its_partner_alone(pair):
     assert pair.grab_pair().validity is Validity.OK
 
 
-def test_a_trigger_that_nobody_hears_is_told(pair, monkeypatch):
+def test_a_trigger_that_reaches_no_camera_is_reported(pair, monkeypatch):
     for camera in pair._pair:
         monkeypatch.setattr(camera, "trigger", lambda: None)
     with pytest.raises(TriggerMissed, match="GEV-013"):
         pair.grab_pair(0.3)
 
 
-def test_wrong_cameras_are_told(make_pair):
+def test_wrong_cameras_and_options_are_refused(make_pair):
     with pytest.raises(NoCamera, match="GEV-001"):
         make_pair(left_serial="0815-0009").connect()
     with pytest.raises(WrongModel, match="GEV-002"):
@@ -198,7 +198,7 @@ class LonelyLibrary:
         raise RuntimeError("No device is available\nat all")
 
 
-def test_a_real_camera_is_sought_at_its_address_whatever_its_serial_number(make_pair, monkeypatch):
+def test_a_real_camera_is_looked_up_by_its_address_whatever_its_serial_number(make_pair, monkeypatch):
     library = LonelyLibrary()
     monkeypatch.setattr("drivers.basler_stereo.pylon.camera.load_pylon", lambda: (library, library))
     with pytest.raises(NoCamera, match=r"GEV-001: no camera at 127\.0\.0\.1: No device is available\."):
@@ -206,7 +206,7 @@ def test_a_real_camera_is_sought_at_its_address_whatever_its_serial_number(make_
     assert library.asked == {"DeviceClass": "BaslerGigE", "IpAddress": "127.0.0.1"}
 
 
-def test_without_the_library_the_way_to_it_is_told(make_pair, monkeypatch):
+def test_without_the_library_the_error_names_how_to_install_it(make_pair, monkeypatch):
     monkeypatch.setitem(sys.modules, "pypylon", None)
     with pytest.raises(NoPylon, match=r"GEV-018.*ronna-hw\[pylon\]"):
         make_pair()

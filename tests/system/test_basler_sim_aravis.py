@@ -1,4 +1,4 @@
-"""Aravis, a client that we did not write, finds, configures, triggers and grabs from the simulated pair.
+"""Aravis, a third-party client, finds, configures, triggers and grabs from the simulated pair.
 
 Needs Debian's packages aravis-tools, aravis-tools-cli, gir1.2-aravis-0.8 and python3-gi. Without them the
 tests are skipped and say so.
@@ -165,7 +165,7 @@ def test_aravis_triggers_and_grabs_pairs(cameras: ChildProcess) -> None:
         assert abs(pair[1]["stamp_ns"] - pair[0]["stamp_ns"]) < 1_000_000_000
 
 
-def test_aravis_gets_every_frame_although_packets_are_lost() -> None:
+def test_aravis_gets_every_frame_when_packets_are_lost() -> None:
     world = World.create(named_scene("bench"), paced=False)
     world.set_fault_script("at 0 s: camera drop 1 % for 600 s")
     arguments = command("sim.cli", "basler", "--world", world.endpoint)
@@ -213,7 +213,7 @@ def test_aravis_switches_events_on_through_the_description(cameras: ChildProcess
     assert told["from"] == told["said"]
 
 
-def test_aravis_own_test_programme_grabs_free_running_frames(cameras: ChildProcess) -> None:
+def test_the_test_program_of_aravis_grabs_free_running_frames(cameras: ChildProcess) -> None:
     # The programme leaves the kernel's small receive buffer as it is: frames of which two fit into it.
     said = run(
         *(CAMERA_TEST, "-n", addresses(cameras)[1], "-w", "320", "-h", "240", "-f", "10"),

@@ -21,7 +21,9 @@ def test_ready_names_the_endpoints_of_both_cameras() -> None:
         assert all(address.startswith("127.77.") for address in Cameras(cameras).addresses)
 
 
-def test_it_ends_in_time_while_it_streams_and_the_same_trigger_gives_the_same_image(cameras: Cameras) -> None:
+def test_the_simulator_ends_in_time_while_streaming_and_the_same_trigger_gives_the_same_image(
+    cameras: Cameras,
+) -> None:
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler")) as child:
         others = Cameras(child)
         assert set(others.addresses).isdisjoint(cameras.addresses)
@@ -38,11 +40,11 @@ def test_it_ends_in_time_while_it_streams_and_the_same_trigger_gives_the_same_im
         pairs[1].close()
 
 
-def test_it_ends_with_its_parent() -> None:
+def test_the_simulator_ends_with_its_parent() -> None:
     assert ends_with_its_parent(command("sim.cli", "basler"))
 
 
-def test_given_addresses_are_used_and_taken_ones_refused() -> None:
+def test_given_addresses_are_used_and_addresses_in_use_refused() -> None:
     given = ("--address", "127.76.5.1", "--address", "127.76.5.2")
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", *given)) as cameras:
         assert Cameras(cameras).addresses == ("127.76.5.1", "127.76.5.2")
@@ -52,7 +54,7 @@ def test_given_addresses_are_used_and_taken_ones_refused() -> None:
         assert "127.76.5.1 is in use" in second.stderr
 
 
-def test_an_unknown_scene_is_told() -> None:
+def test_an_unknown_scene_is_refused() -> None:
     ended = in_this_process(app, "basler", "--scene", "nowhere.toml")
     assert ended.returncode == 2
     assert "SIM-001" in ended.stderr

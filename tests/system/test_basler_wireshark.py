@@ -1,4 +1,4 @@
-"""Wireshark, which we did not write, takes apart what the simulated cameras and the stereo driver send.
+"""Wireshark, a third-party tool, dissects what the simulated cameras and the stereo driver send.
 
 It is the stranger for what Aravis 0.8 does not receive: events. Needs Debian's package tshark.
 """
@@ -52,7 +52,7 @@ def receiver() -> Iterator[Receiver]:
     made.socket.close()
 
 
-def test_events_and_their_acknowledges_are_read(receiver: Receiver, tmp_path: Path) -> None:
+def test_wireshark_reads_events_and_their_acknowledges(receiver: Receiver, tmp_path: Path) -> None:
     channel = MessageChannel("127.0.0.1", lambda: "127.0.0.1", lambda: 0.0)
     channel.port = receiver.address[1]
     channel.tell(Event(EventKind.EXPOSURE_END, 7, TICKS, struct.pack(">I", 7)))
@@ -91,7 +91,7 @@ def test_events_and_their_acknowledges_are_read(receiver: Receiver, tmp_path: Pa
     assert [answer["gvcp.ack"] for answer in (first_answer, second_answer)] == [["0x00c3"], ["0x00c1"]]
 
 
-def test_an_image_its_repetition_and_a_refusal_are_read(receiver: Receiver, tmp_path: Path) -> None:
+def test_wireshark_reads_an_image_its_resend_and_a_refusal(receiver: Receiver, tmp_path: Path) -> None:
     channel = StreamChannel("127.0.0.1", lambda: "127.0.0.1")
     channel.port = receiver.address[1]
     settings = Settings(width=64, height=48, offset_x=16, offset_y=2, test_image=RampImage.FIXED)
@@ -118,7 +118,7 @@ def test_an_image_its_repetition_and_a_refusal_are_read(receiver: Receiver, tmp_
     assert (refused["gvsp.status"], refused["gvsp.blockid16"]) == (["0x800c"], ["9"])
 
 
-def test_the_drivers_commands_are_read(tmp_path: Path) -> None:
+def test_wireshark_reads_the_commands_of_the_driver(tmp_path: Path) -> None:
     commands = [
         gvcp.encode(GvcpCommand.DISCOVERY, 1),
         gvcp.encode(GvcpCommand.READREG, 2, gvcp.read_register_command(Bootstrap.CCP)),

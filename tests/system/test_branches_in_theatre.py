@@ -1,4 +1,4 @@
-"""A whole case meets a branch, goes on as the rehearsal's operator agrees, and says what it went without."""
+"""A whole case meets a branch, continues as the rehearsal's operator agrees, and states what it left out."""
 
 import json
 from pathlib import Path
@@ -32,7 +32,7 @@ def journal(folder: Path, outcome: dict[str, Any]) -> list[Line]:
 
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
-def test_a_sphere_under_blood_is_left_out_and_the_case_is_done_with_the_others(
+def test_a_sphere_under_blood_is_left_out_and_the_case_completes_with_the_others(
     commands: Commands, tmp_path: Path
 ) -> None:
     faults = tmp_path / "faults.txt"
@@ -47,7 +47,7 @@ def test_a_sphere_under_blood_is_left_out_and_the_case_is_done_with_the_others(
 
 @pytest.mark.hazard(28)
 @pytest.mark.branch("BEYOND_MARGIN")
-def test_a_trajectory_beyond_its_margin_is_left_out_and_the_other_is_done(
+def test_a_trajectory_beyond_its_margin_is_left_out_and_the_other_is_completed(
     commands: Commands, tmp_path: Path
 ) -> None:
     scene = named_scene("mini", seed=3, targets=2)
@@ -69,7 +69,7 @@ def test_a_trajectory_beyond_its_margin_is_left_out_and_the_other_is_done(
 
 @pytest.mark.hazard(12)
 @pytest.mark.branch("REFERENCE_MOVED")
-def test_a_head_that_moves_while_the_guide_is_withdrawn_stops_the_arm_within_twelve_frames(
+def test_a_head_that_moves_during_the_withdrawal_stops_the_arm_within_twelve_frames(
     commands: Commands, tmp_path: Path
 ) -> None:
     faults = tmp_path / "faults.txt"

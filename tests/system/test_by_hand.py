@@ -65,7 +65,7 @@ def test_a_person_confirms_each_value_and_exchanges_the_tool(cell: Cell) -> None
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.hazard(32)
-def test_after_an_emergency_stop_it_is_acknowledged_by_name_and_the_arm_goes_home(cell: Cell) -> None:
+def test_after_an_emergency_stop_is_acknowledged_by_name_the_arm_goes_home(cell: Cell) -> None:
     def pressed_in_the_first_motion(text: str) -> None:
         if "first motion" in text and not is_pressed:
             Thread(target=press, daemon=True).start()
@@ -97,13 +97,13 @@ def test_after_an_emergency_stop_it_is_acknowledged_by_name_and_the_arm_goes_hom
     assert line["by"] == "A. Nurse"
 
 
-def test_a_theatre_that_is_not_there_cannot_exchange_its_tool() -> None:
+def test_the_mount_command_reports_an_unreachable_theatre() -> None:
     done = in_this_process(ronna_sim, "mount", "2", "--control", "tcp://127.0.0.1:9?token=x")
     assert done.returncode == 4
     assert one_error(done.stderr)[0].startswith("CTL-001")
 
 
-def test_hands_take_negative_joints_as_the_terminal_tells_them() -> None:
+def test_the_work_command_accepts_negative_joint_values() -> None:
     told = "work gauge -40 -75 99 0 66 180 60 --control tcp://127.0.0.1:9?token=x"
     done = in_this_process(ronna_sim, *told.split())
     assert done.returncode == 4

@@ -1,4 +1,4 @@
-"""A file of answers serves every calibration as it serves a case."""
+"""An answers file serves every calibration as it serves a case."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from ronna_hw.errors import EXIT_ABORTED
     ],
     ids=["arm", "stereo", "tracker-frame", "tool-tip"],
 )
-def test_a_calibration_that_the_answers_do_not_agree_to_moves_nothing(
+def test_a_calibration_declined_by_the_answers_is_aborted_and_writes_no_record(
     app: typer.Typer, command: tuple[str, ...], tmp_path: Path
 ) -> None:
     answers = tmp_path / "answers.toml"

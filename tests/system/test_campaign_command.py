@@ -1,4 +1,4 @@
-"""`ronna-campaign` as a user meets it: files beside figures, going on after an end, refusals in one line."""
+"""`ronna-campaign` as a user runs it: files and figures, resuming after an end, refusals in one line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def units_in(folder: Path) -> int:
     return max(0, path.read_bytes().count(b"\n") - 1) if path.exists() else 0
 
 
-def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(tmp_path: Path) -> None:
+def test_a_campaign_writes_tables_and_a_plot_and_recognizes_that_it_is_done(tmp_path: Path) -> None:
     arguments = ("registration", "--runs", "2", "--seed", "3", "--workers", "1", "--out", tmp_path)
     first = in_this_process(app, *arguments, "--json")
     assert first.returncode == 0, first.stderr
@@ -45,7 +45,7 @@ def test_a_campaign_leaves_tables_and_a_plot_and_knows_that_it_is_done(tmp_path:
     assert again.stdout.startswith("fiducials\truns\t")
 
 
-def test_the_pairing_of_the_thesis_is_chosen_with_its_e_beside_ours(tmp_path: Path) -> None:
+def test_the_pairing_of_the_thesis_can_be_chosen_with_its_e_alongside_ours(tmp_path: Path) -> None:
     arguments = ["correspondence", "--runs", "1", "--workers", "1", "--out", tmp_path, "--json"]
     arguments += ["--method", "count", "--method", "thesis-validated", "--e", "2", "--e", "1.5"]
     told = in_this_process(app, *arguments)
@@ -58,7 +58,7 @@ def test_the_pairing_of_the_thesis_is_chosen_with_its_e_beside_ours(tmp_path: Pa
     }
 
 
-def test_methods_are_not_chosen_for_a_sweep(tmp_path: Path) -> None:
+def test_methods_cannot_be_chosen_for_a_sweep(tmp_path: Path) -> None:
     refused = in_this_process(app, "correspondence", "--sweep", "--method", "count", "--out", tmp_path)
     assert refused.returncode == 2
     assert refused.stderr.startswith("CLI-001: --method and --e cannot be combined with --sweep")
@@ -73,7 +73,7 @@ def test_another_study_in_the_folder_is_refused_in_one_line(tmp_path: Path) -> N
     assert len(refused.stderr.splitlines()) <= 2
 
 
-def test_what_an_interrupted_campaign_has_kept_is_told(
+def test_an_interrupted_campaign_reports_the_units_it_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run, begun = RegistrationStudy.run, []
@@ -92,9 +92,7 @@ def test_what_an_interrupted_campaign_has_kept_is_told(
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_a_campaign_that_was_killed_half_way_goes_on_to_the_same_numbers(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_a_killed_campaign_resumes_to_the_same_numbers(commands: Commands, tmp_path: Path) -> None:
     def arguments(folder: str, workers: int) -> tuple[str, ...]:
         place = str(tmp_path / folder)
         return ("correspondence", "--runs", "12", "--workers", str(workers), "--out", place, "--json")

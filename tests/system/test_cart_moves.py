@@ -44,7 +44,7 @@ def done(lines: list[Line]) -> list[str]:
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_a_case_with_a_cart_that_is_not_locked_ends_before_anything_is_localized(
+def test_a_case_with_an_unlocked_cart_ends_before_anything_is_localized(
     commands: Commands, tmp_path: Path
 ) -> None:
     ran = run(commands, tmp_path, f"at 0 s: {ROLLS}")
@@ -55,7 +55,7 @@ def test_a_case_with_a_cart_that_is_not_locked_ends_before_anything_is_localized
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_brakes_that_somebody_opens_are_found_and_closed_the_step_goes_through(
+def test_opened_brakes_are_detected_and_once_they_are_closed_the_step_succeeds(
     commands: Commands, tmp_path: Path
 ) -> None:
     stepping = commands.start(
@@ -87,7 +87,7 @@ def test_brakes_that_somebody_opens_are_found_and_closed_the_step_goes_through(
         ("at_target:T2", 1),
     ],
 )
-def test_after_a_move_of_the_cart_the_case_goes_on_from_the_lock_and_reaches_its_targets(
+def test_after_a_cart_move_the_case_continues_from_the_lock_and_reaches_its_targets(
     commands: Commands, tmp_path: Path, step: str, again: int
 ) -> None:
     ran = run(commands, tmp_path, f"since step == {step}: {MOVES}")
@@ -116,7 +116,9 @@ def test_after_a_move_of_the_cart_the_case_goes_on_from_the_lock_and_reaches_its
 
 @pytest.mark.hazard(50)
 @pytest.mark.branch("CART_MOVED")
-def test_without_consent_the_case_is_held_with_what_stands(commands: Commands, tmp_path: Path) -> None:
+def test_without_consent_the_case_stops_and_the_cart_is_not_locked_again(
+    commands: Commands, tmp_path: Path
+) -> None:
     answers = tmp_path / "answers.toml"
     answers.write_text('default = "first"\n[answers]\ncart_moved = "hold"\n')
     script = tmp_path / "faults.txt"

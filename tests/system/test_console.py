@@ -1,4 +1,4 @@
-"""A case that is operated over the console's routes, without a browser."""
+"""A case operated over the console's routes, without a browser."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def await_question(script: ConsoleScript, topic: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_a_script_steps_a_whole_case_and_every_answer_is_signed(tmp_path: Path) -> None:
+def test_a_script_steps_through_a_whole_case_and_every_answer_is_signed(tmp_path: Path) -> None:
     with operated_cases(tmp_path) as start:
         case = start("step")
         script = ConsoleScript(case.addresses["url"])
@@ -68,7 +68,7 @@ def test_a_script_steps_a_whole_case_and_every_answer_is_signed(tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_stopped_console_is_given_up_and_the_case_goes_on(tmp_path: Path) -> None:
+def test_the_case_completes_without_a_console_that_stopped_responding(tmp_path: Path) -> None:
     with operated_cases(tmp_path) as start:
         case = start("run")
         os.kill(case.console_pid, signal.SIGSTOP)
@@ -77,7 +77,9 @@ def test_a_stopped_console_is_given_up_and_the_case_goes_on(tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_fault_is_acknowledged_by_name_when_its_cause_is_gone_and_the_case_goes_on(tmp_path: Path) -> None:
+def test_a_fault_is_acknowledged_by_name_once_its_cause_is_gone_and_the_case_continues(
+    tmp_path: Path,
+) -> None:
     with operated_cases(tmp_path) as start:
         case = start("step")
         script = ConsoleScript(case.addresses["url"])
@@ -101,7 +103,7 @@ def test_a_fault_is_acknowledged_by_name_when_its_cause_is_gone_and_the_case_goe
 
 
 @pytest.mark.slow
-def test_a_case_that_was_killed_is_taken_up_again_by_whoever_takes_its_seat(tmp_path: Path) -> None:
+def test_a_killed_case_is_resumed_once_an_operator_takes_the_seat(tmp_path: Path) -> None:
     with operated_cases(tmp_path) as start:
         left = start("step")
         script = ConsoleScript(left.addresses["url"])

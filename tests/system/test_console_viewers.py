@@ -1,4 +1,4 @@
-"""A console that viewers at other computers reach, by TLS, at an address of its own."""
+"""A console that viewers on other computers reach by TLS, at an address of its own."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def status_of(address: str, token: str) -> int:
         connection.close()
 
 
-def test_the_page_for_other_computers_is_opened_by_the_key_of_viewers_alone(
+def test_the_page_for_other_computers_opens_with_the_viewer_key_only(
     tmp_path: Path, pair: tuple[Path, Path]
 ) -> None:
     with served_at(tmp_path, "--viewers", "127.0.0.1", *map(str, pair)) as (_, addresses):

@@ -1,4 +1,4 @@
-"""`ronna-ct` as a user meets it: processes, files, terminals."""
+"""`ronna-ct` as a user runs it: processes, files, terminals."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def ronna_ct(*arguments: object) -> subprocess.CompletedProcess[str]:
     return in_this_process(app, *arguments)
 
 
-def test_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
+def test_the_json_holds_exactly_what_scripts_rely_on(series: Path) -> None:
     line = [*COMMAND, "localize", str(series), "--json", "--expected", "2"]
     done = subprocess.run(line, capture_output=True, text=True, timeout=150)
     assert (done.returncode, done.stderr) == (0, "")
@@ -96,7 +96,7 @@ def test_the_thesis_method_can_be_chosen_but_refines_no_picks(series: Path) -> N
     assert "omit --method" in refused.stderr
 
 
-def test_another_count_is_refused_with_every_candidate(series: Path, tmp_path: Path) -> None:
+def test_an_unexpected_count_is_refused_and_every_candidate_listed(series: Path, tmp_path: Path) -> None:
     pictures = tmp_path / "seen"
     done = ronna_ct("localize", series, "--expected", 3, "--candidates", "--json", "--pictures", pictures)
     assert done.returncode == 3
@@ -108,7 +108,7 @@ def test_another_count_is_refused_with_every_candidate(series: Path, tmp_path: P
     assert ronna_ct("localize", series, "--expected", 3, "--json").stdout == ""
 
 
-def test_off_a_terminal_the_table_is_lines_of_fields(series: Path) -> None:
+def test_without_a_terminal_the_table_is_tab_separated_lines(series: Path) -> None:
     done = ronna_ct("localize", series)
     lines = [line.split("\t") for line in done.stdout.splitlines()]
     assert (done.returncode, done.stderr, len(lines)) == (0, "", 3)
@@ -116,7 +116,7 @@ def test_off_a_terminal_the_table_is_lines_of_fields(series: Path) -> None:
     np.testing.assert_allclose([float(cell) for cell in lines[1][1:4]], CENTRES_MM[1], atol=0.02)
 
 
-def test_on_a_terminal_there_is_a_table(series: Path) -> None:
+def test_a_terminal_gets_a_drawn_table(series: Path) -> None:
     controller, terminal = pty.openpty()
     with subprocess.Popen([*COMMAND, "localize", str(series)], stdout=terminal, stderr=terminal) as child:
         os.close(terminal)
@@ -137,7 +137,7 @@ def test_on_a_terminal_there_is_a_table(series: Path) -> None:
 
 
 @pytest.mark.hazard(35)
-def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
+def test_no_output_names_the_patient_by_default(series: Path, tmp_path: Path) -> None:
     forms = [tmp_path / f"spheres{ending}" for ending in (".dcm", ".json", ".csv", ".mrk.json")]
     written = [word for path in forms for word in ("--write", path)]
     done = ronna_ct(
@@ -154,7 +154,7 @@ def test_nobody_is_named_unless_asked_for(series: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(35)
-def test_a_series_is_shown_on_one_page_that_names_nobody(series: Path, tmp_path: Path) -> None:
+def test_the_page_of_a_series_does_not_name_the_patient(series: Path, tmp_path: Path) -> None:
     done = ronna_ct("view", series, "--out", tmp_path / "ct.html")
     assert done.returncode == 0, done.stderr
     page = (tmp_path / "ct.html").read_text()
@@ -162,7 +162,7 @@ def test_a_series_is_shown_on_one_page_that_names_nobody(series: Path, tmp_path:
     assert "secret" not in page.lower()
 
 
-def test_the_patient_is_named_to_who_asks(series: Path, tmp_path: Path) -> None:
+def test_the_patient_is_named_on_request(series: Path, tmp_path: Path) -> None:
     asked = ronna_ct("localize", series, "--identity", "--json", "--write", tmp_path / "spheres.dcm")
     patient = json.loads(asked.stdout)["patient"]
     assert patient == {"name": "Secret^Name", "identifier": "SECRET-ID", "birth_date": "", "sex": ""}
@@ -194,7 +194,7 @@ def not_a_number(data: pydicom.Dataset) -> None:
     data[tag] = RawDataElement(tag, "DS", 4, b"NaN ", 0, False, True)
 
 
-def test_more_places_than_can_be_listed_are_counted(tmp_path: Path) -> None:
+def test_candidates_beyond_the_listed_ones_are_counted(tmp_path: Path) -> None:
     voxels = np.full((54, 144, 180), -1000, dtype=np.int16)
     for z, y, x in np.ndindex(3, 4, 5):  # cubes of 9 mm
         voxels[5 + 18 * z :, 9 + 36 * y :, 9 + 36 * x :][:9, :18, :18] = 100
@@ -205,7 +205,7 @@ def test_more_places_than_can_be_listed_are_counted(tmp_path: Path) -> None:
     assert done.stderr.count("\n") == 1
 
 
-def test_bad_input_is_one_clear_message_with_its_code(
+def test_bad_input_gives_one_clear_message_with_its_code(
     series: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # as without the extra that decodes compressed slices
@@ -256,7 +256,7 @@ def test_bad_input_is_one_clear_message_with_its_code(
 
 
 @pytest.mark.parametrize("command", [("ct", "localize"), ("plan", "check"), ("campaign", "registration")])
-def test_help_imports_nothing_heavy(command: tuple[str, str]) -> None:
+def test_help_imports_no_heavy_libraries(command: tuple[str, str]) -> None:
     module, name = command
     script = (
         "import sys; from ronna_hw.command_line.terminal import exit_code_of; "
@@ -278,7 +278,7 @@ def test_the_example_prints_the_centres(series: Path) -> None:
     np.testing.assert_allclose([float(words[index]) for index in (2, 4, 6)], CENTRES_MM[1], atol=0.02)
 
 
-def test_the_name_of_a_slice_cannot_steer_the_terminal(series: Path, tmp_path: Path) -> None:
+def test_the_name_of_a_slice_cannot_control_the_terminal(series: Path, tmp_path: Path) -> None:
     spoiled = shutil.copytree(series, tmp_path / "\x1b]0;owned\x07")
     slices = sorted(spoiled.iterdir())
     for place, name in ((3, "\x1b[2Jsecond\nline"), (4, "\u202egnp.exe")):

@@ -1,4 +1,4 @@
-"""Two users' days, walked from the documentation alone: its commands, a person who reads what is asked."""
+"""Two users' days, played from the documentation alone: its commands, and a person who answers prompts."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def lab(commands: Commands, tmp_path: Path) -> Iterator[Day]:
         yield day
 
 
-def test_the_lab_engineer_comes_from_a_cell_full_of_faults_to_a_finished_case(lab: Day) -> None:
+def test_the_lab_engineer_gets_from_a_cell_full_of_faults_to_a_finished_case(lab: Day) -> None:
     code, text = lab.to("ronna-procedure doctor")
     assert code == EXIT_NOT_FOUND
     told = " ".join(text.split())

@@ -1,4 +1,4 @@
-"""What the step `set_up` refuses, the doctor has said before, with the same code; nothing else is refused."""
+"""The doctor reports what `set_up` would refuse, with the same code, and nothing else is refused."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def _awaited_refusal(file: Path, folder: Path) -> RonnaError | None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["nothing", *TROUBLES])
-def test_what_set_up_refuses_the_doctor_has_said_before(name: str, room: Room, tmp_path: Path) -> None:
+def test_the_doctor_predicts_each_refusal_of_set_up(name: str, room: Room, tmp_path: Path) -> None:
     trouble = TROUBLES.get(name)
     file = room.file
     taken = None

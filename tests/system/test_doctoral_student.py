@@ -23,7 +23,7 @@ def tables_of(folder: Path) -> list[dict[str, object]]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_own_methods_stand_beside_ours_with_bounds_and_a_run_is_read_in_python(
+def test_own_methods_are_compared_with_ours_with_bounds_and_a_run_is_read_in_python(
     commands: Commands, tmp_path: Path
 ) -> None:
     write_files(OWN, tmp_path)

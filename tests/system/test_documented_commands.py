@@ -1,4 +1,4 @@
-"""Every command that the tutorial and the README show is run as it stands there."""
+"""Every command that the tutorial and the README show runs as written."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ from user_commands import Commands
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_the_commands_of_the_tutorial_work_one_after_the_other(commands: Commands, tmp_path: Path) -> None:
+def test_the_commands_of_the_tutorial_work_in_order(commands: Commands, tmp_path: Path) -> None:
     lines = commands_of("docs/tutorial/one-case.md")
     assert len(lines) >= 6
     run_all(lines, commands, tmp_path)
@@ -27,7 +27,7 @@ def test_the_check_after_the_operation_works_as_shown(commands: Commands, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_the_command_of_the_readme_works(commands: Commands, tmp_path: Path) -> None:
+def test_the_commands_of_the_readme_work(commands: Commands, tmp_path: Path) -> None:
     lines = commands_of("README.md")
     assert lines
     run_all(lines, commands, tmp_path)
@@ -45,7 +45,7 @@ def test_the_command_of_the_readme_works(commands: Commands, tmp_path: Path) -> 
         "ronna-stereo",
     ],
 )
-def test_every_command_of_the_readme_explains_itself_without_heavy_imports(
+def test_every_command_of_the_readme_shows_its_help_without_heavy_imports(
     commands: Commands, command: str
 ) -> None:
     program = commands.line(command, "--help")

@@ -19,7 +19,7 @@ LARGEST_ERROR_MM = 0.6  # what the followed registration predicts holds 95 %, an
 
 @pytest.mark.hazard(12)
 @pytest.mark.branch("MOVE_FOLLOWED")
-def test_the_guide_reaches_the_target_in_a_head_that_moved_and_the_run_replays(
+def test_the_guide_reaches_its_target_in_a_head_that_moved_and_the_run_replays(
     commands: Commands, tmp_path: Path
 ) -> None:
     faults, answers = tmp_path / "faults.txt", tmp_path / "answers.toml"

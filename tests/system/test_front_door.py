@@ -1,4 +1,4 @@
-"""`open_theatre` and `simulated_theatre`, as the README shows them, and what they do when things go wrong."""
+"""`open_theatre` and `simulated_theatre`, as the README shows them, and how they handle errors."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def test_the_python_of_the_readme_runs(
     exec(compile(blocks[number], README.name, "exec"), {})
 
 
-def test_leaving_a_block_by_an_error_while_the_arm_moves_leaves_it_at_rest(theatre_file: Path) -> None:
+def test_an_error_in_the_block_while_the_arm_moves_leaves_the_arm_at_rest(theatre_file: Path) -> None:
     def break_off() -> None:
         with open_theatre(theatre_file) as theatre:
             arm = theatre.arms["master"]
@@ -101,7 +101,7 @@ def test_leaving_a_block_by_an_error_while_the_arm_moves_leaves_it_at_rest(theat
     assert_at_rest(theatre_file)
 
 
-def test_two_interruptions_while_the_arm_moves_leave_it_at_rest(theatre_file: Path) -> None:
+def test_two_interrupts_while_the_arm_moves_leave_it_at_rest(theatre_file: Path) -> None:
     with subprocess.Popen(
         [sys.executable, "-P", "-c", MOVES_UNTIL_INTERRUPTED],
         cwd=theatre_file.parent,
@@ -118,7 +118,7 @@ def test_two_interruptions_while_the_arm_moves_leave_it_at_rest(theatre_file: Pa
     assert_at_rest(theatre_file)
 
 
-def test_the_file_of_a_theatre_that_has_ended_is_refused_before_any_device(
+def test_the_file_of_an_ended_theatre_is_refused_before_any_device_is_opened(
     theatre_file: Path, tmp_path: Path
 ) -> None:
     kept = tmp_path / "theatre.toml"
@@ -127,6 +127,6 @@ def test_the_file_of_a_theatre_that_has_ended_is_refused_before_any_device(
         pass
 
 
-def test_a_scene_that_does_not_exist_is_told_in_the_commands_own_words() -> None:
+def test_a_missing_scene_is_reported_in_the_words_of_the_command() -> None:
     with pytest.raises(ChildNotReady, match="SIM-001"), simulated_theatre("moon"):
         pass

@@ -1,4 +1,4 @@
-"""Any process of a simulated case is halted as soon as it is there: the case says so and leaves nothing."""
+"""Any process of a simulated case is halted as it starts: the case reports it and leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def temporary(commands: Commands, tmp_path: Path) -> Path:
         ("receiver_process", ""),
     ],
 )
-def test_a_process_that_is_halted_at_its_start_ends_the_case_and_nothing_stays(
+def test_a_process_halted_at_its_start_ends_the_case_and_leaves_nothing_behind(
     commands: Commands, tmp_path: Path, temporary: Path, words: str, told: str
 ) -> None:
     shared = shared_memory()

@@ -1,4 +1,4 @@
-"""The guides for the first days with hardware, exercised on simulators from their text."""
+"""The guides for the first days with hardware, exercised from their text on simulators."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cell(commands: Commands, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 @pytest.mark.parametrize(
     ("page", "statements"), [("first-hardware-day", 40), ("first-tracker-day", 15), ("first-camera-day", 9)]
 )
-def test_a_day_with_hardware_is_rehearsed_from_its_text(
+def test_a_hardware_day_is_rehearsed_from_its_text(
     page: str, statements: int, cell: Path, commands: Commands
 ) -> None:
     assert run_exercises(f"docs/how-to/{page}.md", commands, cell) >= statements

@@ -1,4 +1,4 @@
-"""Whatever ends the command early: the arm stops, the run is closed, nothing stays behind."""
+"""Whatever ends the command early: the arm stops, the run is closed, nothing is left behind."""
 
 import os
 import random
@@ -30,9 +30,7 @@ def test_killing_the_command_leaves_no_process_and_no_torn_record(commands: Comm
 
 @pytest.mark.slow
 @pytest.mark.timeout(240)
-def test_interrupted_at_twenty_random_moments_nothing_stays_behind(
-    commands: Commands, tmp_path: Path
-) -> None:
+def test_interrupts_at_twenty_random_moments_leave_nothing_behind(commands: Commands, tmp_path: Path) -> None:
     chosen = random.Random(20)
     for number in range(20):
         out = tmp_path / f"runs{number}"
@@ -64,7 +62,7 @@ def _process_of(commands: Commands, words: str) -> int:
         pytest.param("sim.cli kuka", signal.SIGSTOP, marks=pytest.mark.slow),
     ],
 )
-def test_a_device_that_dies_in_the_middle_is_told_and_everything_ends(
+def test_a_device_that_dies_during_a_motion_is_reported_and_everything_ends(
     commands: Commands, tmp_path: Path, words: str, number: signal.Signals
 ) -> None:
     out = tmp_path / "runs"

@@ -45,7 +45,7 @@ ROWS = [
 
 
 @pytest.mark.parametrize(("cycle_ms", "parameters"), ROWS)
-def test_the_arm_arrives_by_joints_and_by_lines(cycle_ms: int, parameters: tuple[str, ...]) -> None:
+def test_the_arm_arrives_by_joint_and_by_linear_moves(cycle_ms: int, parameters: tuple[str, ...]) -> None:
     world = World.create(named_scene("mini", seed=5), paced=False)
     rsi, free = own_udp_endpoint(), "tcp://127.0.0.1:0"
     arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]

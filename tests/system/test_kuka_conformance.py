@@ -1,4 +1,4 @@
-"""The robot suite on the controller's stand-in: everything passes, and it is safe by default elsewhere."""
+"""The robot suite on the simulated controller: everything passes, and it is safe by default elsewhere."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _outcomes(report: dict[str, object]) -> dict[str, str]:
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
+def test_the_arm_passes_the_whole_suite_on_the_simulated_controller(tmp_path: Path) -> None:
     code, report = _run("--sim", "--report", str(tmp_path / "report.json"))
     assert set(_outcomes(report).values()) == {"PASS"}
     assert code == 0
@@ -42,7 +42,7 @@ def test_the_arm_passes_the_whole_suite_on_its_stand_in(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_at_an_endpoint_nothing_is_moved_unless_asked() -> None:
+def test_at_an_endpoint_nothing_is_moved_without_permission() -> None:
     rsi = own_udp_endpoint()
     free = "tcp://127.0.0.1:0"
     arguments = command("sim.cli", "kuka", "--rsi", rsi, "--eki", free, "--eki-project", free)

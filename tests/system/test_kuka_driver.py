@@ -1,4 +1,4 @@
-"""The arm driver and the robot controller's stand-in, each in processes of their own, over UDP and TCP."""
+"""The arm driver and the simulated robot controller, each in processes of their own, over UDP and TCP."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def _state(arm: KukaRsiArm) -> Lifecycle:
     return arm.state
 
 
-def test_a_whole_session_of_joint_and_straight_moves(make_arm: Callable[[], KukaRsiArm]) -> None:
+def test_a_whole_session_of_joint_and_linear_moves(make_arm: Callable[[], KukaRsiArm]) -> None:
     arm = make_arm()
     identity = arm.connect()
     assert identity.model == "kr6_r900_sixx"
@@ -126,7 +126,7 @@ def test_a_whole_session_of_joint_and_straight_moves(make_arm: Callable[[], Kuka
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 @pytest.mark.hazard(30)
-def test_when_the_program_is_killed_the_arm_stops_and_the_controller_is_left_clean(
+def test_after_the_program_is_killed_the_arm_is_at_rest_and_the_controller_is_left_clean(
     endpoints: dict[str, str], make_arm: Callable[[], KukaRsiArm], how: signal.Signals
 ) -> None:
     with subprocess.Popen(

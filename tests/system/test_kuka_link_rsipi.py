@@ -1,4 +1,4 @@
-"""The driver against a controller that we did not write: the echo server of RSIPI.
+"""The driver against a third-party controller: the echo server of RSIPI.
 
 It writes two decimals and blanks before "/>", sends before anybody answers, and knows no EKI: that comes from
 a small controller of the tests' own, or the link process is driven without the arm above it.
@@ -141,7 +141,7 @@ def echo_server(ethernet_file: Path, folder: Path) -> Iterator[Callable[[], list
             server.kill()
 
 
-def test_the_link_moves_the_arm_of_a_foreign_controller(
+def test_the_link_moves_the_arm_of_a_third_party_controller(
     link: LinkClient, ethernet_file: Path, tmp_path: Path
 ) -> None:
     with echo_server(ethernet_file, tmp_path) as end:
@@ -194,7 +194,7 @@ def foreign_arm(tmp_path: Path) -> Iterator[tuple[KukaRsiArm, Path]]:
     eki.close()
 
 
-def test_the_whole_driver_moves_the_arm_of_a_foreign_controller(
+def test_the_whole_driver_moves_the_arm_of_a_third_party_controller(
     foreign_arm: tuple[KukaRsiArm, Path], tmp_path: Path
 ) -> None:
     arm, ethernet_file = foreign_arm

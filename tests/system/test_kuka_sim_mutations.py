@@ -1,4 +1,4 @@
-"""Mutated telegrams over the sockets: the controller goes on, the arm stands."""
+"""Mutated telegrams over the sockets: the controller keeps running, and the arm does not move."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_two_thousand_mutants_of_foreign_replies_move_nothing(cell: Cell) -> Non
     assert eki.state(Id="8").get("RSI") == "2"
 
 
-def test_mutated_requests_on_both_channels_leave_a_controller_that_answers(cell: Cell) -> None:
+def test_the_controller_still_answers_after_mutated_requests_on_both_channels(cell: Cell) -> None:
     endpoints = cell.child.ready["endpoints"]
     for name, originals in (("eki_project", COMMANDS), ("eki", REQUESTS)):
         host, port = endpoints[name].removeprefix("tcp://").split(":")

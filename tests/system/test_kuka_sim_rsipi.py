@@ -1,4 +1,4 @@
-"""The robot controller driven by RSIPI, a client that we did not write, with the contexts it ships."""
+"""The robot controller driven by RSIPI, a third-party client, with the contexts it ships."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_rsipi_moves_the_arm(config: Path, mode: str) -> None:
     assert seen["moved"]["Y"] != seen["pose"]["Y"]
 
 
-def test_with_replies_lost_and_a_client_that_stalls_an_absolute_correction_still_arrives(
+def test_an_absolute_correction_arrives_despite_lost_replies_and_a_stalling_client(
     config: Path, tmp_path: Path
 ) -> None:
     faults = tmp_path / "faults"

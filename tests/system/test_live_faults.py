@@ -1,4 +1,4 @@
-"""A fault is switched on in a simulator that runs, without touching its protocol link."""
+"""A fault is switched on in a running simulator, without touching its protocol link."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.simulation import TheatreProcess
 from sim.cli import app
 
 
-def test_a_simulator_alone_takes_faults_at_its_control_port() -> None:
+def test_a_standalone_simulator_takes_faults_at_its_control_port() -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
         control = unit.ready["control"]
         config = DeviceConfig(
@@ -41,7 +41,7 @@ def test_a_simulator_alone_takes_faults_at_its_control_port() -> None:
         tracker.close()
 
 
-def test_messages_of_the_pendant_are_heard_from_the_theatre(tmp_path: Path) -> None:
+def test_the_theatre_forwards_messages_of_the_pendant(tmp_path: Path) -> None:
     heard = SimpleQueue[str]()
     theatre = TheatreProcess("--scene", "mini", "--out", str(tmp_path), pendant=heard.put)
     try:
@@ -53,7 +53,7 @@ def test_messages_of_the_pendant_are_heard_from_the_theatre(tmp_path: Path) -> N
         theatre.end()
 
 
-def test_without_a_fault_all_kinds_are_listed() -> None:
+def test_without_a_fault_the_command_lists_all_kinds() -> None:
     listed = in_this_process(app, "fault")
     assert listed.returncode == 0
     assert "tracker occlude marker N" in listed.stdout

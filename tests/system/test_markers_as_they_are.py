@@ -1,4 +1,4 @@
-"""Spheres that are not as they were in the CT: found where they can be, left out only when agreed to.
+"""Spheres that differ from the CT: found where possible, left out only with consent.
 
 Whole cases on the mini scene, by keys of the scene and by a fault.
 """
@@ -55,7 +55,7 @@ FOUND: dict[str, tuple[int, Changes, str]] = {
 
 
 @pytest.mark.parametrize("what", FOUND)
-def test_the_case_is_done_with_the_others_as_the_operator_agrees(
+def test_the_case_completes_without_the_faulty_sphere_as_the_operator_agrees(
     commands: Commands, tmp_path: Path, what: str
 ) -> None:
     markers, changes, topic = FOUND[what]
@@ -72,7 +72,7 @@ def loosened(folder: Path, at_s: int) -> tuple[object, ...]:
     return ("--scene", "mini", "--seed", 3, "--markers", 5, "--faults", faults)
 
 
-def test_a_screw_that_loosened_before_the_tracker_looked_is_found_by_the_fit(
+def test_a_screw_that_loosened_before_the_tracker_measured_is_found_by_the_fit(
     commands: Commands, tmp_path: Path
 ) -> None:
     code, outcome, asked, _ = run(commands, tmp_path, *loosened(tmp_path, at_s=0))
@@ -80,7 +80,9 @@ def test_a_screw_that_loosened_before_the_tracker_looked_is_found_by_the_fit(
     assert asked["moved_sphere:T1"] == "leave it out"
 
 
-def test_a_screw_that_loosens_later_is_a_sphere_in_no_known_place(commands: Commands, tmp_path: Path) -> None:
+def test_a_screw_that_loosens_later_appears_as_a_sphere_in_no_known_place(
+    commands: Commands, tmp_path: Path
+) -> None:
     code, _, asked, said = run(commands, tmp_path, *loosened(tmp_path, at_s=5))
     assert code == PatientUnseen.exit_code
     assert PatientUnseen.code in said
@@ -98,7 +100,7 @@ def test_without_consent_the_case_ends_before_the_arm_moves(commands: Commands, 
     assert "first_motion" not in asked
 
 
-def test_with_three_spheres_a_displaced_one_ends_the_case(commands: Commands, tmp_path: Path) -> None:
+def test_a_displaced_sphere_among_three_ends_the_case(commands: Commands, tmp_path: Path) -> None:
     scene = scene_file(tmp_path, 3, {2: {"displaced_mm": (1.5, -1.0, 0.5)}})
     code, _, asked, said = run(commands, tmp_path, "--scene", scene)
     assert code == EXIT_REFUSED

@@ -1,4 +1,4 @@
-"""The whole case on the mini scene, through real wires."""
+"""The whole case on the mini scene, through real sockets and serial lines."""
 
 import json
 import re
@@ -73,7 +73,7 @@ def test_the_case_ends_at_the_target_within_the_limit(finished: MiniRun) -> None
     assert (outcome["ct"]["missed"], outcome["ct"]["false"]) == (0, 0)
 
 
-def test_the_json_has_exactly_the_keys_of_the_contract(finished: MiniRun) -> None:
+def test_the_json_has_exactly_the_documented_keys(finished: MiniRun) -> None:
     assert list(finished.outcome) == [
         "run", "outcome", "seed", "strategy", "markers", "ct", "registration", "targets",
         "mean_application_error_mm", "max_application_error_mm", "late_cycles", "sim_s", "wall_s", "report",
@@ -84,11 +84,11 @@ def test_the_json_has_exactly_the_keys_of_the_contract(finished: MiniRun) -> Non
     assert list(finished.outcome["ct"]) == ["found", "missed", "false", "rms_error_mm"]
 
 
-def test_the_run_makes_one_folder_and_nothing_else(finished: MiniRun) -> None:
+def test_the_run_creates_one_folder_and_nothing_else(finished: MiniRun) -> None:
     assert [entry.name for entry in finished.out.iterdir()] == [finished.folder.name]
 
 
-def test_nobody_else_may_read_anything_of_the_run(finished: MiniRun) -> None:
+def test_only_the_owner_can_read_the_run(finished: MiniRun) -> None:
     for path in (finished.folder, *finished.folder.rglob("*")):
         assert (path, path.stat().st_mode & 0o077) == (path, 0)
 
@@ -102,7 +102,7 @@ def test_every_result_is_a_record_whose_parents_exist(finished: MiniRun) -> None
         assert record.parents or record.kind in ("ct_import", "set_up")
 
 
-def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: MiniRun) -> None:
+def test_the_journal_is_complete_and_has_an_intent_before_every_result(finished: MiniRun) -> None:
     lines = list(read_journal(finished.folder / JOURNAL_FILE))
     steps = [(line["entry"], line["step"]) for line in lines if line["entry"] in ("intent", "result")]
     assert steps[0::2] == [("intent", step) for _, step in steps[1::2]]
@@ -110,7 +110,7 @@ def test_the_journal_is_whole_and_has_an_intent_before_every_result(finished: Mi
 
 
 @pytest.mark.hazard(36)
-def test_every_motion_that_is_asked_about_is_told_with_how_far_how_fast_and_how_close_to_what(
+def test_every_motion_to_be_confirmed_is_described_with_its_length_speed_and_clearance(
     finished: MiniRun,
 ) -> None:
     lines = [line for line in read_journal(finished.folder / JOURNAL_FILE) if line["entry"] == "confirmation"]
@@ -135,7 +135,7 @@ def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) 
     assert all(note["missing_packets"] == 0 for note in images)
 
 
-def test_the_arms_of_the_studies_believe_the_spheres_where_the_case_recorded_them(finished: MiniRun) -> None:
+def test_the_arms_of_the_studies_place_the_spheres_where_the_case_recorded_them(finished: MiniRun) -> None:
     results = {record.kind: record.payload for record in records_of(finished.folder)}
     scene = read_scene(finished.folder / "theatre" / "scene.json")
     arms = RandomArms.of([(scene.arm, scene.mount.flange_from_tool_true.translation_mm - TOOL_MM)])
@@ -152,7 +152,7 @@ def test_the_arms_of_the_studies_believe_the_spheres_where_the_case_recorded_the
     assert np.abs(recorded_mm - believed_mm[0]).max() < WIRES_APART_MM
 
 
-def test_every_result_computed_again_from_the_readings_is_the_same(finished: MiniRun) -> None:
+def test_replaying_the_readings_reproduces_every_result(finished: MiniRun) -> None:
     before = {path: path.stat().st_mtime_ns for path in finished.folder.rglob("*")}
     done = in_this_process(ronna_procedure, "replay", finished.folder, "--json")
     assert done.returncode == 0, done.stderr
@@ -163,7 +163,7 @@ def test_every_result_computed_again_from_the_readings_is_the_same(finished: Min
 
 
 @pytest.mark.slow
-def test_on_another_kind_of_processor_every_result_is_confirmed(
+def test_replay_confirms_every_result_on_another_kind_of_processor(
     finished: MiniRun, shared_commands: Commands, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(shared_commands.environment, "OPENBLAS_CORETYPE", "Prescott")  # of 2004
@@ -173,7 +173,7 @@ def test_on_another_kind_of_processor_every_result_is_confirmed(
 
 
 @pytest.mark.slow
-def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
+def test_replay_detects_an_edited_reading_in_the_results_computed_from_it(
     finished: MiniRun, tmp_path: Path
 ) -> None:
     copy = tmp_path / finished.folder.name
@@ -195,7 +195,7 @@ def test_a_reading_that_was_edited_afterwards_is_found_in_what_was_made_from_it(
     assert verdicts["global_localization"] == verdicts["path_check"] == "different"
 
 
-def test_a_run_that_was_killed_after_its_last_line_gets_its_report_and_its_seal(
+def test_a_run_killed_after_its_last_line_gets_its_report_and_seal_on_resume(
     finished: MiniRun, tmp_path: Path
 ) -> None:
     copy = tmp_path / finished.folder.name
@@ -207,7 +207,7 @@ def test_a_run_that_was_killed_after_its_last_line_gets_its_report_and_its_seal(
 
 
 @pytest.mark.hazard(31)
-def test_the_report_needs_nothing_but_itself_and_never_calls_a_residual_an_accuracy(
+def test_the_report_is_self_contained_and_marked_as_simulated_and_no_medical_device(
     finished: MiniRun,
 ) -> None:
     report = Path(finished.outcome["report"]).read_text()
@@ -241,7 +241,7 @@ def test_one_signal_while_the_arm_moves_closes_the_run_and_exits_130(interrupted
     assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
 
 
-def test_an_interrupted_run_has_a_report_that_says_so(interrupted: Path) -> None:
+def test_the_report_of_an_interrupted_run_says_so(interrupted: Path) -> None:
     text = (interrupted / "report.html").read_text()
     assert "It was interrupted during positioning:T1." in text
     assert "predicted limit mm" in text
@@ -258,7 +258,7 @@ def test_the_work_of_the_devices_takes_theatre_time(finished: MiniRun) -> None:
     assert at["result", "retreat:T1"] > 10.0  # seconds of theatre time that the arm's work takes
 
 
-def test_the_verifier_tells_the_same_errors_alone(finished: MiniRun) -> None:
+def test_the_verifier_alone_reports_the_same_errors(finished: MiniRun) -> None:
     checked = in_this_process(ronna_sim, "verify", finished.folder, "--json")
     errors = [row["application_error_mm"] for row in json.loads(checked.stdout)["targets"]]
     assert errors == [row["application_error_mm"] for row in finished.outcome["targets"]]

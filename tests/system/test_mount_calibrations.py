@@ -1,4 +1,4 @@
-"""`ronna-procedure calibrate` as a user runs it: from the how-to pages, on stored looks, with bad input."""
+"""`ronna-procedure calibrate` as a user runs it: from the how-to pages, on stored data, with bad input."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def looks(tmp_path: Path) -> Path:
     return folder
 
 
-def test_stored_looks_are_computed_again_into_a_record_for_the_theatre_file(
-    looks: Path, tmp_path: Path
-) -> None:
+def test_stored_looks_are_recomputed_into_a_record_for_the_theatre_file(looks: Path, tmp_path: Path) -> None:
     run = ("calibrate", "tracker-frame", "--from", looks, "--out", tmp_path / "out")
     done = in_this_process(app, *run, "--json")
     assert done.returncode == 0, done.stderr
@@ -47,7 +45,7 @@ def test_stored_looks_are_computed_again_into_a_record_for_the_theatre_file(
     assert "contribution of the arm, mm" in shown.stdout
 
 
-def test_stored_looks_can_be_written_into_the_theatre_file_at_once(looks: Path, tmp_path: Path) -> None:
+def test_stored_looks_can_be_written_directly_into_the_theatre_file(looks: Path, tmp_path: Path) -> None:
     theatre, written = tmp_path / "theatre.toml", tmp_path / "calibrated.toml"
     write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
     run = ("calibrate", "tracker-frame", "--from", looks, "--config", theatre, "--write", written)
@@ -57,7 +55,7 @@ def test_stored_looks_can_be_written_into_the_theatre_file_at_once(looks: Path, 
     assert frame["identifier"] == json.loads(done.stdout)["calibration"]
 
 
-def test_a_record_in_metres_is_refused_by_the_number(looks: Path, tmp_path: Path) -> None:
+def test_a_record_in_metres_is_recognized_by_its_magnitude_and_refused(looks: Path, tmp_path: Path) -> None:
     stored = json.loads((looks / LOOKS_FILE).read_text())
     stored["start"]["tool_from_marker"]["translation_mm"] = [-0.15, 0.0, -0.14]
     (looks / LOOKS_FILE).write_text(json.dumps(stored))
@@ -68,7 +66,7 @@ def test_a_record_in_metres_is_refused_by_the_number(looks: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize("arguments", [(), ("--sim", "--from", "x"), ("--sim", "--write", "x.toml")])
-def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...]) -> None:
+def test_incompatible_options_are_refused(arguments: tuple[str, ...]) -> None:
     assert in_this_process(app, "calibrate", "tracker-frame", *arguments).returncode == 2
 
 
@@ -82,7 +80,7 @@ def readings(tmp_path: Path) -> Path:
     return folder
 
 
-def test_stored_readings_are_computed_again_into_a_record_of_the_tip(readings: Path, tmp_path: Path) -> None:
+def test_stored_readings_are_recomputed_into_a_tip_record(readings: Path, tmp_path: Path) -> None:
     run = ("calibrate", "tool-tip", "--from", readings, "--out", tmp_path / "out")
     done = in_this_process(app, *run, "--json")
     assert done.returncode == 0, done.stderr
@@ -93,9 +91,7 @@ def test_stored_readings_are_computed_again_into_a_record_of_the_tip(readings: P
     assert "offset of the divot from the ball by pivoting, mm" in in_this_process(app, *run).stdout
 
 
-def test_readings_that_were_lost_are_told_with_the_number_that_is_needed(
-    readings: Path, tmp_path: Path
-) -> None:
+def test_too_few_readings_are_refused_with_the_required_number(readings: Path, tmp_path: Path) -> None:
     stored = json.loads((readings / tip_looks.LOOKS_FILE).read_text())
     stored["readings"] = stored["readings"][:4]
     (readings / tip_looks.LOOKS_FILE).write_text(json.dumps(stored))
@@ -103,7 +99,7 @@ def test_readings_that_were_lost_are_told_with_the_number_that_is_needed(
     assert f"at least {LEAST_READINGS}" in " ".join(one_error(done.stderr))
 
 
-def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path) -> None:
+def test_first_day_records_are_accepted_with_a_simulated_theatre_only(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre.toml"
     write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
     for more in (("--first-day",), ("--calibration", tmp_path)):
@@ -114,7 +110,7 @@ def test_records_of_a_first_day_go_with_a_simulated_theatre_only(tmp_path: Path)
 
 @pytest.mark.parametrize("text", [None, "calibration = 3", "[calibration.tip]\nx = 1"])
 @pytest.mark.parametrize("command", [("run",), ("calibrate", "tool-tip")])
-def test_a_folder_without_records_is_refused_before_anything_is_started(
+def test_a_file_without_calibration_records_is_refused_before_anything_starts(
     command: tuple[str, ...], text: str | None, tmp_path: Path
 ) -> None:
     records = tmp_path / "calibration.toml"
@@ -127,7 +123,9 @@ def test_a_folder_without_records_is_refused_before_anything_is_started(
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_a_first_day_is_refused_calibrated_and_runs_through(commands: Commands, tmp_path: Path) -> None:
+def test_a_first_day_case_is_refused_then_calibrated_and_completes(
+    commands: Commands, tmp_path: Path
+) -> None:
     refused, frame, tip, case = commands_of("docs/how-to/calibrate-tool-tip.md")[-4:]
     told = run_all([refused], commands, tmp_path)[0].stderr
     assert (

@@ -1,4 +1,4 @@
-"""A lab's own theatre file, from devices on a line, a network and a controller's port: the simulated ones."""
+"""A lab's own theatre file, from simulated devices on a serial line, a network and a controller's port."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def addresses(cell: dict[str, Any]) -> list[str]:
     ]
 
 
-def test_devices_are_found_written_down_and_judged(cell: dict[str, Any], tmp_path: Path) -> None:
+def test_devices_are_found_written_to_the_file_and_assessed(cell: dict[str, Any], tmp_path: Path) -> None:
     lab = tmp_path / "lab.toml"
     given = (*addresses(cell), "--clock", cell["endpoints"]["clock"], "--records", cell["file"])
     done = in_this_process(app, "new-theatre", "--hardware", *given, "--out", lab, "--json")
@@ -70,7 +70,7 @@ def test_devices_are_found_written_down_and_judged(cell: dict[str, Any], tmp_pat
     assert "tracker_frame" in " ".join(verdicts["case"]["because"])
 
 
-def test_a_controller_that_is_taken_is_written_down_with_the_reason(
+def test_a_controller_in_use_is_written_to_the_file_with_the_reason(
     cell: dict[str, Any], tmp_path: Path
 ) -> None:
     from ronna_hw.host.control_port import ask_control_port
@@ -85,7 +85,7 @@ def test_a_controller_that_is_taken_is_written_down_with_the_reason(
     assert "It could not be identified: EKI-002" in lab.read_text()
 
 
-def test_where_no_controller_answers_none_is_found(
+def test_no_controller_is_found_where_none_answers(
     cell: dict[str, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(controller_discovery, "CONNECT_LIMIT_S", 0.3)
@@ -117,7 +117,7 @@ NAMESPACE = ("unshare", "--user", "--map-root-user", "--net")
 
 
 @pytest.mark.slow
-def test_a_controller_is_found_in_the_network_that_was_named_and_no_other_is_asked(tmp_path: Path) -> None:
+def test_a_controller_is_found_in_the_named_network_and_no_other_host_is_contacted(tmp_path: Path) -> None:
     if not shutil.which("ip") or subprocess.run((*NAMESPACE, "true"), check=False).returncode != 0:
         pytest.skip("this computer allows no network namespace, or has no `ip`")
     lab = tmp_path / "lab.toml"

@@ -1,4 +1,4 @@
-"""A whole case as a user of the computer who may do nothing in particular and has no home."""
+"""A whole case as a computer user without special rights and without a home folder."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def nobodys(commands: Commands, monkeypatch: pytest.MonkeyPatch) -> Commands:
 
 
 @pytest.mark.slow
-def test_an_ordinary_user_runs_a_whole_case_and_keeps_it_to_himself(nobodys: Commands) -> None:
+def test_an_unprivileged_user_runs_a_whole_case_and_keeps_it_private(nobodys: Commands) -> None:
     with tempfile.TemporaryDirectory() as open_folder:  # pytest's own is root's alone
         Path(open_folder).chmod(0o777)
         out = Path(open_folder) / "runs"

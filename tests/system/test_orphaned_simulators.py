@@ -32,7 +32,7 @@ def _runs(pid: int) -> bool:
 
 @pytest.mark.parametrize("lifetime_s", [0.0, 0.1])
 @pytest.mark.parametrize("device", ["polaris", "theatre"])
-def test_a_simulator_ends_and_says_why_when_its_parent_dies_while_it_starts(
+def test_a_simulator_ends_and_gives_the_reason_when_its_parent_dies_during_start_up(
     device: str, lifetime_s: float, tmp_path: Path
 ) -> None:
     arguments = {

@@ -1,4 +1,4 @@
-"""The methods of the how-to page work, and what cannot be used leaves nothing behind."""
+"""The methods of the how-to page work, and an unusable method leaves nothing behind."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_the_pairing_of_the_page_stands_beside_ours_with_its_bounds(
+def test_the_pairing_of_the_page_is_compared_with_ours_with_its_bounds(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(folder)
@@ -35,7 +35,7 @@ def test_the_pairing_of_the_page_stands_beside_ours_with_its_bounds(
     assert {row["false, 95 %"] for row in mine if row["false %"] == 0.0} == {"at most 18"}
 
 
-def test_a_method_that_cannot_be_used_leaves_no_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unusable_method_leaves_no_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     before = sorted(folder.iterdir())
     for command in ("correspondence", "registration", "localization"):

@@ -1,4 +1,4 @@
-"""`ronna-sim phantom` as a user runs it, and its case in the hands of the other commands."""
+"""`ronna-sim phantom` as a user runs it, and its case used by the other commands."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_every_sphere_is_found_where_it_is_and_nothing_else(case: Path) -> None:
+def test_every_sphere_is_found_at_its_true_position(case: Path) -> None:
     done = in_this_process(ronna_ct, "localize", case / "ct", "--expected", 5, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     document, truth = json.loads(done.stdout), json.loads((case / "truth.json").read_text())
@@ -59,7 +59,7 @@ def test_the_plan_is_accepted_for_its_series(case: Path) -> None:
         (("--scene", "mini", "--out", "{tmp}"), "SIM-011", 2),
     ],
 )
-def test_mistakes_are_one_message_with_a_code(
+def test_mistakes_give_one_message_with_a_code(
     tmp_path: Path, arguments: tuple[str, ...], code: str, exit_code: int
 ) -> None:
     (tmp_path / "file").write_text("in the way")
@@ -69,6 +69,6 @@ def test_mistakes_are_one_message_with_a_code(
     assert done.returncode == exit_code
 
 
-def test_it_ends_with_its_parent_when_told_to(tmp_path: Path) -> None:
+def test_the_command_ends_with_its_parent_when_asked_to(tmp_path: Path) -> None:
     line = command("sim.cli", "phantom", "--with-parent", "--out", str(tmp_path))
     assert ends_with_its_parent(line, begun=lambda: any((tmp_path / "ct").glob("*.dcm")))

@@ -1,4 +1,4 @@
-"""`ronna-plan place` on a simulated case: a place is proposed, drawn, and stands the path check."""
+"""`ronna-plan place` on a simulated case: a position is proposed, drawn, and passes the path check."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _run_beside(commands: Commands, place: Path, push_mm: tuple[float, float], o
 @pytest.mark.slow
 @pytest.mark.hazard(49)
 @pytest.mark.timeout(170)
-def test_the_proposed_place_is_drawn_and_stands_the_path_check(commands: Commands, tmp_path: Path) -> None:
+def test_the_proposed_position_is_drawn_and_passes_the_path_check(commands: Commands, tmp_path: Path) -> None:
     words = ("run", "--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path), "--json")
     run = tmp_path / json.loads(commands.run("ronna-procedure", *words).stdout)["run"]
     scene = json.loads((run / "theatre/scene.json").read_text())

@@ -97,7 +97,7 @@ def test_a_good_plan_is_accepted_with_a_table(case):
     assert "Secret" not in done.stdout + done.stderr
 
 
-def test_json_is_one_object_on_standard_output(case):
+def test_json_output_is_one_object_on_standard_output(case):
     done = ronna_plan("check", case[0], "--ct", case[1], "--json")
     assert done.returncode == 0, done.stderr
     document = json.loads(done.stdout)
@@ -126,7 +126,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_wrong_plan_is_refused_in_one_line_with_all_that_is_wrong(case, name):
+def test_a_wrong_plan_is_refused_in_one_line_with_all_its_errors(case, name):
     text, exit_code, said = WRONG[name]
     case[0].write_text(text)
     done = ronna_plan("check", case[0], "--ct", case[1])
@@ -137,7 +137,7 @@ def test_a_wrong_plan_is_refused_in_one_line_with_all_that_is_wrong(case, name):
 
 
 @pytest.mark.hazard(9)
-def test_a_plan_for_another_series_names_both(case):
+def test_a_plan_for_another_series_names_both_series(case):
     case[0].write_text(PLAN.replace(SERIES, "1.2.3.4"))
     done = ronna_plan("check", case[0], "--ct", case[1], "--json")
     assert done.returncode == 1
@@ -159,7 +159,7 @@ TEMPLATE = "template_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0], 
         (TEMPLATE.replace("95.0", "nan"), "template_mm"),
     ],
 )
-def test_a_plan_whose_template_is_none_is_refused(case, text, said):
+def test_a_plan_with_an_invalid_template_is_refused(case, text, said):
     case[0].write_text(PLAN.replace('tool = "guide"', f'tool = "guide"\n{text}'))
     done = ronna_plan("check", case[0], "--ct", case[1])
     assert done.returncode == 1
@@ -189,7 +189,7 @@ SCENE = "[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\nsemi_axes_mm = [75.0, 95.0, 90.
         (("--scene", "scene.toml", "--out", "scene.toml"), 2, ("CLI-001", "was not changed")),
     ],
 )
-def test_a_template_that_cannot_be_made_is_one_line(tmp_path, monkeypatch, arguments, exit_code, said):
+def test_an_impossible_template_gives_one_line(tmp_path, monkeypatch, arguments, exit_code, said):
     monkeypatch.chdir(tmp_path)
     Path("scene.toml").write_text(SCENE)
     done = ronna_plan("template", "--out", "t.toml", *arguments)
@@ -200,14 +200,14 @@ def test_a_template_that_cannot_be_made_is_one_line(tmp_path, monkeypatch, argum
     assert not Path("t.toml").exists()
 
 
-def test_a_missing_plan_or_series_is_one_line(case):
+def test_a_missing_plan_or_series_gives_one_line(case):
     done = ronna_plan("check", case[0].with_name("absent.toml"), "--ct", case[1])
     assert (done.returncode, one_line(done)[:8]) == (2, "PLAN-001")
     done = ronna_plan("check", case[0], "--ct", case[1] / "absent")
     assert (done.returncode, one_line(done)[:6]) == (1, "CT-001")
 
 
-def test_a_plan_with_another_number_of_fiducials_than_the_ct_is_refused_as_by_the_run(case, monkeypatch):
+def test_a_plan_with_a_different_number_of_fiducials_than_the_ct_is_refused(case, monkeypatch):
     three = [SimpleNamespace(centre_mm=np.array(one)) for one in ([0.0, 0, 0], [40, 0, 0], [0, 30, 10])]
     monkeypatch.setattr(
         "procedures.imaging.localize", lambda volume, progress: SimpleNamespace(markers=three)
@@ -216,7 +216,7 @@ def test_a_plan_with_another_number_of_fiducials_than_the_ct_is_refused_as_by_th
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-008")
 
 
-def test_markers_that_cannot_be_localized_are_the_localizers_error(case):
+def test_markers_that_cannot_be_localized_give_the_error_of_the_localizer(case):
     done = ronna_plan("check", case[0], "--ct", case[1], "--markers")
     assert done.returncode != 0
     assert one_line(done).startswith("CT-")
@@ -235,7 +235,7 @@ def test_the_motions_of_the_arm_are_shown_before_anything_moves(case, theatre):
     ]
 
 
-def test_every_motion_has_its_preview_in_json(case, theatre):
+def test_the_json_contains_a_preview_of_every_motion(case, theatre):
     done = ronna_plan(
         "check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *NEAR, "--json"
     )
@@ -265,7 +265,7 @@ def test_a_target_out_of_reach_is_refused_with_code_reason_and_action(case, thea
 
 
 @pytest.mark.hazard(24)
-def test_a_body_of_the_cell_in_the_way_is_refused_by_name(case, theatre):
+def test_a_body_of_the_cell_in_the_way_is_named_and_the_plan_refused(case, theatre):
     lamp = '\n[[cell.bodies]]\nname = "lamp"\nframe = "robot"\nradius_mm = 900.0\n'
     ends = "start_mm = [800.0, 0.0, 900.0]\nend_mm = [800.0, 0.0, 900.0]\n"
     theatre.write_text(theatre.read_text() + lamp + ends)
@@ -280,7 +280,7 @@ def test_a_body_of_the_cell_in_the_way_is_refused_by_name(case, theatre):
     assert json.loads(done.stdout)["motions"] == []
 
 
-def test_a_head_beside_the_arm_at_home_is_warned_about(case, theatre):
+def test_a_head_close_to_the_arm_at_home_gives_a_warning(case, theatre):
     beside = ("640", "0", "250", "-90", "0", "-90")
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *beside)
     assert "warning: the upper arm is -45.0 mm from the torso at home already" in done.stderr
@@ -295,14 +295,14 @@ def test_a_home_outside_the_joint_ranges_is_refused(case, theatre):
     assert one_line(done).startswith("ARM-003: A1 would leave its range")
 
 
-def test_the_motions_need_both_options(case, theatre):
+def test_previewing_the_motions_requires_both_options(case, theatre):
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre)
     assert done.returncode == 2
     assert "--robot-from-ct" in one_line(done)
 
 
 @pytest.mark.parametrize("value", ["nan", "inf"])
-def test_a_place_of_the_head_that_is_no_number_is_a_usage_error(case, theatre, value):
+def test_a_non_finite_head_position_is_a_usage_error(case, theatre, value):
     place = (value, "0", "250", "-90", "0", "-90")
     done = ronna_plan("check", case[0], "--ct", case[1], "--config", theatre, "--robot-from-ct", *place)
     assert done.returncode == 2
@@ -310,7 +310,7 @@ def test_a_place_of_the_head_that_is_no_number_is_a_usage_error(case, theatre, v
     assert "finite" in done.stderr
 
 
-def test_a_structure_beside_a_trajectory_is_told_or_refuses_the_plan(case):
+def test_a_structure_near_a_trajectory_is_listed_or_refuses_the_plan(case):
     vessel = '\n[[structures]]\nname = "vessel"\nmargin_mm = {}\npoints_mm = [[9.0, -20.0, 20.0]]\n'
     case[0].write_text(PLAN + vessel.format(3.0))
     done = ronna_plan("check", case[0], "--ct", case[1])
@@ -321,7 +321,7 @@ def test_a_structure_beside_a_trajectory_is_told_or_refuses_the_plan(case):
     assert (done.returncode, one_line(done)[:8]) == (1, "PLAN-027")
 
 
-def test_a_planner_whose_port_is_taken_says_so_and_leaves_the_plan(case):
+def test_a_planner_whose_port_is_in_use_reports_it_and_leaves_the_plan_unchanged(case):
     before = case[0].read_bytes()
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])

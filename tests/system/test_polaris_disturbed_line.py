@@ -125,7 +125,7 @@ def recover(device: PolarisTracker, line: MutatingLine, place_mm: tuple[float, f
 
 
 @pytest.mark.hazard(4)
-def test_a_connection_that_breaks_in_the_middle_of_a_reply_is_lost_and_comes_back() -> None:
+def test_a_connection_that_breaks_in_the_middle_of_a_reply_is_lost_and_can_be_recovered() -> None:
     arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0")
     with ChildProcess("ronna-sim polaris", arguments) as unit, MutatingLine(unit, 0) as line:
         device = tracker_at(line.endpoint)
@@ -142,12 +142,12 @@ def test_a_connection_that_breaks_in_the_middle_of_a_reply_is_lost_and_comes_bac
 
 
 @pytest.mark.hazard(16)
-def test_disturbed_replies_over_tcp_are_not_believed_and_two_commands_recover() -> None:
+def test_disturbed_replies_over_tcp_are_not_accepted_and_two_commands_recover() -> None:
     run(replies=12, seed=1)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("seed", [2, 3, 4, 5])
-def test_two_thousand_disturbed_replies_over_tcp(seed: int) -> None:
+def test_two_thousand_disturbed_replies_over_tcp_are_not_accepted(seed: int) -> None:
     run(replies=500, seed=seed)

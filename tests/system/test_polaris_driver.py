@@ -102,7 +102,7 @@ def test_a_session_from_connect_to_close(unit: ChildProcess) -> None:
 
 
 @pytest.mark.parametrize("reply", ["BX", "TX"])
-def test_two_tools_and_strays_are_read_by_either_reply(
+def test_two_tools_and_strays_are_read_with_either_reply(
     unit: ChildProcess, tmp_path: Path, reply: str
 ) -> None:
     (tmp_path / "pointer.rom").write_bytes(encode_definition(POINTER))
@@ -131,7 +131,7 @@ def test_the_frame_number_rises_at_sixty_per_second(unit: ChildProcess) -> None:
     device.close()
 
 
-def test_a_client_that_vanished_leaves_a_unit_that_is_found_again(unit: ChildProcess) -> None:
+def test_a_unit_whose_client_vanished_can_be_used_again(unit: ChildProcess) -> None:
     first = tracking(unit)
     first.read_frame()
     assert first._open_link is not None
@@ -141,7 +141,7 @@ def test_a_client_that_vanished_leaves_a_unit_that_is_found_again(unit: ChildPro
     second.close()
 
 
-def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(mortal_unit: ChildProcess) -> None:
+def test_a_unit_that_dies_is_detected_and_closing_is_bounded(mortal_unit: ChildProcess) -> None:
     device = tracking(mortal_unit)
     device.read_frame()
     mortal_unit.process.kill()
@@ -157,7 +157,7 @@ def test_a_unit_that_dies_is_noticed_and_closing_is_bounded(mortal_unit: ChildPr
 
 
 @pytest.mark.hazard(4)
-def test_closing_is_bounded_while_the_unit_is_there_but_answers_nothing(unit: ChildProcess) -> None:
+def test_closing_is_bounded_while_the_unit_does_not_answer(unit: ChildProcess) -> None:
     device = tracking(unit)
     device.read_frame()
     unit.process.send_signal(signal.SIGSTOP)
@@ -170,7 +170,7 @@ def test_closing_is_bounded_while_the_unit_is_there_but_answers_nothing(unit: Ch
         unit.process.send_signal(signal.SIGCONT)
 
 
-def test_a_definition_the_unit_cannot_use_is_refused_by_its_code(unit: ChildProcess, tmp_path: Path) -> None:
+def test_an_unusable_tool_definition_is_refused_with_its_code(unit: ChildProcess, tmp_path: Path) -> None:
     (tmp_path / "odd.rom").write_bytes(
         encode_definition(dataclasses.replace(POINTER, normals=((0.0, 0.0, 0.0),) * 4))
     )
@@ -183,7 +183,7 @@ def test_a_definition_the_unit_cannot_use_is_refused_by_its_code(unit: ChildProc
     device.close()
 
 
-def test_without_tools_the_strays_are_still_seen(unit: ChildProcess) -> None:
+def test_strays_are_still_seen_without_tools(unit: ChildProcess) -> None:
     device = tracking(unit, tools=[])
     frame = device.read_frame()
     assert frame.tools == ()

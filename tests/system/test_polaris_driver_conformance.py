@@ -57,7 +57,7 @@ def whole_suite(commands: Any, *unit: str, timeout_s: float = 150.0) -> dict[str
 @pytest.mark.slow
 @pytest.mark.timeout(180)
 @pytest.mark.parametrize("profile", ["spectra", "vicra"])
-def test_every_case_is_passed_on_a_serial_line(commands: Any, profile: str) -> None:
+def test_every_case_passes_on_a_serial_line(commands: Any, profile: str) -> None:
     report = whole_suite(commands, "--profile", profile)
     assert cases(report, "SKIP") == set()
     assert profile in report["identity"]["model"].lower()
@@ -65,7 +65,7 @@ def test_every_case_is_passed_on_a_serial_line(commands: Any, profile: str) -> N
 
 @pytest.mark.slow
 @pytest.mark.timeout(180)
-def test_every_case_is_passed_over_tcp_but_those_about_a_serial_line(commands: Any) -> None:
+def test_every_case_passes_over_tcp_except_those_about_a_serial_line(commands: Any) -> None:
     report = whole_suite(commands, "--endpoint", "tcp://127.0.0.1:0")
     assert cases(report, "SKIP") == {"P01", "P08", "D40b"}
     assert all(case["reason"] for case in report["cases"] if case["outcome"] == "SKIP")
@@ -73,11 +73,11 @@ def test_every_case_is_passed_over_tcp_but_those_about_a_serial_line(commands: A
 
 @pytest.mark.soak
 @pytest.mark.timeout(900)
-def test_every_case_is_passed_at_the_pace_of_a_real_line(commands: Any) -> None:
+def test_every_case_passes_at_the_pace_of_a_real_line(commands: Any) -> None:
     assert cases(whole_suite(commands, "--throttle", timeout_s=800.0), "SKIP") == set()
 
 
-def test_without_permission_nothing_is_reset(commands: Any) -> None:
+def test_cases_that_reset_the_unit_are_skipped_without_permission(commands: Any) -> None:
     with ChildProcess("ronna-sim polaris", command("sim.cli", "polaris")) as unit:
         run = commands.run(
             "ronna-conformance", "tracker", "--endpoint", unit.ready["endpoint"], "--only", "P0", "--json"
@@ -100,7 +100,7 @@ def test_an_interrupted_run_ends_its_simulator(commands: Any, number: int) -> No
     assert "Traceback" not in messages
 
 
-def test_help_answers_at_once(commands: Any) -> None:
+def test_help_takes_little_processor_time(commands: Any) -> None:
     best_s = min(processor_time_s(commands) for _ in range(3))
     assert best_s < 0.4
 

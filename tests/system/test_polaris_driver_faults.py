@@ -1,4 +1,4 @@
-"""Every fault of the unit itself, through the wire: what the driver says, its state, and the way back."""
+"""Every fault of the unit itself, over the wire: what the driver reports, its state, and how it recovers."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def sees(frame: TrackerFrame) -> bool:
         ("watchdog", errors.UnitRestarted),
     ],
 )
-def test_a_fault_of_the_unit_latches_and_recover_leads_back_to_tracking(
+def test_a_unit_fault_latches_and_recover_leads_back_to_tracking(
     world: World, tracker: PolarisTracker, fault: str, kind: type[RonnaError]
 ) -> None:
     assert sees(tracker.read_frame())
@@ -114,7 +114,7 @@ def test_a_fault_of_the_unit_latches_and_recover_leads_back_to_tracking(
         (f"interference tool {TOOL}", Validity.PARTIAL),
     ],
 )
-def test_a_fault_of_the_sight_is_a_validity_and_passes_by_itself(
+def test_a_visibility_fault_becomes_a_validity_and_clears_by_itself(
     world: World, tracker: PolarisTracker, fault: str, validity: Validity
 ) -> None:
     happen(world, f"{fault} for {LASTS_S} s")
@@ -131,7 +131,7 @@ def test_a_unit_that_measures_nothing_new_is_stale(world: World, tracker: Polari
     assert Validity.STALE in {tracker.read_frame().validity for _ in range(5)}
 
 
-def test_frames_that_the_unit_leaves_out_are_counted(world: World, tracker: PolarisTracker) -> None:
+def test_frames_skipped_by_the_unit_are_counted(world: World, tracker: PolarisTracker) -> None:
     tracker.read_frame()
     happen(world, f"skip 3 frames for {LASTS_S} s")
     for _ in range(5):
@@ -141,7 +141,7 @@ def test_frames_that_the_unit_leaves_out_are_counted(world: World, tracker: Pola
 
 @on_both_lines
 @pytest.mark.hazard(4)
-def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, tracker: PolarisTracker) -> None:
+def test_a_unit_that_lost_power_is_found_again_when_it_is_back(world: World, tracker: PolarisTracker) -> None:
     tracker.read_frame()
     happen(world, f"power off for {LASTS_S} s")
     trouble = [first_trouble(tracker)]
@@ -154,7 +154,7 @@ def test_a_unit_without_power_is_found_again_when_it_is_back(world: World, track
     assert sees(tracker.read_frame())
 
 
-def test_a_unit_held_up_by_its_computer_measures_what_it_would_have_measured(world: World) -> None:
+def test_a_stalled_unit_measures_the_same_as_one_that_never_stalled(world: World) -> None:
     world.set_fault_script("")
 
     def measurements(held_up: int | None) -> list[tuple[object, ...]]:

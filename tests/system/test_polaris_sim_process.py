@@ -1,4 +1,4 @@
-"""The tracker simulator as a process: READY, hosts that come and go, and a timely end."""
+"""The tracker simulator as a process: READY, hosts that connect and leave, and a timely end."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def start() -> Iterator[Callable[..., ChildProcess]]:
 
 
 @pytest.mark.parametrize("endpoint", ENDPOINTS)
-def test_a_host_may_leave_and_the_next_finds_the_unit_as_it_was(
+def test_the_next_host_finds_the_unit_as_the_previous_one_left_it(
     start: Callable[..., ChildProcess], endpoint: str
 ) -> None:
     ready = start("--endpoint", endpoint).ready
@@ -108,7 +108,7 @@ def test_a_host_may_leave_and_the_next_finds_the_unit_as_it_was(
 
 
 @pytest.mark.parametrize("endpoint", ENDPOINTS)
-def test_sigterm_ends_it_in_time_with_a_host_connected(
+def test_sigterm_ends_the_simulator_in_time_with_a_host_connected(
     start: Callable[..., ChildProcess], endpoint: str
 ) -> None:
     child = start("--endpoint", endpoint)
@@ -119,7 +119,7 @@ def test_sigterm_ends_it_in_time_with_a_host_connected(
     host.close()
 
 
-def test_it_does_not_outlive_its_parent() -> None:
+def test_the_simulator_does_not_outlive_its_parent() -> None:
     assert ends_with_its_parent(command("sim.cli", "polaris"))
 
 
@@ -132,14 +132,16 @@ def test_it_does_not_outlive_its_parent() -> None:
         (("--set", "weak_dog=reset"), "PSU-001"),
     ],
 )
-def test_a_wrong_option_is_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
+def test_a_wrong_option_gives_one_message_with_its_code(arguments: tuple[str, ...], code: str) -> None:
     done = in_this_process(app, "polaris", *arguments)
     assert done.returncode in (2, 4)
     assert done.stderr.startswith(code)
     assert len(done.stderr.strip().splitlines()) == 1
 
 
-def test_a_unit_of_the_other_kind_with_another_habit(start: Callable[..., ChildProcess]) -> None:
+def test_profile_and_behaviour_options_change_what_the_unit_reports(
+    start: Callable[..., ChildProcess],
+) -> None:
     ready = start("--profile", "vicra", "--set", "freeze_tag_with_minor=false").ready
     assert set(ready) == {"device", "endpoint", "control"}
     host = Host(ready["endpoint"])
@@ -158,7 +160,9 @@ def test_wired_tools_are_plugged_in_at_the_start(start: Callable[..., ChildProce
     host.close()
 
 
-def test_a_stranger_who_loses_patience_gets_through_by_a_break(start: Callable[..., ChildProcess]) -> None:
+def test_an_impatient_third_party_client_gets_through_with_a_serial_break(
+    start: Callable[..., ChildProcess],
+) -> None:
     ndicapy = pytest.importorskip("ndicapy")
     ready = start().ready
     # It gives INIT 0.2 s, then sends a break and waits for RESET.

@@ -1,4 +1,4 @@
-"""The tracker simulator driven by clients that we did not write, each in its own process."""
+"""The tracker simulator driven by third-party clients, each in its own process."""
 
 from __future__ import annotations
 
@@ -149,7 +149,7 @@ def test_ndicapi_finds_the_unit_by_probing_the_line(unit: dict[str, Any]) -> Non
     ],
     indirect=["waiting_unit"],
 )
-def test_tools_and_strays_stand_where_they_are_by_text_and_by_bytes(
+def test_tools_and_strays_are_at_their_true_positions_in_text_and_binary_replies(
     waiting_unit: str, roms: list[Path], count: int
 ) -> None:
     with begun(waiting_unit) as host:
@@ -178,7 +178,7 @@ def test_tools_and_strays_stand_where_they_are_by_text_and_by_bytes(
                 assert np.linalg.norm(strays - truth, axis=-1).min(axis=1).max() < 2.0 * BIAS_LIMIT_MM
 
 
-def test_frames_count_sixty_per_second_whatever_the_illuminators_do(
+def test_frames_count_at_sixty_per_second_at_any_illuminator_rate(
     unit: dict[str, Any], roms: list[Path]
 ) -> None:
     with begun(unit["endpoint"]) as host:
@@ -196,7 +196,7 @@ def test_frames_count_sixty_per_second_whatever_the_illuminators_do(
             assert 30 - step <= numbers[-1] <= most
 
 
-def test_what_is_hidden_while_it_is_tracked_is_missing_and_comes_back(
+def test_a_tool_hidden_during_tracking_is_missing_and_comes_back(
     unit: dict[str, Any], roms: list[Path]
 ) -> None:
     with begun(unit["endpoint"]) as host:
@@ -219,7 +219,7 @@ def test_what_is_hidden_while_it_is_tracked_is_missing_and_comes_back(
                 assert frame["status"] == [0x31, 0x31], missing
 
 
-def test_a_tool_that_leaves_the_volume_is_told_as_the_client_wants_it(
+def test_a_tool_outside_the_volume_is_reported_as_the_client_requested(
     unit: dict[str, Any], roms: list[Path]
 ) -> None:
     out, found = PortStatus.OUT_OF_VOLUME.value, 0x31
@@ -235,9 +235,7 @@ def test_a_tool_that_leaves_the_volume_is_told_as_the_client_wants_it(
             assert frame["status"] == [found | out, found]
 
 
-def test_a_knocked_unit_gives_no_poses_until_its_alert_is_read(
-    unit: dict[str, Any], roms: list[Path]
-) -> None:
+def test_a_bumped_unit_gives_no_poses_until_its_alert_is_read(unit: dict[str, Any], roms: list[Path]) -> None:
     with begun(unit["endpoint"]) as host:
         handles = host.load(roms[0])
         assert host.command("TSTART:80") == "OKAY"
@@ -253,7 +251,7 @@ def test_a_knocked_unit_gives_no_poses_until_its_alert_is_read(
         assert host.command("SET:Param.Bump Detector.Clear=1") == "OKAY"
 
 
-def test_noise_on_the_line_and_a_restart_reach_the_client_as_what_they_are(
+def test_line_noise_reaches_the_client_as_errors_and_tracking_continues(
     fresh_unit: dict[str, Any], roms: list[Path]
 ) -> None:
     with begun(fresh_unit["endpoint"]) as host:
@@ -273,7 +271,9 @@ def test_noise_on_the_line_and_a_restart_reach_the_client_as_what_they_are(
 
 
 @pytest.mark.parametrize("waiting_unit", [TCP], ids=["tcp"], indirect=True)
-def test_a_marker_at_rest_is_seen_worse_in_depth_and_from_afar(waiting_unit: str, roms: list[Path]) -> None:
+def test_a_resting_marker_scatters_more_in_depth_and_with_distance(
+    waiting_unit: str, roms: list[Path]
+) -> None:
     with begun(waiting_unit) as host:
         handles = host.load(roms[0])  # without a passive tool there is no light
         assert host.command("TSTART:80") == "OKAY"
@@ -289,7 +289,9 @@ def test_a_marker_at_rest_is_seen_worse_in_depth_and_from_afar(waiting_unit: str
         assert 3.0 <= z / np.hypot(x, y) * np.sqrt(2.0) <= 4.0
 
 
-def test_each_error_of_the_unit_reaches_the_client_as_its_own(waiting_unit: str, roms: list[Path]) -> None:
+def test_each_error_of_the_unit_reaches_the_client_with_its_own_code(
+    waiting_unit: str, roms: list[Path]
+) -> None:
     with begun(waiting_unit) as host:
 
         def refused(line: str) -> str:
@@ -324,9 +326,7 @@ def test_each_error_of_the_unit_reaches_the_client_as_its_own(waiting_unit: str,
         assert refused("TX:0001") == "POLARIS 0x0c"
 
 
-def test_after_its_client_was_killed_the_unit_serves_the_next_one(
-    unit: dict[str, Any], roms: list[Path]
-) -> None:
+def test_the_unit_serves_the_next_client_after_one_was_killed(unit: dict[str, Any], roms: list[Path]) -> None:
     first = begun(unit["endpoint"])
     handles = first.load(*roms[:3])
     assert first.command("TSTART:80") == "OKAY"
@@ -342,7 +342,7 @@ def test_after_its_client_was_killed_the_unit_serves_the_next_one(
 
 
 @pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_the_line_changes_its_rate_and_back(unit: dict[str, Any], roms: list[Path]) -> None:
+def test_the_line_changes_its_baud_rate_and_back(unit: dict[str, Any], roms: list[Path]) -> None:
     with begun(unit["endpoint"]) as host:
         handles = host.load(roms[0])
         for rate in ("5", "A", "0"):  # 115200, 230400, 9600 baud
@@ -353,7 +353,7 @@ def test_the_line_changes_its_rate_and_back(unit: dict[str, Any], roms: list[Pat
 
 
 @pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_a_break_brings_a_unit_on_a_fast_line_back(unit: dict[str, Any]) -> None:
+def test_a_break_resets_a_unit_on_a_fast_line(unit: dict[str, Any]) -> None:
     with begun(unit["endpoint"]) as host:
         assert host.command("COMM:50000") == "OKAY"
         assert host.command("TSTART:80") == "OKAY"
@@ -364,7 +364,7 @@ def test_a_break_brings_a_unit_on_a_fast_line_back(unit: dict[str, Any]) -> None
 
 
 @pytest.mark.parametrize("unit", [PTY], ids=["pty"], indirect=True)
-def test_who_leaves_a_fast_line_behind_does_not_lock_the_next_one_out(unit: dict[str, Any]) -> None:
+def test_a_client_that_leaves_the_line_fast_does_not_lock_out_the_next_one(unit: dict[str, Any]) -> None:
     with begun(unit["endpoint"]) as careless:
         assert careless.command("COMM:50000") == "OKAY"
     with begun(unit["endpoint"]) as following:

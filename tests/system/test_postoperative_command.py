@@ -1,4 +1,4 @@
-"""`ronna-ct postoperative` as a user meets it: the wrong folders, and a case proven afterwards."""
+"""`ronna-ct postoperative` as a user runs it: the wrong folders, and a case verified afterwards."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def test_the_ct_of_another_patient_is_refused_without_naming_anybody(tmp_path: P
     assert "BOB" not in done.stderr + done.stdout
 
 
-def test_what_is_no_ct_and_what_is_not_in_the_plan_are_refused(tmp_path: Path) -> None:
+def test_a_series_that_is_not_ct_and_a_trajectory_not_in_the_plan_are_refused(tmp_path: Path) -> None:
     pre, plan = _series(tmp_path / "pre", "1.2.1"), _plan(tmp_path, "1.2.1")
     scan = Scan(shape=(12, 16, 16), noise_hu=5.0)
     edit = every(setting(SeriesInstanceUID="1.2.2", Modality="MR"))
@@ -85,7 +85,9 @@ def test_what_is_no_ct_and_what_is_not_in_the_plan_are_refused(tmp_path: Path) -
 
 @pytest.mark.slow
 @pytest.mark.timeout(170)
-def test_a_case_is_proven_and_its_report_shows_it(commands: Commands, tmp_path: Path) -> None:
+def test_the_achieved_target_error_of_a_case_is_measured_and_shown_in_its_report(
+    commands: Commands, tmp_path: Path
+) -> None:
     done = commands.run(
         *("ronna-procedure", "run", "--sim", "--scene", "mini", "--seed", "3"),
         *("--out", str(tmp_path / "runs"), "--json"),

@@ -1,4 +1,4 @@
-"""A case is killed, and taken up again to the same end."""
+"""A killed case is resumed and ends the same way."""
 
 import json
 from pathlib import Path
@@ -25,7 +25,7 @@ AT_TARGET = '"topic":"at_target:T1"'
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("place", [SETTLES, EXCHANGED, GOES_IN, COMES_OUT])
-def test_a_case_that_was_killed_reaches_its_target_all_the_same(
+def test_a_killed_and_resumed_case_reaches_its_target(
     commands: Commands, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, place: str
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
@@ -50,7 +50,7 @@ def test_a_case_that_was_killed_reaches_its_target_all_the_same(
         (("--measure-targets",), MEASURES),
     ],
 )
-def test_a_case_with_one_registration_for_all_or_a_measured_target_is_taken_up_as_well(
+def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed_as_well(
     commands: Commands, tmp_path: Path, options: tuple[str, ...], place: str
 ) -> None:
     killed = killed_at(commands, (*MINI_SEED_3, *options), tmp_path, place)
@@ -63,7 +63,7 @@ def test_a_case_with_one_registration_for_all_or_a_measured_target_is_taken_up_a
 
 
 @pytest.mark.hazard(2)
-def test_what_nobody_accepts_moves_nothing(commands: Commands, tmp_path: Path) -> None:
+def test_resuming_without_acceptance_moves_nothing(commands: Commands, tmp_path: Path) -> None:
     killed = killed_at(commands, MINI_SEED_3, tmp_path, GOES_IN)
     left = (killed.folder / "theatre" / LEFT_WORLD_FILE).read_bytes()
     refused = commands.run("ronna-procedure", "resume", str(killed.folder), "--json")
@@ -74,7 +74,7 @@ def test_what_nobody_accepts_moves_nothing(commands: Commands, tmp_path: Path) -
     assert taken_up(commands, killed)["outcome"] == "done"
 
 
-def test_a_run_that_was_killed_before_its_first_record_is_begun_anew(
+def test_a_run_killed_before_its_first_record_starts_over(
     commands: Commands, tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
@@ -85,7 +85,7 @@ def test_a_run_that_was_killed_before_its_first_record_is_begun_anew(
 
 
 @pytest.mark.hazard(2)
-def test_the_arm_of_a_killed_run_is_brought_home_and_the_run_goes_on_later(
+def test_the_arm_of_a_killed_run_can_be_brought_home_and_the_run_resumed_later(
     commands: Commands, tmp_path: Path
 ) -> None:
     killed = killed_at(commands, MINI_SEED_3, tmp_path, AT_TARGET)  # the instrument is inside
@@ -102,7 +102,7 @@ def test_the_arm_of_a_killed_run_is_brought_home_and_the_run_goes_on_later(
 
 
 @pytest.mark.hazard(44)
-def test_neither_a_stray_file_nor_an_unreadable_plan_keeps_the_arm_over_the_head(
+def test_a_stray_file_or_an_unreadable_plan_does_not_keep_the_arm_from_going_home(
     commands: Commands, tmp_path: Path
 ) -> None:
     killed = killed_at(commands, MINI_SEED_3, tmp_path, AT_TARGET)

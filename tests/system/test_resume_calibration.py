@@ -1,4 +1,4 @@
-"""A calibration is killed, and taken up again to its records."""
+"""A killed calibration is resumed and writes its records."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def killed(commands: Commands, calibration: tuple[str, tuple[str, ...]], out: Pa
     [(FRAME, LOOKS), (TIP, LOOKS), (TIP, READS), (HEAD, LOOKS), (ARM, LOOKS)],
     ids=["frame", "tip at the ball", "tip at the divot", "head", "arm"],
 )
-def test_a_calibration_that_was_killed_is_taken_up_and_leaves_its_records(
+def test_a_killed_calibration_can_be_resumed_and_writes_its_records(
     commands: Commands, tmp_path: Path, calibration: tuple[str, tuple[str, ...]], says: str
 ) -> None:
     left = killed(commands, calibration, tmp_path, says)
@@ -55,7 +55,7 @@ def test_a_calibration_that_was_killed_is_taken_up_and_leaves_its_records(
         assert np.linalg.norm(records["tool_tip"]["flange_from_tool"]["translation_mm"] - true) <= 0.05
 
 
-def test_a_guide_that_was_left_at_the_divot_leaves_it_only_when_that_is_accepted(
+def test_a_guide_left_at_the_divot_is_withdrawn_only_after_acceptance(
     commands: Commands, tmp_path: Path
 ) -> None:
     left = killed(commands, TIP, tmp_path, READS)

@@ -1,4 +1,4 @@
-"""Twenty whole cases with five markers: all of them end, and the tip is where it should be."""
+"""Twenty whole cases with five markers: all of them complete, and the tip is where it should be."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -52,7 +52,7 @@ def test_the_application_error_stays_within_its_limits(outcomes: list[dict[str, 
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_prediction_is_of_the_size_of_the_error(outcomes: list[dict[str, Any]]) -> None:
+def test_the_predicted_error_matches_the_size_of_the_error(outcomes: list[dict[str, Any]]) -> None:
     rows = [row for outcome in outcomes for row in outcome["targets"]]
     errors = np.array([row["application_error_mm"] for row in rows])
     predicted = np.array([row["predicted_tre_mm"] for row in rows])
@@ -62,7 +62,7 @@ def test_the_prediction_is_of_the_size_of_the_error(outcomes: list[dict[str, Any
 
 @pytest.mark.slow
 @pytest.mark.timeout(900)
-def test_the_same_seed_gives_the_same_results_also_on_the_default_scene(
+def test_the_same_seed_gives_the_same_results_on_the_default_scene(
     outcomes: list[dict[str, Any]], commands: Commands, tmp_path: Path
 ) -> None:
     again = _run(commands, tmp_path, 3)

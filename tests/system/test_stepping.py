@@ -1,4 +1,4 @@
-"""`ronna-procedure step --sim`: the case by hand."""
+"""`ronna-procedure step --sim`: the case step by step."""
 
 import json
 import re
@@ -31,7 +31,7 @@ def _step(
     )
 
 
-def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, tmp_path: Path) -> None:
+def test_steps_can_be_listed_run_and_refused_with_reasons(commands: Commands, tmp_path: Path) -> None:
     done = _step(
         commands,
         tmp_path,
@@ -48,7 +48,7 @@ def test_steps_are_listed_run_refused_with_reasons_and_left(commands: Commands, 
     assert "PRO-001" in done.stderr
 
 
-def test_a_case_by_hand_has_every_option_of_a_case(commands: Commands, tmp_path: Path) -> None:
+def test_a_stepped_case_has_every_option_of_a_case(commands: Commands, tmp_path: Path) -> None:
     options = ("--calibrated", "--measure-targets", "--keep-raw")
     done = _step(commands, tmp_path, "list", "quit", options=options)
     assert done.returncode == 0, done.stderr
@@ -61,7 +61,7 @@ def test_a_case_by_hand_has_every_option_of_a_case(commands: Commands, tmp_path:
 
 
 @pytest.mark.slow
-def test_an_unknown_step_is_told_and_the_case_goes_on(commands: Commands, tmp_path: Path) -> None:
+def test_an_unknown_step_is_reported_and_the_case_continues(commands: Commands, tmp_path: Path) -> None:
     done = _step(commands, tmp_path, "run drilling", "to plan_check", "quit")
     assert done.returncode == 0
     assert "PRO-005" in done.stderr
@@ -69,7 +69,7 @@ def test_an_unknown_step_is_told_and_the_case_goes_on(commands: Commands, tmp_pa
 
 
 @pytest.mark.slow
-def test_an_answer_of_no_holds_the_case_which_is_then_left_or_ended_at_home(
+def test_a_declined_approach_holds_the_case_which_can_then_be_aborted(
     commands: Commands, tmp_path: Path
 ) -> None:
     answers = tmp_path / "answers.toml"
@@ -91,7 +91,7 @@ def test_an_answer_of_no_holds_the_case_which_is_then_left_or_ended_at_home(
     assert [what["state"] for what in kinds if what["kind"] == "case"] == ["aborted"]
 
 
-def test_answers_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Path) -> None:
+def test_answers_with_unknown_words_are_refused_before_anything_starts(tmp_path: Path) -> None:
     answers = tmp_path / "answers.toml"
     answers.write_text('[answers]\napproach = "perhaps"\n')
     words = ("run", "--sim", "--answers", answers, "--out", tmp_path / "runs")
@@ -103,7 +103,7 @@ def test_answers_that_do_not_fit_are_refused_before_anything_starts(tmp_path: Pa
 
 @pytest.mark.slow
 @pytest.mark.hazard(1)
-def test_a_plan_that_is_changed_in_the_middle_of_a_case_moves_nothing_any_more(
+def test_a_plan_changed_during_a_case_is_detected_and_voids_the_registration(
     commands: Commands, tmp_path: Path
 ) -> None:
     options = ("--sim", "--scene", "mini", "--seed", "3", "--out", str(tmp_path))

@@ -1,4 +1,4 @@
-"""`ronna-stereo` as a user runs it: on recorded observations, on a theatre, and with what goes wrong."""
+"""`ronna-stereo` as a user runs it: on recorded observations, on a theatre, and with errors."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def theatre_file(head: TrueHead, folder: Path) -> Path:
     return path
 
 
-def test_recorded_observations_give_records_baseline_and_a_theatre_file(
+def test_recorded_observations_give_records_a_baseline_and_a_theatre_file(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:
     theatre = theatre_file(head, tmp_path)
@@ -144,7 +144,7 @@ def _tuples(value):
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
-def test_what_is_recorded_badly_is_refused_with_its_code(
+def test_bad_recordings_are_refused_with_their_codes(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:
     few, one_way = tmp_path / "few", tmp_path / "one-way"
@@ -171,7 +171,7 @@ def test_what_is_recorded_badly_is_refused_with_its_code(
         ("check", "--sim"),
     ],
 )
-def test_a_mistaken_command_line_is_exit_code_two(
+def test_a_wrong_command_line_gives_exit_code_two(
     stereo: Callable[..., Said], arguments: tuple[str, ...]
 ) -> None:
     assert stereo(*arguments).code == 2
@@ -224,7 +224,7 @@ def fault(running: ChildProcess) -> Iterator[Callable[[str], None]]:
         ("camera glare left 90 px", "STE-003: left camera: no sphere in view; right camera: the image is"),
     ],
 )
-def test_images_without_a_ball_are_refused_and_kept(
+def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
     stereo: Callable[..., Said],
     theatre: Path,
     fault: Callable[[str], None],
@@ -245,7 +245,7 @@ def test_images_without_a_ball_are_refused_and_kept(
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
 
-def test_without_a_terminal_nothing_is_confirmed_and_nothing_moves(
+def test_without_a_terminal_nothing_is_confirmed_and_the_calibration_fails(
     stereo: Callable[..., Said], theatre: Path, tmp_path: Path
 ) -> None:
     said = stereo("calibrate", "--config", theatre, "--ball", "720", "-10", "310", "--out", tmp_path)
@@ -281,7 +281,7 @@ def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFacto
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_through_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetre(
+def test_over_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millimetre(
     calibrated: Calibrated,
 ) -> None:
     records = tomllib.loads((calibrated.folder / "calibration.toml").read_text())["calibration"]
@@ -295,7 +295,7 @@ def test_through_the_wire_the_tool_centre_is_within_three_hundredths_of_a_millim
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_through_the_wire_a_hundredth_of_a_degree_is_found_and_a_sound_head_passes(
+def test_over_the_wire_a_hundredth_of_a_degree_is_detected_and_a_sound_head_passes(
     calibrated: Calibrated, commands: Commands, tmp_path: Path
 ) -> None:
     turned = write_scene(with_turned_camera(calibrated.scene, 0.01), tmp_path / "turned.json")
@@ -312,7 +312,7 @@ def test_through_the_wire_a_hundredth_of_a_degree_is_found_and_a_sound_head_pass
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_measure_shows_the_ball_and_its_picture(commands: Commands, tmp_path: Path) -> None:
+def test_measure_reports_the_ball_and_saves_its_picture(commands: Commands, tmp_path: Path) -> None:
     picture = tmp_path / "pair.png"
     done = commands.run(
         *("ronna-stereo", "measure", "--sim", "--scene", "mini", "--picture", str(picture), "--json"),

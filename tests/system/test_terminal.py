@@ -94,7 +94,7 @@ def terminal(commands: Commands, tmp_path: Path) -> Iterator[Terminal]:
 
 
 @pytest.mark.slow
-def test_ctrl_c_once_pauses_and_only_the_listed_words_go_on(terminal: Terminal) -> None:
+def test_one_ctrl_c_pauses_and_only_the_listed_words_continue(terminal: Terminal) -> None:
     terminal.await_text("✓ ct_import")
     terminal.type(CTRL_C)
     terminal.await_text("Paused: Ctrl-C")
@@ -108,7 +108,7 @@ def test_ctrl_c_once_pauses_and_only_the_listed_words_go_on(terminal: Terminal) 
     assert len(re.findall(r"report /\S+", terminal.text)) == 1
 
 
-def test_ctrl_c_twice_stops_the_arm_and_twice_more_at_the_question_ends_the_command(
+def test_repeated_ctrl_c_reports_the_arm_at_rest_and_then_ends_the_command(
     terminal: Terminal,
 ) -> None:
     terminal.await_text("✓ path_check")
@@ -136,7 +136,7 @@ def test_abort_at_the_pause_ends_with_its_own_exit_code(terminal: Terminal) -> N
 
 
 @pytest.mark.slow
-def test_a_step_that_fails_leaves_the_case_at_a_prompt_that_leads_on(
+def test_a_failed_step_leaves_the_case_at_a_prompt_from_which_it_can_go_home(
     commands: Commands, tmp_path: Path
 ) -> None:
     answers = tmp_path / "answers.toml"

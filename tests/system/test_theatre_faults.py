@@ -1,4 +1,4 @@
-"""What hands, tools, screws and the cart do wrong: scripted and live, each with its promised outcome."""
+"""Errors with hands, tools, screws and the cart: scripted and live, each with its promised outcome."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def test_a_live_fault_ends_as_promised(commands: Commands, tmp_path: Path, what:
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize(("seat", "code"), [("1.5 mm 0 deg", "TOOL-006"), ("0.1 mm 0 deg", "TOOL-005")])
-def test_a_guide_with_a_frame_is_looked_at_before_it_goes_to_the_gauge(
+def test_a_guide_with_a_frame_is_measured_before_it_goes_to_the_gauge(
     commands: Commands, tmp_path: Path, seat: str, code: str
 ) -> None:
     scene, faults = tmp_path / "scene.toml", tmp_path / "faults.txt"

@@ -1,4 +1,4 @@
-"""The how-to for drivers is true: its files are built, and its driver passes the suite."""
+"""The how-to for drivers is correct: its files can be built, and its driver passes the suite."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_the_driver_of_the_page_passes_the_suite(package: Path, device: str, tmp
 
 
 @pytest.mark.slow
-def test_a_mistake_in_the_driver_of_the_page_is_found(
+def test_a_mistake_in_the_driver_of_the_page_is_detected(
     package: Path, device: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     """The page tells its reader to spoil the driver and look: that must show."""
@@ -112,7 +112,7 @@ def test_a_mistake_in_the_driver_of_the_page_is_found(
     assert {"T09", "T20"} <= failed
 
 
-def test_the_driver_of_the_page_says_when_its_device_is_not_there(package: Path) -> None:
+def test_the_driver_of_the_page_reports_a_missing_device(package: Path) -> None:
     run = conformance(package, "--endpoint", "tcp://127.0.0.1:1")
     assert run.returncode == 4
     assert run.stderr.startswith("LUM-001")
@@ -135,7 +135,7 @@ def doctor(package: Path, endpoint: str) -> tuple[int, list[dict[str, Any]]]:
     return done.returncode, [one for one in findings if one["subject"].split()[0] in ("line", "device")]
 
 
-def test_the_doctor_shows_what_the_probe_of_the_page_finds(package: Path, device: str) -> None:
+def test_the_doctor_shows_the_findings_of_the_probe_on_the_page(package: Path, device: str) -> None:
     code, (line, tracker) = doctor(package, device)
     assert (code, line["well"], tracker["well"]) == (0, True, True)
     assert line["seen"] == "answered Lumen-2000 L-0042 1.3"

@@ -1,4 +1,4 @@
-"""Every fault of arm and cell, by script and live, and what a client sees of it."""
+"""Every fault of arm and cell, scripted and live, and what a client sees of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STOPS = [
 
 
 @pytest.mark.parametrize(("fault", "during", "after"), STOPS, ids=[stop[0] for stop in STOPS])
-def test_a_stop_of_the_robot_is_told_by_eki_and_the_arm_stands_while_rsi_streams(
+def test_eki_reports_a_stop_of_the_robot_and_the_arm_stays_at_rest_while_rsi_streams(
     stage: Stage, fault: str, during: dict[str, str], after: dict[str, str]
 ) -> None:
     stage.move(3.0, cycles=50)
@@ -43,7 +43,7 @@ def test_a_stop_of_the_robot_is_told_by_eki_and_the_arm_stands_while_rsi_streams
     assert stage.eki.command("RSI_START") == 0
 
 
-def test_a_restarted_program_has_another_port_other_stamps_and_the_present_pose_as_its_base(
+def test_a_restarted_program_has_a_new_port_new_stamps_and_the_current_pose_as_its_base(
     stage: Stage,
 ) -> None:
     base_deg, source, stamp = stage.rsi.axes_deg[0], stage.rsi.source, stage.rsi.ipoc
@@ -59,7 +59,7 @@ def test_a_restarted_program_has_another_port_other_stamps_and_the_present_pose_
     assert stage.rsi.axes_deg[0] == reached_deg
 
 
-def test_both_channels_tell_a_live_emergency_stop(
+def test_both_channels_report_a_live_emergency_stop(
     cell: Callable[..., Cell],
 ) -> None:
     here = cell()

@@ -1,4 +1,4 @@
-"""What a page shows of the wire is what goes over it."""
+"""The telegrams shown on the documentation page match what goes over the wire."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def form_of(xml: bytes) -> list[tuple[str, list[str]]]:
     return [(element.tag, list(element.attrib)) for element in ElementTree.fromstring(xml).iter()]
 
 
-def test_the_telegrams_of_the_page_are_those_of_the_simulator() -> None:
+def test_the_telegrams_on_the_page_match_those_of_the_simulator() -> None:
     telegram, reply, request, state = (text.encode() for text in SHOWN.findall(PAGE.read_text()))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stream:
         stream.bind(("127.0.0.1", 0))

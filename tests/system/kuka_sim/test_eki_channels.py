@@ -17,7 +17,7 @@ from ronna_hw.wire.kuka_context import context_hash, load_context
 from sim.world.world import World
 
 
-def test_the_state_says_what_a_driver_must_know_before_it_moves(cell: Callable[..., Cell]) -> None:
+def test_the_state_contains_everything_a_driver_must_know_before_motion(cell: Callable[..., Cell]) -> None:
     eki = cell().project()
     state = eki.state(Id="8")
     expected = {
@@ -48,7 +48,9 @@ def test_the_state_says_what_a_driver_must_know_before_it_moves(cell: Callable[.
 
 
 @pytest.mark.hazard(34)
-def test_a_second_client_is_refused_and_a_lost_one_does_not_end_the_run(cell: Callable[..., Cell]) -> None:
+def test_a_second_client_is_refused_and_losing_a_client_does_not_end_the_run(
+    cell: Callable[..., Cell],
+) -> None:
     here = cell()
     eki, rsi = here.project(), here.rsi
     here.start(eki)
@@ -66,7 +68,7 @@ def test_a_second_client_is_refused_and_a_lost_one_does_not_end_the_run(cell: Ca
     assert rsi.quiet(0.2)
 
 
-def test_garbage_without_end_closes_the_channel_but_not_the_controller(cell: Callable[..., Cell]) -> None:
+def test_unterminated_garbage_closes_the_channel_but_not_the_controller(cell: Callable[..., Cell]) -> None:
     here = cell()
     eki = here.project()
     eki.socket.sendall(b"<Cmd " + b"x" * 40_000)
@@ -81,7 +83,7 @@ def request(number: int, cycle: int = 0, mode: int = 0) -> bytes:
     return text.encode().ljust(500, b"\0")
 
 
-def test_the_sdk_channel_follows_its_states_one_telegram_per_write(cell: Callable[..., Cell]) -> None:
+def test_the_sdk_channel_follows_its_states_with_one_telegram_per_write(cell: Callable[..., Cell]) -> None:
     here = cell()
     eki = here.sdk()
 
@@ -132,7 +134,7 @@ def test_the_sdk_channel_follows_its_states_one_telegram_per_write(cell: Callabl
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_it_ends_within_two_seconds_of_a_signal_while_it_streams(
+def test_the_controller_ends_within_two_seconds_of_a_signal_while_streaming(
     cell: Callable[..., Cell], number: signal.Signals
 ) -> None:
     here = cell("--autostart")
@@ -141,7 +143,7 @@ def test_it_ends_within_two_seconds_of_a_signal_while_it_streams(
     assert here.child.process.wait(STOP_TIMEOUT_S + STALL_OF_THE_COMPUTER_S) == 0
 
 
-def test_a_client_may_come_back_at_once(cell: Callable[..., Cell]) -> None:
+def test_a_client_may_reconnect_at_once(cell: Callable[..., Cell]) -> None:
     here = cell()
     for _ in range(20):
         eki = here.project()

@@ -1,4 +1,4 @@
-"""Every fault of the EKI channel, by script, and what a client sees of it."""
+"""Every scripted fault of the EKI channel, and what a client sees of it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from kuka_stage import Stage
 
 
-def test_a_cut_of_eki_ends_the_conversation_and_not_the_run(stage: Stage) -> None:
+def test_cutting_eki_ends_the_connection_but_not_the_run(stage: Stage) -> None:
     stage.inject("eki cut")
     stage.rsi.cycles(3)
     with pytest.raises(ConnectionError):
@@ -18,7 +18,7 @@ def test_a_cut_of_eki_ends_the_conversation_and_not_the_run(stage: Stage) -> Non
 
 
 @pytest.mark.parametrize(("fault", "outside"), [("eki garbage", b"what?"), ("eki padding", b"\0\0")])
-def test_garbage_and_padding_stand_outside_the_telegrams(stage: Stage, fault: str, outside: bytes) -> None:
+def test_garbage_and_padding_are_outside_the_telegrams(stage: Stage, fault: str, outside: bytes) -> None:
     stage.inject(fault)
     stage.rsi.cycles(3)
     (spoilt,) = [segment for segment in stage.eki.raw(4) if outside in segment]

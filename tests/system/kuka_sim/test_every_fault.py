@@ -54,7 +54,7 @@ def patient_context(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_fault_is_switched_on_live_and_logged_with_its_telegram(
+def test_every_fault_can_be_switched_on_live_and_is_logged_with_its_telegram(
     cell: Callable[..., Cell], answered: Callable[[RsiClient], None], patient_context: Path
 ) -> None:
     here = cell("--autostart", "--rsi-context", str(patient_context))
@@ -75,7 +75,7 @@ def test_every_fault_is_switched_on_live_and_logged_with_its_telegram(
     assert here.child.alive
 
 
-def test_a_fault_begins_at_the_telegram_that_the_script_names(
+def test_a_fault_begins_at_the_telegram_named_in_the_script(
     cell: Callable[..., Cell], lock_step_world: World
 ) -> None:
     lock_step_world.set_fault_script("at cycle 101: robot drop 100 % for 0.018 s")

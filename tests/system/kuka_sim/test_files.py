@@ -1,4 +1,4 @@
-"""What the controller does comes from its two files: the layout and the peer from the Ethernet file, wiring,
+"""The controller takes its behaviour from its two files: layout and peer from the Ethernet file, wiring,
 limits, Timeout and Precision from the context."""
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Every fault of the RSI link, by script, and what a client sees of it."""
+"""Every scripted fault of the RSI link, and what a client sees of it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from kuka_stage import Stage, largest_step, on_a1, rests_at
         ("duplicate 100 % for 0.1 s", 0),
     ],
 )
-def test_replies_that_do_not_arrive_whole_and_in_time_are_late_cycles_and_nothing_moves_by_them(
+def test_lost_delayed_and_corrupt_replies_count_as_late_cycles_and_the_arm_does_not_jump(
     stage: Stage, fault: str, late: int
 ) -> None:
     base_deg = stage.rsi.axes_deg[0]
@@ -43,7 +43,7 @@ def test_lost_telegrams_are_gaps_in_the_stamps_and_late_cycles(stage: Stage) -> 
     assert stage.rsi.late == lost
 
 
-def test_after_a_short_cut_of_the_network_the_stream_goes_on(stage: Stage) -> None:
+def test_the_stream_continues_after_a_short_network_cut(stage: Stage) -> None:
     base_deg, before = stage.rsi.axes_deg[0], stage.rsi.ipoc
     stage.rsi.cycles(100, on_a1(0.1))
     between = stage.rsi.ipoc
@@ -56,7 +56,7 @@ def test_after_a_short_cut_of_the_network_the_stream_goes_on(stage: Stage) -> No
     assert stage.rsi.axes_deg[0] == pytest.approx(base_deg + 0.1, abs=1e-4)
 
 
-def test_a_foreign_sender_has_a_port_and_stamps_of_its_own(stage: Stage) -> None:
+def test_a_foreign_sender_has_its_own_port_and_is_not_counted_as_late(stage: Stage) -> None:
     ours = stage.rsi.source
     stage.inject("foreign sender for 0.1 s")
     sources = []

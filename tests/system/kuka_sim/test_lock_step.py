@@ -30,7 +30,7 @@ def test_lock_step_counts_cycles_and_not_host_time(cell: Callable[..., Cell], lo
     assert rsi.late == 0
 
 
-def test_lock_step_waits_for_a_silent_client_and_then_lets_the_cycles_run_to_the_timeout(
+def test_lock_step_waits_for_a_silent_client_and_then_runs_the_cycles_to_the_timeout(
     cell: Callable[..., Cell], lock_step_world: World
 ) -> None:
     here = cell(world=lock_step_world)
@@ -44,7 +44,7 @@ def test_lock_step_waits_for_a_silent_client_and_then_lets_the_cycles_run_to_the
     assert lock_step_world.clock.now_s() - before_s == pytest.approx(0.4, abs=0.02)
 
 
-def test_an_idle_world_paces_itself_until_somebody_waits(
+def test_an_idle_world_paces_itself_until_a_client_waits(
     cell: Callable[..., Cell], lock_step_world: World
 ) -> None:
     here = cell(world=lock_step_world)
@@ -62,7 +62,7 @@ def test_an_idle_world_paces_itself_until_somebody_waits(
     assert not lock_step_world.clock.streaming()
 
 
-def test_the_true_pose_after_a_motion_is_the_same_bit_for_bit(cell: Callable[..., Cell]) -> None:
+def test_the_true_pose_after_a_motion_is_identical_bit_for_bit(cell: Callable[..., Cell]) -> None:
     goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
     found = []
     for idle in (3, 90):

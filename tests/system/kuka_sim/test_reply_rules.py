@@ -1,4 +1,4 @@
-"""By when a reply must come and which of two counts: what public sources leave open, in real time."""
+"""The deadline for a reply and which of two counts: what public sources leave open, in real time."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_a_reply_within_its_share_of_the_cycle_is_not_late(cell: Callable[..., C
 
 
 @pytest.mark.parametrize(("second", "turns"), [("ignored", False), ("taken", True)])
-def test_of_two_replies_the_first_counts_or_the_second(
+def test_the_first_or_the_second_of_two_replies_counts_as_configured(
     cell: Callable[..., Cell], second: str, turns: bool
 ) -> None:
     rsi = cell("--autostart", "--cycle-ms", "12", "--set", f"second_reply={second}").rsi

@@ -1,4 +1,4 @@
-"""The arm with its deviations against the simulator's own, a chain in Pinocchio written independently."""
+"""The calibrated arm against the simulator's own, a chain in Pinocchio written independently."""
 
 from dataclasses import replace
 
@@ -53,7 +53,7 @@ def test_links_joints_harmonics_and_backlash_act_as_in_the_simulated_arm() -> No
     np.testing.assert_allclose(ours, theirs, atol=1e-9)
 
 
-def test_what_the_controller_is_told_brings_the_flange_to_the_wanted_pose() -> None:
+def test_the_compensated_command_brings_the_flange_to_the_wanted_pose() -> None:
     _, deviations = _truth()
     arm = CalibratedArm(KINEMATICS, deviations)
     wanted = KINEMATICS.flange_pose(KINEMATICS.home_rad)
@@ -63,7 +63,7 @@ def test_what_the_controller_is_told_brings_the_flange_to_the_wanted_pose() -> N
     assert 0.5 < found.told.distance_mm(Pose.from_transform(wanted)) < 20.0
 
 
-def test_without_a_record_joints_and_told_pose_are_the_nominal_ones_to_the_last_digit() -> None:
+def test_without_a_record_joints_and_commanded_pose_are_exactly_the_nominal_ones() -> None:
     wanted = KINEMATICS.flange_pose(KINEMATICS.home_rad)
     found = CalibratedArm(KINEMATICS).compensated(wanted, KINEMATICS.home_rad)
     pose = Pose.from_transform(wanted)
@@ -83,7 +83,7 @@ def replace_position(pose: Pose, position_mm: tuple[float, float, float]) -> Pos
     return pose._replace(position_mm=position_mm)
 
 
-def test_the_room_is_shown_to_the_controller_where_its_own_arm_would_meet_it() -> None:
+def test_the_surroundings_are_shifted_to_where_the_nominal_arm_of_the_controller_would_meet_them() -> None:
     _, deviations = _truth()
     arm, home = CalibratedArm(KINEMATICS, deviations), KINEMATICS.home_rad
     touched = arm.forward(home).position_mm

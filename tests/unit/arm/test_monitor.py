@@ -1,4 +1,4 @@
-"""The monitor trips on each thing it watches, and on nothing a good motion does."""
+"""The monitor trips on everything it watches, and on nothing that a good motion does."""
 
 import math
 
@@ -47,7 +47,7 @@ def test_a_point_outside_the_range_trips() -> None:
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_point_that_is_no_number_trips(value: float) -> None:
+def test_a_point_that_is_not_a_number_trips(value: float) -> None:
     assert _kind(_monitor().check(_with(4, value))) == ("range", 4)
 
 
@@ -71,7 +71,7 @@ def test_a_shake_within_the_acceleration_trips_as_jerk() -> None:
 
 
 @pytest.mark.hazard(19)
-def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> None:
+def test_the_total_correction_is_bounded_by_the_end_switches_minus_the_start_pose() -> None:
     narrow = MonitorLimits(**{**vars(LIMITS), "correction_upper_rad": (0.001,) * 6})
     monitor = Monitor(narrow, START)
     for _ in range(3):
@@ -81,7 +81,7 @@ def test_the_total_correction_is_bounded_by_the_end_switches_of_the_start() -> N
 
 @pytest.mark.hazard(38)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_an_arm_at_rest_has_to_be_where_it_was_sent(sign: int) -> None:
+def test_an_arm_at_rest_must_be_where_it_was_sent(sign: int) -> None:
     monitor = _monitor()
     inside = _with(3, START[2] + sign * 0.9 * FOLLOWING_RAD)
     outside = _with(3, START[2] + sign * 1.1 * FOLLOWING_RAD)
@@ -92,7 +92,7 @@ def test_an_arm_at_rest_has_to_be_where_it_was_sent(sign: int) -> None:
 
 @pytest.mark.hazard(38)
 @pytest.mark.parametrize("speed_share", [1.0, 0.1, 0.01])
-def test_an_axis_may_lag_for_the_following_time_at_any_speed(speed_share: float) -> None:
+def test_an_axis_may_lag_by_the_following_time_at_any_speed(speed_share: float) -> None:
     monitor = _monitor()
     step = speed_share * LIMITS.step_rad[2]
     for cycle in range(1, 3 * LIMITS.following_cycles):
@@ -106,7 +106,7 @@ def test_an_axis_may_lag_for_the_following_time_at_any_speed(speed_share: float)
 
 
 @pytest.mark.hazard(38)
-def test_an_axis_that_turns_back_may_still_be_on_its_way_out() -> None:
+def test_an_axis_that_reverses_may_still_be_on_its_way_out() -> None:
     monitor = _monitor()
     far = START[2] + 5 * FOLLOWING_RAD
     for angle in (far, START[2]):
@@ -118,7 +118,7 @@ def test_an_axis_that_turns_back_may_still_be_on_its_way_out() -> None:
 
 
 @pytest.mark.hazard(38)
-def test_an_arm_that_holds_a_point_because_the_next_was_not_taken_follows() -> None:
+def test_an_arm_holding_a_point_because_the_next_was_not_taken_has_no_following_error() -> None:
     monitor = _monitor()
     monitor.sent(_with(3, START[2] + 5 * FOLLOWING_RAD))
     monitor.not_taken()
@@ -128,7 +128,7 @@ def test_an_arm_that_holds_a_point_because_the_next_was_not_taken_follows() -> N
 
 
 @pytest.mark.hazard(18)
-def test_a_point_that_was_not_taken_is_judged_again_from_the_one_that_is_held() -> None:
+def test_a_point_that_was_not_taken_is_judged_again_from_the_held_point() -> None:
     monitor = _monitor()
     near, far = (_with(6, START[5] + share * LIMITS.step_rad[5]) for share in (0.9, 1.1))
     monitor.sent(near)
@@ -143,7 +143,7 @@ def test_a_point_that_was_not_taken_is_judged_again_from_the_one_that_is_held() 
     assert _kind(monitor.not_taken()) == ("step", 6)
 
 
-def test_an_arm_that_stands_is_judged_from_rest_at_the_held_point() -> None:
+def test_a_resting_arm_is_judged_from_rest_at_the_held_point() -> None:
     monitor = _monitor()
     step = _with(6, START[5] + 0.5 * LIMITS.step_rad[5])
     monitor.sent(step)
@@ -153,11 +153,11 @@ def test_an_arm_that_stands_is_judged_from_rest_at_the_held_point() -> None:
     assert _kind(monitor.check(step)) == ("acceleration", 6) or _kind(monitor.check(step)) == ("jerk", 6)
 
 
-def test_judging_does_not_remember() -> None:
+def test_checking_a_point_does_not_store_it() -> None:
     monitor = _monitor()
     monitor.check(_with(1, 0.5))
     assert monitor.last_rad == START
 
 
-def test_a_violation_says_axis_value_and_limit() -> None:
+def test_a_violation_states_axis_value_and_limit() -> None:
     assert str(_monitor().check(_with(6, START[5] + 1.0))).startswith("step of axis 6: 57.2958 over 0.3100")

@@ -1,4 +1,4 @@
-"""The neutral interface holds for a spherical wrist and for an offset one, and planning works with both."""
+"""The neutral interface holds for a spherical and for an offset wrist, and planning works with both."""
 
 from __future__ import annotations
 
@@ -82,14 +82,14 @@ def test_every_solution_reaches_the_pose_and_the_true_one_is_among_them(
 
 
 @each_arm
-def test_along_a_path_one_branch_is_solved_with_the_nearest_turns(arm: Kinematics) -> None:
+def test_solving_one_branch_returns_the_solution_nearest_to_the_reference(arm: Kinematics) -> None:
     for joints in _postures(arm, 300, 2):
         found = arm.solve_branch(arm.forward(joints), arm.branch_of(joints), joints)
         assert _largest_difference(found, joints) < 1e-6
 
 
 @each_arm
-def test_the_framed_pose_is_the_plain_one(arm: Kinematics) -> None:
+def test_the_framed_pose_equals_the_plain_one(arm: Kinematics) -> None:
     pose = arm.flange_pose(arm.home_rad)
     assert (pose.target, pose.source) == (Frame.ROBOT, Frame.FLANGE)
     assert pose.translation_mm == pytest.approx(arm.forward(arm.home_rad).position_mm)
@@ -111,7 +111,7 @@ def test_the_jacobian_is_the_derivative_of_the_forward_kinematics(arm: Kinematic
 
 @pytest.mark.hazard(22)
 @each_arm
-def test_singular_postures_measure_nothing_and_have_no_solution(arm: Kinematics) -> None:
+def test_singular_postures_measure_zero_and_have_no_solution(arm: Kinematics) -> None:
     for kind, joints in SINGULAR.get(arm.name, {}).items():
         measure = arm.singular_measure(joints)
         assert getattr(measure, kind) == pytest.approx(0.0, abs=1e-9)
@@ -141,7 +141,7 @@ def test_the_offset_wrist_has_the_published_figures_and_two_to_eight_branches() 
 
 
 @each_arm
-def test_a_joint_move_and_a_line_please_the_monitor_and_end_where_they_should(arm: Kinematics) -> None:
+def test_a_joint_move_and_a_line_pass_the_monitor_and_end_at_their_targets(arm: Kinematics) -> None:
     start = arm.home_rad
     limits = working_limits(arm)
     away: JointVector = (start[0] + 0.3, start[1] - 0.1, *start[2:])
@@ -171,14 +171,14 @@ def _driven(arm: Kinematics, plan: MotionPlan) -> JointVector:
 
 
 @each_arm
-def test_ranges_name_the_axis_as_this_arm_calls_it(arm: Kinematics) -> None:
+def test_range_errors_name_the_axis_as_the_arm_does(arm: Kinematics) -> None:
     beyond: JointVector = (*arm.home_rad[:5], arm.upper_rad[5] + 0.1)
     with pytest.raises(OutOfJointRange, match=f"ARM-003: {arm.axis_names[5]} would leave its range"):
         plan_joint_move(arm, arm.home_rad, beyond, working_limits(arm))
 
 
 @each_arm
-def test_a_preview_sees_what_the_tool_and_the_links_meet(arm: Kinematics) -> None:
+def test_a_preview_detects_a_collision_of_the_tool_with_an_obstacle(arm: Kinematics) -> None:
     start, limits = arm.home_rad, working_limits(arm)
     away: JointVector = (start[0] + 0.6, *start[1:])
     plan = plan_joint_move(arm, start, away, limits)
@@ -210,7 +210,7 @@ def test_the_chain_ends_at_the_flange(arm: Kinematics) -> None:
 
 
 @each_arm
-def test_links_follow_one_another_from_the_base_outwards(arm: Kinematics) -> None:
+def test_links_are_ordered_from_the_base_outwards(arm: Kinematics) -> None:
     joints = [link.joint for link in arm.links]
     assert all(inner <= outer for inner, outer in pairwise(joints))
     segments, flange = arm.link_segments(arm.home_rad)

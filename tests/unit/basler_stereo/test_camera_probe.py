@@ -35,7 +35,7 @@ WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, Controller(False), 8
 # --- the diagnosis -----------------------------------------------------------------------------------------
 
 
-def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> None:
+def test_a_healthy_camera_reports_its_network_card_and_packet_size() -> None:
     diagnostic = camera_diagnostic(WELL, (), EXPECTED)
     assert diagnostic.well
     assert diagnostic.advice == ""
@@ -123,7 +123,7 @@ def test_a_camera_that_is_well_says_by_which_card_and_with_which_packets() -> No
         "no test packets",
     ],
 )
-def test_what_is_not_well_has_a_cause_in_plain_words(
+def test_an_unhealthy_camera_gets_a_cause_in_plain_words(
     camera: CameraState, found: tuple[CameraIdentity, ...], seen: str, advice: str
 ) -> None:
     diagnostic = camera_diagnostic(camera, found, EXPECTED)
@@ -134,12 +134,12 @@ def test_what_is_not_well_has_a_cause_in_plain_words(
     assert diagnostic.document["cause"] == diagnostic.advice
 
 
-def test_a_serial_number_that_replied_several_times_is_told() -> None:
+def test_a_serial_number_that_replied_several_times_is_reported() -> None:
     assert discovery_diagnostic(CARD, (LEFT, RIGHT)).advice == ""
     assert "21900002 replied several times" in discovery_diagnostic(CARD, (LEFT, *MANY)).advice
 
 
-def test_small_packets_are_well_and_say_what_would_be_better() -> None:
+def test_small_packets_are_accepted_with_advice_for_larger_ones() -> None:
     diagnostic = camera_diagnostic(
         replace(WELL, packet_bytes=1500, interface=replace(CARD, mtu_bytes=1500)), (), EXPECTED
     )
@@ -165,7 +165,7 @@ def probed(stand: Stand) -> CameraState:
     return look_at_camera(parse_endpoint(stand.pair.endpoints["left"]))
 
 
-def test_a_camera_is_asked_measured_and_given_back(stand: Stand) -> None:
+def test_a_camera_is_queried_measured_and_released(stand: Stand) -> None:
     stand.world.set_fault_script("now: camera narrow path left 1500 bytes")
     for _ in range(2):  # the first look leaves nothing behind
         found = probed(stand)
@@ -178,19 +178,19 @@ def test_a_camera_is_asked_measured_and_given_back(stand: Stand) -> None:
         assert found.packet_bytes == 1500
 
 
-def test_a_camera_that_somebody_controls_is_left_alone(stand: Stand) -> None:
+def test_a_camera_under_control_of_another_client_is_left_alone(stand: Stand) -> None:
     stand.world.set_fault_script("now: camera seize left")
     eventually(lambda: (seen := probed(stand).controller) is not None and seen.taken)
     found = probed(stand)
     assert found.packet_bytes is None
 
 
-def test_a_camera_without_test_packets_is_told(stand: Stand) -> None:
+def test_a_camera_without_test_packets_is_reported(stand: Stand) -> None:
     stand.world.set_fault_script("now: camera narrow path left 100 bytes")
     assert probed(stand).packet_bytes == 0
 
 
-def test_nobody_and_somebody_silent_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_closed_port_and_a_silent_one_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_state, "REPLY_LIMIT_S", 0.2)
     endpoint = Endpoint("gev", host=NOBODY)
     assert look_at_camera(endpoint).response is Response.REFUSED
@@ -227,7 +227,7 @@ def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: 
     assert "21900002 at 192.168.3.12" in first.seen
 
 
-def test_nothing_is_broadcast_for_an_address_in_no_subnet_of_this_computer(
+def test_nothing_is_broadcast_for_an_address_outside_the_subnets_of_this_computer(
     asked: list[Interface],
 ) -> None:
     (diagnostic,) = looked_at("203.0.113.1")
@@ -235,7 +235,7 @@ def test_nothing_is_broadcast_for_an_address_in_no_subnet_of_this_computer(
     assert diagnostic.subject == "camera gev://203.0.113.1"
 
 
-def test_the_cameras_of_a_theatre_file_and_their_cause(stand: Stand) -> None:
+def test_the_cameras_of_a_theatre_file_are_reported_with_their_cause(stand: Stand) -> None:
     config = DeviceConfig(
         driver="basler_stereo",
         endpoints={"left": stand.pair.endpoints["left"], "right": f"gev://{NOBODY}"},

@@ -27,7 +27,7 @@ def image(
     return camera_image(Frame(1, said, bytearray(data), missing), "S", AREA, PixelFormat.MONO8, 5, 1.25)
 
 
-def test_a_whole_frame_is_a_valid_image():
+def test_a_complete_frame_is_a_valid_image():
     found = image()
     assert found.validity is Validity.OK
     assert found.pixels.tolist() == [[0, 1, 2, 3, 4, 5], [6, 7, 8, 9, 10, 11]]
@@ -36,7 +36,7 @@ def test_a_whole_frame_is_a_valid_image():
         found.pixels[0, 0] = 1
 
 
-def test_missing_packets_make_it_partial_and_another_shape_corrupt():
+def test_missing_packets_make_an_image_partial_and_another_shape_makes_it_corrupt():
     assert image(missing=2).validity is Validity.PARTIAL
     assert image(area=AreaOfInterest(17, 4, 6, 2)).validity is Validity.CORRUPT
     assert image(pixel_format=PixelFormat.MONO12).validity is Validity.CORRUPT

@@ -16,13 +16,13 @@ def options(**values):
     return read_options(DeviceConfig(driver="basler_stereo", endpoints=ENDPOINTS, options=values))
 
 
-def test_everything_has_a_default_that_works():
+def test_every_option_has_a_working_default():
     assert options().expected_model == "acA2000-50gmNIR"
     assert options(exposure_us=500).exposure_us == 500.0
     assert options(pixel_format="Mono12").pixel_format_code is PixelFormat.MONO12
 
 
-def test_all_mistakes_are_told_at_once():
+def test_all_mistakes_are_reported_at_once():
     with pytest.raises(BadOptions, match=r"GEV-016.*3 mistake") as caught:
         options(exposure="long", gain_raw=1000, heartbeat_ms=10)
     for word in ("exposure", "gain_raw", "heartbeat_ms"):
@@ -34,6 +34,6 @@ def test_one_camera_cannot_be_both_sides():
         options(left_serial="1", right_serial="1")
 
 
-def test_an_option_that_is_no_plain_value_is_refused():
+def test_an_option_that_is_not_a_plain_value_is_refused():
     with pytest.raises(BadOptions, match="GEV-016"):
         options(left_serial=object())

@@ -30,11 +30,11 @@ def ticks(left_s: float, right_s: float) -> tuple[int, int]:
         (100.9, 101.0, Validity.UNPAIRED),
     ],
 )
-def test_moments_decide(left_s, right_s, validity):
+def test_exposure_moments_decide_the_validity_of_a_pair(left_s, right_s, validity):
     assert tied().judge(ticks(left_s, right_s), 101.0, 101.1) is validity
 
 
-def test_slow_drift_never_adds_up():
+def test_slow_drift_does_not_accumulate():
     clock = tied()
     for second in range(1, 2000):
         now_s = 100.0 + second
@@ -43,13 +43,13 @@ def test_slow_drift_never_adds_up():
         clock.confirm(pair, (HZ, HZ), now_s, now_s + 0.1)
 
 
-def test_a_counter_that_begins_anew_is_noticed():
+def test_a_restarted_counter_is_detected():
     clock = tied()
     clock.confirm(ticks(101.0, 101.0), (HZ, HZ), 101.0, 101.1)
     assert clock.judge((ticks(102.0, 102.0)[0], 500), 102.0, 102.1) is Validity.UNPAIRED
 
 
-def test_without_a_latch_the_first_pair_is_believed_and_the_second_judged():
+def test_without_a_latch_the_first_pair_is_accepted_and_the_second_judged():
     clock = PairClock((None, None), SKEW_S)
     assert clock.judge((5, 7_000_000), 100.0, 100.1) is Validity.OK
     clock.confirm((5, 7_000_000), (HZ, HZ), 100.0, 100.1)
@@ -57,7 +57,7 @@ def test_without_a_latch_the_first_pair_is_believed_and_the_second_judged():
     assert clock.judge((5 + HZ, 7_000_000 + HZ // 2), 101.0, 101.1) is Validity.UNPAIRED
 
 
-def test_cameras_without_a_clock_are_believed():
+def test_cameras_without_a_clock_are_accepted():
     clock = PairClock((None, None), SKEW_S)
     clock.confirm((1, 2), (0, 0), 100.0, 100.1)
     assert clock.judge((1, 2), 200.0, 200.1) is Validity.OK

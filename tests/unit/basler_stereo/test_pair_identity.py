@@ -33,16 +33,16 @@ def test_the_right_cameras_on_the_right_sides_pass():
         (LEFT, replace(RIGHT, model="Fake"), BOUND, WrongModel),
     ],
 )
-def test_other_cameras_are_refused_by_name(left, right, options, error):
+def test_wrong_cameras_are_refused_with_the_matching_error(left, right, options, error):
     with pytest.raises(error, match=error.code):
         check_pair(left, right, options)
 
 
-def test_any_model_may_be_allowed():
+def test_any_model_can_be_allowed():
     check_pair(LEFT, replace(RIGHT, model="Fake"), BaslerOptions(expected_model=""))
 
 
-def test_the_identity_of_the_pair_names_both():
+def test_the_identity_of_the_pair_names_both_cameras():
     identity = pair_identity(LEFT, RIGHT)
     assert identity.serial == "11+22"
     assert dict(identity.details)["right"].startswith("22 ")

@@ -1,4 +1,4 @@
-"""The measurements' own arithmetic, and one of them from the command line."""
+"""The arithmetic of the benchmarks, and one of them from the command line."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ for _ in range(2):
 """
 
 
-def test_contestants_take_turns_and_the_first_rounds_do_not_count() -> None:
+def test_contestants_take_turns_and_warm_up_rounds_do_not_count() -> None:
     order: list[str] = []
 
     def contestant(name: str) -> float:
@@ -37,14 +37,14 @@ def test_contestants_take_turns_and_the_first_rounds_do_not_count() -> None:
     assert samples == {"a": [6.0, 8.0], "b": [4.0, 9.0], "c": [5.0, 7.0]}
 
 
-def test_a_ratio_is_taken_round_by_round_so_that_a_stall_of_the_machine_cancels() -> None:
+def test_a_ratio_is_computed_per_round_so_that_a_stall_of_the_machine_cancels() -> None:
     samples = {"ours": [2.0, 20.0, 2.2], "bare": [1.0, 10.0, 1.0]}
     ours, bare = figures.compared("time", "s", samples, "bare")
     assert (ours.value, ours.ratio, ours.baseline) == (2.2, 2.0, "bare")
     assert (bare.value, bare.ratio) == (1.0, None)
 
 
-def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one() -> None:
+def test_a_goal_applies_to_the_value_or_the_ratio_and_a_miss_is_reported() -> None:
     ours, bare = figures.compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
     assert (bare.goal, bare.met) == ("", None)
     assert bare.at_least(100.0).met
@@ -56,7 +56,7 @@ def test_a_goal_is_for_the_value_or_for_the_ratio_and_a_miss_is_called_one() -> 
         bare.ratio_at_least(1.0)
 
 
-def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves() -> None:
+def test_the_lock_step_rate_counts_only_cycles_in_which_the_arm_moves() -> None:
     def cycle(number: int, received_us: int, A1_rad: float) -> RecordedCycle:
         return RecordedCycle(
             number, 4 * number, received_us * 1000, 10.0, "go", REST_RAD, (A1_rad, *REST_RAD[1:])
@@ -70,7 +70,7 @@ def test_the_rate_in_lock_step_is_of_the_cycles_in_which_the_arm_moves() -> None
     assert robot_link.rate_in_motion(waiting) == 0.0
 
 
-def test_processor_time_of_a_process_grows_with_its_work() -> None:
+def test_the_processor_time_of_a_process_grows_with_its_work() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", BUSY], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as busy:
@@ -86,7 +86,7 @@ def test_processor_time_of_a_process_grows_with_its_work() -> None:
     assert 0.0 < first < second
 
 
-def test_every_measurement_that_can_be_named_exists() -> None:
+def test_every_listed_measurement_exists() -> None:
     for module in run.MEASUREMENTS.values():
         assert (ROOT / "benchmarks" / f"{module}.py").exists()
 
@@ -108,7 +108,7 @@ def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -
     assert content["failures"] == {}
 
 
-def test_an_unknown_measurement_names_those_that_exist(tmp_path: Path) -> None:
+def test_an_unknown_measurement_is_refused_and_the_known_ones_are_listed(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", str(RUN), "--only", "tea", "--out", str(tmp_path)],
         capture_output=True,

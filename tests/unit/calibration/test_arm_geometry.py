@@ -1,4 +1,4 @@
-"""The columns of the arm's errors against a chain of another make, moved by a little."""
+"""The columns of the arm's errors against an independent chain with small perturbations."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def columns():
 
 @pytest.mark.parametrize("link", range(5))  # the flange is turned against the last link's end: see below
 @pytest.mark.parametrize("axis", range(3))
-def test_a_link_error_moves_the_ball_as_its_columns_say(columns, link: int, axis: int) -> None:
+def test_a_link_error_moves_the_ball_as_its_columns_predict(columns, link: int, axis: int) -> None:
     first = COLUMNS_PER_JOINT * link + 5 + 2 * axis
     for turns, size, column in ((False, LINK_TRANSLATION_MM, first), (True, LINK_ROTATION_RAD, first + 1)):
         error = [0.0, 0.0, 0.0]
@@ -58,7 +58,7 @@ def test_an_error_of_the_last_link_moves_the_ball_by_its_size(columns) -> None:
 
 
 @pytest.mark.parametrize("joint", range(6))
-def test_a_joint_offset_moves_the_ball_as_its_column_says(columns, joint: int) -> None:
+def test_a_joint_offset_moves_the_ball_as_its_column_predicts(columns, joint: int) -> None:
     joints = list(JOINTS)
     joints[joint] += SMALL * JOINT_OFFSET_RAD
     moved = (ball_with(exact(), tuple(joints)) - ball_with(exact())) / SMALL

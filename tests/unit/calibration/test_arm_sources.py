@@ -1,4 +1,4 @@
-"""Which errors of an arm are counted, with what is known of its joints and its looks."""
+"""Which arm errors count, given what is known of its joints and its looks."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ def budget_mm(
     return predict_target_error(POINTS_MM[:-1], POINTS_MM[-1], sources).budget_mm
 
 
-def test_of_a_calibrated_arm_the_whole_backlash_counts_where_nobody_knows_the_side() -> None:
+def test_the_whole_backlash_of_a_calibrated_arm_counts_where_the_approach_side_is_unknown() -> None:
     known = {sizes: budget_mm(sizes, KNOWN)["backlash"] for sizes in (ErrorSizes(), CALIBRATED)}
     assert known[CALIBRATED] == pytest.approx(0.1 * known[ErrorSizes()])
     unknown = {sizes: budget_mm(sizes, None)["backlash"] for sizes in (ErrorSizes(), CALIBRATED)}
     assert known[ErrorSizes()] < 0.9 * unknown[CALIBRATED] < unknown[ErrorSizes()]
 
 
-def test_harmonics_displace_as_those_of_random_arms_whose_phase_may_be_any() -> None:
+def test_harmonics_displace_like_those_of_random_arms_with_any_phase() -> None:
     generator, flat = np.random.default_rng(1), []
     sizes_rad = np.array(HARMONIC_RAD)
     for _ in range(2000):
@@ -70,7 +70,7 @@ def swings_mm() -> NDArray[np.float64]:
     return np.asarray(displacements(KR6.chain, LOOKS[-1:], POINTS_MM[-1:], ErrorSizes()).swings_mm[0])
 
 
-def test_what_the_servo_leaves_does_not_count_where_it_is_measured() -> None:
+def test_the_servo_error_does_not_count_where_it_is_measured() -> None:
     assert "servo and repeatability" in budget_mm(ErrorSizes(), KNOWN)
     measured = budget_mm(ErrorSizes(), KNOWN, servo_mm=0.0)
     assert measured["repeatability"] >= np.sqrt(3.0) * REPEATABILITY_MM

@@ -1,4 +1,4 @@
-"""Calibration of a stereo head from synthetic looks, against the truth of the scene they were made from."""
+"""Calibration of a stereo head from synthetic looks, against the ground truth of their scene."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_the_tool_centre_is_within_three_hundredths_of_a_millimetre_of_truth(see
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_stated_errors_are_those_that_are_made() -> None:
+def test_stated_errors_match_the_actual_errors() -> None:
     ratios = []
     for seed in range(20):
         head = true_head(seed=seed)
@@ -70,7 +70,7 @@ def with_its_arm(seed: int) -> tuple[TrueHead, ObservationSet]:
 
 
 @pytest.mark.slow
-def test_an_uncalibrated_arm_is_not_taken_for_a_tool_centre_elsewhere() -> None:
+def test_the_errors_of_an_uncalibrated_arm_are_not_attributed_to_the_tool_centre() -> None:
     head, observed = with_its_arm(seed=0)
     plain = calibrate_head(observed, arm_geometry=False).stereo_head
     found = calibrate_head(observed)
@@ -83,7 +83,7 @@ def test_an_uncalibrated_arm_is_not_taken_for_a_tool_centre_elsewhere() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_with_uncalibrated_arms_the_stated_error_is_the_one_that_is_made() -> None:
+def test_with_uncalibrated_arms_the_stated_error_matches_the_actual_error() -> None:
     ratios = []
     for seed in range(40, 60):
         head, observed = with_its_arm(seed)
@@ -92,14 +92,14 @@ def test_with_uncalibrated_arms_the_stated_error_is_the_one_that_is_made() -> No
     assert 0.7 <= np.sqrt(np.mean(np.square(ratios))) <= 1.4
 
 
-def test_the_arm_and_the_images_are_told_apart(head: TrueHead) -> None:
+def test_arm_error_and_image_error_are_separated(head: TrueHead) -> None:
     fit = calibrate_head(observation_set(head, looks_at(head, count=80))).fit
     assert fit.arm_error_mm == pytest.approx(head.repeatability_mm, rel=0.25)
     assert fit.image_sigma_px == pytest.approx(head.outline_px, rel=0.5)
     assert fit.ball_mm == pytest.approx(BALL_MM, abs=GOAL_MM)
 
 
-def test_looks_that_are_wrong_do_not_pull_the_result(head: TrueHead) -> None:
+def test_wrong_looks_do_not_distort_the_result(head: TrueHead) -> None:
     looks = looks_at(head)
     for number in (5, 20, 41):  # another ball, the arm pushed, a glare
         x, y = looks[number].left.centre_px
@@ -110,7 +110,7 @@ def test_looks_that_are_wrong_do_not_pull_the_result(head: TrueHead) -> None:
     assert head.tool_centre_error_mm(result.stereo_head) <= GOAL_MM
 
 
-def test_the_new_record_is_dated_names_its_cameras_and_says_how_good_it_is(head: TrueHead) -> None:
+def test_the_new_record_is_dated_and_states_its_cameras_and_its_error(head: TrueHead) -> None:
     observed = observation_set(head, looks_at(head))
     record = calibrate_head(observed, life=timedelta(days=7)).stereo_head
     assert (record.left.serial, record.right.serial) == observed.serials
@@ -123,7 +123,7 @@ def test_the_new_record_is_dated_names_its_cameras_and_says_how_good_it_is(head:
     assert refused.value.exit_code == EXIT_REFUSED
 
 
-def test_the_tip_of_the_guide_moves_with_the_mount_that_both_hang_on(head: TrueHead) -> None:
+def test_the_tip_of_the_guide_moves_with_the_mount_it_shares_with_the_head(head: TrueHead) -> None:
     before = head.record
     tip = ToolTipCalibration(
         identifier="tip",
@@ -143,7 +143,7 @@ def test_the_tip_of_the_guide_moves_with_the_mount_that_both_hang_on(head: TrueH
     assert (moved.expires, moved.stated_error_mm) == (tip.expires, tip.stated_error_mm)
 
 
-def test_a_second_calibration_finds_the_first_one_right(head: TrueHead) -> None:
+def test_a_second_calibration_confirms_the_first_one(head: TrueHead) -> None:
     first = calibrate_head(observation_set(head, looks_at(head, 1)))
     again = observation_set(head, looks_at(head, 2)).model_copy(update={"start": first.stereo_head})
     second = calibrate_head(again)
@@ -171,13 +171,13 @@ def test_poses_of_one_orientation_or_about_one_axis_are_refused(head: TrueHead, 
         calibrate_head(observation_set(head, looks_at(head, plan=tuple(looks))))
 
 
-def test_a_ball_that_moves_is_no_calibration(head: TrueHead) -> None:
+def test_a_ball_that_moves_is_refused(head: TrueHead) -> None:
     shaken = TrueHead(head.scene, repeatability_mm=3.0)
     with pytest.raises(DoesNotFit, match="CAL-004"):
         calibrate_head(observation_set(head, looks_at(shaken)))
 
 
-def test_observations_survive_their_file(head: TrueHead, tmp_path) -> None:
+def test_observations_round_trip_through_their_file(head: TrueHead, tmp_path) -> None:
     observed = observation_set(head, looks_at(head, count=3))
     (tmp_path / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
     assert KIND.read_looks(tmp_path) == observed
@@ -185,7 +185,7 @@ def test_observations_survive_their_file(head: TrueHead, tmp_path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "no json", '{"schema": 1}', '{"observations": [{}]}'])
-def test_a_file_that_is_no_observations_is_refused(tmp_path, content: str | None) -> None:
+def test_a_file_without_valid_observations_is_refused(tmp_path, content: str | None) -> None:
     if content is not None:
         (tmp_path / OBSERVATIONS_FILE).write_text(content)
     with pytest.raises(BadObservations, match="CAL-005"):

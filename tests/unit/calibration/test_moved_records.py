@@ -1,4 +1,4 @@
-"""What hangs on the mount beside the head stays beside it, whatever a calibration finds of the head."""
+"""Frame and tip on the same mount stay together, whatever a calibration finds for the head."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def transform(target: Frame, source: Frame, *translation_mm: float, turned: floa
     )
 
 
-def test_frame_and_tip_at_one_place_are_at_one_place_after_the_head_was_found_elsewhere() -> None:
+def test_frame_and_tip_at_one_place_stay_together_when_the_head_is_found_elsewhere() -> None:
     before = transform(Frame.FLANGE, Frame.TOOL, 220.0, 0.0, 60.0)
     after = transform(Frame.FLANGE, Frame.TOOL, 221.5, -0.8, 61.0, turned=0.01)
     beside = transform(Frame.TOOL, Frame.MARKER, -150.0, 20.0, -140.0, turned=0.3)

@@ -59,7 +59,7 @@ def checked(laboratory: Laboratory, head: TrueHead, seed: int) -> CheckResult:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_a_sound_head_passes_in_at_least_99_of_100_checks(laboratory: Laboratory) -> None:
+def test_a_sound_head_passes_at_least_99_of_100_checks(laboratory: Laboratory) -> None:
     alarms = sum(not checked(laboratory, laboratory[0], seed).passed for seed in range(TRIALS))
     assert alarms <= 1
 
@@ -67,7 +67,7 @@ def test_a_sound_head_passes_in_at_least_99_of_100_checks(laboratory: Laboratory
 @pytest.mark.slow
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("side", ["left", "right"])
-def test_a_twist_of_a_hundredth_of_a_degree_is_found_every_time(laboratory: Laboratory, side: str) -> None:
+def test_a_twist_of_a_hundredth_of_a_degree_is_always_detected(laboratory: Laboratory, side: str) -> None:
     missed = 0
     for seed in range(TRIALS):
         angle = 2.0 * np.pi * seed / TRIALS  # of the axis across the line of sight
@@ -77,35 +77,35 @@ def test_a_twist_of_a_hundredth_of_a_degree_is_found_every_time(laboratory: Labo
 
 
 @pytest.mark.parametrize("turn", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
-def test_a_twist_is_refused_with_what_it_does(laboratory: Laboratory, turn: tuple[float, ...]) -> None:
+def test_a_twist_is_refused_with_its_code(laboratory: Laboratory, turn: tuple[float, ...]) -> None:
     head = laboratory[0].twisted("left", tuple(TWIST_RAD * value for value in turn))
     with pytest.raises(HeadMoved, match="CAL-006") as refused:
         checked(laboratory, head, 5).require()
     assert refused.value.exit_code == EXIT_REFUSED
 
 
-def test_a_sound_head_is_let_through_though_the_ball_was_put_down_elsewhere(laboratory: Laboratory) -> None:
+def test_a_sound_head_passes_although_the_ball_was_placed_elsewhere(laboratory: Laboratory) -> None:
     result = checked(laboratory, laboratory[0], 5)
     result.require()
     assert np.linalg.norm(result.ball_moved_mm) > 0.1
     assert result.repeatability_mm == pytest.approx(0.015, rel=0.3)
 
 
-def test_a_mount_that_turned_as_a_whole_is_found_too(laboratory: Laboratory) -> None:
+def test_a_mount_that_turned_as_a_whole_is_detected_too(laboratory: Laboratory) -> None:
     turn = (0.0, TWIST_RAD, 0.0)
     both = laboratory[0].twisted("left", turn).twisted("right", turn)
     result = checked(laboratory, both, 5)
     assert [sign.sounds for sign in result.signs] == [True, False, False]
 
 
-def test_looks_that_scatter_too_much_prove_nothing(laboratory: Laboratory) -> None:
+def test_looks_that_scatter_too_much_are_inconclusive_and_refused(laboratory: Laboratory) -> None:
     shaking = TrueHead(laboratory[0].scene, repeatability_mm=0.1)
     with pytest.raises(CheckUncertain, match="CAL-007") as refused:
         checked(laboratory, shaking, 5)
     assert refused.value.exit_code == EXIT_REFUSED
 
 
-def test_a_check_of_other_poses_than_the_baseline_is_refused(laboratory: Laboratory) -> None:
+def test_a_check_with_other_poses_than_the_baseline_is_refused(laboratory: Laboratory) -> None:
     generator = np.random.default_rng(5)
     baseline = baseline_of(laboratory, generator)
     good = list(visited(laboratory[0], BALL_MM, generator))

@@ -1,4 +1,4 @@
-"""A scripted operator by a file: what fits is answered, what does not is refused before anything starts."""
+"""An operator scripted by a file: valid answers are used, invalid ones are refused before anything starts."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -32,13 +32,15 @@ def answered(question: Question, **content: object) -> str:
     return AnsweringOperator(Answers.model_validate(content), Person()).ask(question)
 
 
-def test_an_answer_for_a_trajectory_comes_before_the_one_for_all() -> None:
+def test_an_answer_for_one_trajectory_takes_precedence_over_the_general_one() -> None:
     assert answered(APPROACH, answers={"approach:T1": "no", "approach": "yes"}) == "no"
     assert answered(APPROACH, answers={"approach:T2": "no", "approach": "yes"}) == "yes"
 
 
 @pytest.mark.parametrize(("default", "answer"), [("first", "yes"), ("silence", "no"), (None, "person")])
-def test_what_is_not_listed_is_answered_as_the_file_says(default: str | None, answer: str) -> None:
+def test_an_unlisted_question_is_answered_by_the_default_of_the_file(
+    default: str | None, answer: str
+) -> None:
     assert answered(APPROACH, default=default) == answer
 
 
@@ -57,14 +59,14 @@ def test_what_is_not_listed_is_answered_as_the_file_says(default: str | None, an
         ("\xff\xfe", "TOML"),
     ],
 )
-def test_what_does_not_fit_is_refused_and_named(tmp_path: Path, text: str, named: str) -> None:
+def test_invalid_answers_are_refused_and_named(tmp_path: Path, text: str, named: str) -> None:
     path = tmp_path / "answers.toml"
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(AnswersUnfit, match=named):
         read_answers(path)
 
 
-def test_a_trajectory_that_the_plan_does_not_have_is_refused() -> None:
+def test_a_trajectory_that_is_not_in_the_plan_is_refused() -> None:
     answers = Answers(answers={"approach:T9": "no"})
     with pytest.raises(AnswersUnfit, match="approach:T9"):
         answers.check_trajectories(("T1", "T2"))
@@ -75,7 +77,7 @@ def test_every_topic_has_its_words() -> None:
 
 
 @pytest.mark.hazard(36)
-def test_what_a_person_is_to_read_back_no_file_answers() -> None:
+def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
     operator = AnsweringOperator(Answers(default="first", answers={"approach": "yes"}), Person(), Person())
     assert operator.ask(moves) == "person"
@@ -84,7 +86,7 @@ def test_what_a_person_is_to_read_back_no_file_answers() -> None:
 
 @pytest.mark.hazard(36)
 @pytest.mark.parametrize(("simulated", "answer"), [(True, "yes"), (False, "no")])
-def test_a_file_moves_a_real_arm_by_no_answer(tmp_path: Path, simulated: bool, answer: str) -> None:
+def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool, answer: str) -> None:
     content = theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
     text = tomli_w.dumps(content)
     path = tmp_path / "theatre.toml"
@@ -95,7 +97,7 @@ def test_a_file_moves_a_real_arm_by_no_answer(tmp_path: Path, simulated: bool, a
 
 
 @pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
-def test_a_step_is_repeated_without_being_asked_about_only_where_nobody_sits(
+def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
@@ -105,7 +107,7 @@ def test_a_step_is_repeated_without_being_asked_about_only_where_nobody_sits(
 
 
 @pytest.mark.parametrize(("at_terminal", "told"), [(True, ""), (False, "nobody can answer")])
-def test_that_nobody_can_answer_on_a_theatre_of_ones_own_is_told_before_anything_opens(
+def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -118,7 +120,7 @@ def test_that_nobody_can_answer_on_a_theatre_of_ones_own_is_told_before_anything
     assert told in error if told else error == ""
 
 
-def test_who_only_acknowledges_is_not_warned_that_nobody_answers(
+def test_acknowledging_does_not_warn_that_nobody_can_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: False)

@@ -1,4 +1,4 @@
-"""What a calibration says at its end."""
+"""The closing message of a calibration."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ KIND = cast("Any", SimpleNamespace(figures=lambda _payload: (), warnings=lambda 
 @pytest.mark.parametrize(
     ("written", "told"), [(Path("new.toml"), "written to new.toml"), (None, "or use --write")]
 )
-def test_what_was_written_is_named_and_else_how_to_write_it(
+def test_the_message_names_the_written_file_or_how_to_write_one(
     written: Path | None, told: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     show(KIND, {"calibration": "tool-tip"}, Path("out"), written=written, as_json=False)

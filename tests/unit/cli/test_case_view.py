@@ -1,4 +1,4 @@
-"""What a person sees of a case while it runs."""
+"""What a person sees of a running case."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def events(tmp_path: Path) -> list[Event]:
     return list(reader.read(0.0).events)
 
 
-def test_why_a_case_is_held_is_told_once_in_the_picture(events: list[Event]) -> None:
+def test_the_live_view_shows_once_why_a_case_is_held(events: list[Event]) -> None:
     view = CaseView()
     for event in events:
         view.take_in(event)
@@ -50,7 +50,7 @@ def test_why_a_case_is_held_is_told_once_in_the_picture(events: list[Event]) -> 
     assert text.count(REASON) == 1
 
 
-def test_what_was_wrong_with_a_step_goes_when_the_step_is_done_again(tmp_path: Path) -> None:
+def test_the_error_of_a_step_disappears_when_the_step_is_repeated_successfully(tmp_path: Path) -> None:
     tries = iter([GateFailed(REASON), None])
 
     def fails_once(context: StepContext) -> Outcome[StepResult]:
@@ -70,14 +70,14 @@ def test_what_was_wrong_with_a_step_goes_when_the_step_is_done_again(tmp_path: P
     assert shown == [True, False]
 
 
-def test_where_errors_are_told_with_the_way_on_the_step_that_failed_has_only_its_code(
+def test_a_failed_step_shows_only_its_code_where_errors_are_reported_separately(
     events: list[Event],
 ) -> None:
     said = [entry.text for event in events if (entry := entry_of(event, errors=False)) is not None]
     assert [text.split() for text in said] == [["image", GateFailed.code]]
 
 
-def test_a_picture_that_comes_back_leaves_what_was_written_meanwhile() -> None:
+def test_a_live_view_that_reappears_keeps_text_written_meanwhile() -> None:
     terminal = io.StringIO()
     display = LiveDisplay(Console(file=terminal, force_terminal=True, width=80), errors=False)
     with display.shown():
@@ -87,7 +87,7 @@ def test_a_picture_that_comes_back_leaves_what_was_written_meanwhile() -> None:
     assert CURSOR_UP not in after.partition("starting")[0]
 
 
-def test_an_error_beside_a_live_picture_goes_through_what_keeps_it_above(
+def test_an_error_during_a_live_view_is_written_above_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     class Terminal(io.StringIO):
@@ -102,7 +102,7 @@ def test_an_error_beside_a_live_picture_goes_through_what_keeps_it_above(
     assert past.getvalue() == ""
 
 
-def test_why_a_case_is_held_is_told_once_in_lines(events: list[Event]) -> None:
+def test_the_line_output_shows_once_why_a_case_is_held(events: list[Event]) -> None:
     text = "\n".join(line for event in events if (line := line_of(event)) is not None)
     assert text.count(REASON) == 1
     assert entry_of(events[-1]) is None
@@ -110,7 +110,7 @@ def test_why_a_case_is_held_is_told_once_in_lines(events: list[Event]) -> None:
 
 
 @pytest.mark.parametrize("quiet", [False, True])
-def test_without_a_terminal_each_step_and_each_finding_has_its_line_unless_quiet(
+def test_without_a_terminal_each_step_and_finding_gets_a_line_unless_quiet(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], quiet: bool
 ) -> None:
     engine = RecordingCell(tmp_path).engine(plain_order("T1"))

@@ -1,4 +1,4 @@
-"""What a console hears of the program that started it."""
+"""What a console receives from the program that started it."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Listening:
         self.socket.close()
 
 
-def test_a_console_hears_that_the_program_lives_before_the_theatre_is_open(
+def test_a_console_receives_a_heartbeat_before_the_theatre_is_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(link, "ChildProcess", Listening)
@@ -73,7 +73,7 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
         console.close()
 
 
-def test_a_port_that_is_taken_is_told_before_a_theatre_is_opened() -> None:
+def test_a_port_in_use_is_reported_before_a_theatre_is_opened() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
         with pytest.raises(UsageMistake, match=rf"CLI-001: --console-port {port} cannot be used: .*in use"):

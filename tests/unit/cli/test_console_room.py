@@ -1,4 +1,4 @@
-"""What the room's hands read, typed at the console."""
+"""Readings of the room's manual work, typed at the console."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def stand(tmp_path: Path) -> Stand:
     return Stand(tmp_path)
 
 
-def test_what_the_operator_types_is_what_was_read_and_the_journal_has_his_name(stand: Stand) -> None:
+def test_the_typed_reading_is_used_and_the_journal_names_the_operator(stand: Stand) -> None:
     read = stand.work(GAUGE)
     assert stand.answer("read", [0.03, -0.01]) == ""
     eventually(lambda: read == [(0.03, -0.01)])
@@ -96,9 +96,7 @@ def test_what_the_operator_types_is_what_was_read_and_the_journal_has_his_name(s
 
 
 @pytest.mark.parametrize("readings", [None, [], [0.03], [0.03, 0.01, 0.02]])
-def test_fewer_or_more_numbers_than_are_read_off_are_no_answer(
-    stand: Stand, readings: list[float] | None
-) -> None:
+def test_a_wrong_number_of_readings_is_refused(stand: Stand, readings: list[float] | None) -> None:
     read = stand.work(GAUGE)
     assert stand.answer("read", readings) == "type gap in mm, turn in mm"
     assert read == []
@@ -106,7 +104,7 @@ def test_fewer_or_more_numbers_than_are_read_off_are_no_answer(
 
 
 @pytest.mark.parametrize("reading", ["NaN", "Infinity", "1e999", '"0.1"', "true"])
-def test_what_is_no_number_is_no_order(reading: str) -> None:
+def test_a_reading_that_is_not_a_finite_number_is_refused(reading: str) -> None:
     order = (
         '{"kind":"answer","session":"session-ana","nonce":"nonce-001","question":1,"answer":"read",'
         f'"shown":"{"0" * 64}","readings":[{reading}]}}'
@@ -115,13 +113,13 @@ def test_what_is_no_number_is_no_order(reading: str) -> None:
         read_order(order)
 
 
-def test_nobody_reads_ends_the_step(stand: Stand) -> None:
+def test_the_answer_nobody_ends_the_step(stand: Stand) -> None:
     read = stand.work(GAUGE)
     assert stand.answer("nobody") == ""
     eventually(lambda: read == [()])
 
 
-def test_when_the_console_ends_meanwhile_the_terminal_is_asked(stand: Stand) -> None:
+def test_the_terminal_is_asked_when_the_console_ends_meanwhile(stand: Stand) -> None:
     read = stand.work(GAUGE)
     eventually(lambda: stand.desk._standing is not None)
     stand.desk.leave()
@@ -129,6 +127,6 @@ def test_when_the_console_ends_meanwhile_the_terminal_is_asked(stand: Stand) -> 
     assert stand.terminal.asked == ["read the gauge"]
 
 
-def test_what_is_only_to_be_done_is_said_where_it_was_said_before(stand: Stand) -> None:
+def test_a_task_without_readings_is_shown_at_the_terminal(stand: Stand) -> None:
     assert stand.room.work(Task("out", "take it out")) == ()
     assert stand.terminal.asked == ["take it out"]

@@ -1,4 +1,4 @@
-"""Orders from the console, as the engine's side takes them."""
+"""Orders from the console, as the engine's side receives them."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def shown(asked: Question) -> str:
     return shown_digest(as_shown(asked, asked.number))
 
 
-def test_nobody_is_in_charge_before_the_seat_is_taken_unless_the_case_waits_for_it(tmp_path: Path) -> None:
+def test_the_desk_is_in_charge_before_the_seat_is_taken_only_if_the_case_waits_for_it(tmp_path: Path) -> None:
     assert not Stand(tmp_path).desk.in_charge
     assert Stand(tmp_path / "other", waits=True).desk.in_charge
 
 
-def test_an_answer_counts_with_the_digest_of_what_was_shown_and_is_signed(stand: Stand) -> None:
+def test_an_answer_counts_only_with_the_digest_of_the_question_and_is_signed(stand: Stand) -> None:
     signatures: list[Signature] = []
     asked = question(signed=signatures.append)
     answers = stand.ask(asked)
@@ -94,7 +94,7 @@ def test_an_answer_counts_with_the_digest_of_what_was_shown_and_is_signed(stand:
     assert signatures == [Signature("Ana", ANA, shown(asked))]
 
 
-def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(stand: Stand) -> None:
+def test_an_affirmative_answer_needs_the_correct_read_back(stand: Stand) -> None:
     misread: list[None] = []
     asked = question(read_back=ReadBack("how many mm", "12"), misread=lambda: misread.append(None))
     answers = stand.ask(asked)
@@ -106,13 +106,13 @@ def test_what_is_to_be_read_back_is_needed_for_the_answer_that_goes_on_alone(sta
     eventually(lambda: answers == ["yes"])
 
 
-def test_the_unit_may_be_typed_with_what_is_read_back() -> None:
+def test_the_unit_may_be_typed_with_the_read_back() -> None:
     read_back = ReadBack("how many mm it moves first", "169", unit="mm")
     fits = [read_back.fits(typed) for typed in ("169", "169mm", " 169 MM ", "169 cm", "mm")]
     assert fits == [True, True, True, False, False]
 
 
-def test_a_reading_that_no_dial_can_show_is_no_answer(stand: Stand) -> None:
+def test_an_implausible_reading_is_refused(stand: Stand) -> None:
     read: list[tuple[float, ...]] = []
     asked = question(reads=("x in mm",), plausible_mm=(-10.0, 10.0), read=read.append)
     answers = stand.ask(asked)
@@ -122,27 +122,27 @@ def test_a_reading_that_no_dial_can_show_is_no_answer(stand: Stand) -> None:
     eventually(lambda: (answers, read) == (["yes"], [(0.1,)]))
 
 
-def test_an_order_that_comes_too_late_is_refused_and_a_stop_never_is(stand: Stand) -> None:
+def test_a_late_order_is_refused_but_a_late_stop_is_not(stand: Stand) -> None:
     late = {"expires_s": stand.clock.now_s - 0.1}
     stand.wish()
     assert stand.give("next", upcoming="image", **late) == "the order came too late"
     assert stand.give("stop", **late) == ""
 
 
-def test_silence_is_the_last_answer(stand: Stand) -> None:
+def test_no_answer_in_time_gives_the_last_answer(stand: Stand) -> None:
     answers = stand.ask(question())
     stand.clock.now_s += 61.0
     eventually(lambda: answers == ["no"])
 
 
-def test_a_console_that_ends_leaves_the_question_to_somebody_else(stand: Stand) -> None:
+def test_a_console_that_ends_leaves_its_question_unanswered(stand: Stand) -> None:
     answers, wishes = stand.ask(question()), stand.wish()
     stand.desk.leave()
     eventually(lambda: (answers, wishes) == ([None], [None]))
     assert not stand.desk.in_charge
 
 
-def test_a_seat_is_kept_by_renewing_and_free_when_its_page_is_not_heard_of(stand: Stand) -> None:
+def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Stand) -> None:
     for _ in range(3):
         stand.clock.now_s += LEASE_S - 1.0
         stand.give("renew")
@@ -155,7 +155,7 @@ def test_a_seat_is_kept_by_renewing_and_free_when_its_page_is_not_heard_of(stand
     assert stand.desk.changes_of_seat() == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
 
 
-def test_of_two_who_claim_at_once_one_has_it_and_the_other_is_told(tmp_path: Path) -> None:
+def test_of_two_simultaneous_claims_exactly_one_is_refused(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
     told: list[str] = []
     both = [
@@ -169,7 +169,7 @@ def test_of_two_who_claim_at_once_one_has_it_and_the_other_is_told(tmp_path: Pat
     assert sorted(bool(one) for one in told) == [False, True]
 
 
-def test_a_pause_ends_by_its_question_alone_and_resume_runs_on_between_steps(stand: Stand) -> None:
+def test_a_pause_ends_only_by_its_question_and_resume_works_between_steps(stand: Stand) -> None:
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=3, timeout_s=None)
     answers = stand.ask(pause)
     assert stand.give("next", upcoming="image") != ""
@@ -183,7 +183,9 @@ def test_a_pause_ends_by_its_question_alone_and_resume_runs_on_between_steps(sta
     eventually(lambda: wishes == [Wish("end", by="Ana")])
 
 
-def test_abort_in_a_step_meets_its_next_checkpoint_and_says_no_to_what_is_asked(stand: Stand) -> None:
+def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_the_question(
+    stand: Stand,
+) -> None:
     answers = stand.ask(question())
     assert stand.give("abort") == ""
     eventually(lambda: answers == ["no"])
@@ -192,6 +194,6 @@ def test_abort_in_a_step_meets_its_next_checkpoint_and_says_no_to_what_is_asked(
 
 
 @pytest.mark.parametrize("name", ["", " ", "a" * 61, "a\nb"])
-def test_a_name_is_one_line_that_can_be_read(name: str) -> None:
+def test_a_name_must_be_one_readable_line(name: str) -> None:
     with pytest.raises(ValueError, match="name"):
         read_order(json.dumps({"kind": "claim", "session": ANA, "nonce": "nonce-1x", "name": name}))

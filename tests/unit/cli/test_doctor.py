@@ -1,4 +1,4 @@
-"""The doctor shows what the drivers' probes find; how it ends depends on the devices, not on the computer."""
+"""The doctor shows what the drivers' probes find; its exit code depends on the devices, not the computer."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def theatre(tmp_path: Path) -> Path:
     return path
 
 
-def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(theatre: Path) -> None:
+def test_every_device_of_a_theatre_file_is_probed_even_after_a_failed_probe(theatre: Path) -> None:
     shares: list[float] = []
     report = examine(theatre, (), shares.append)
     assert [diagnostic.subject for diagnostic in report.devices] == [
@@ -71,7 +71,7 @@ def test_every_device_of_a_theatre_file_is_probed_also_after_a_probe_that_fails(
     assert shares == [0.5, 0.75, 1.0]
 
 
-def test_a_clock_that_has_ended_with_its_theatre_is_a_problem_also_for_a_script(tmp_path: Path) -> None:
+def test_a_clock_that_ended_with_its_theatre_is_a_problem_in_the_json_output_too(tmp_path: Path) -> None:
     gone = f'theatre = "lab"\nbanner = "SIMULATED"\n[clock]\nendpoint = "shm://{tmp_path}/clock"\n'
     (tmp_path / "theatre.toml").write_text(gone)
     report = examine(tmp_path / "theatre.toml")
@@ -81,7 +81,9 @@ def test_a_clock_that_has_ended_with_its_theatre_is_a_problem_also_for_a_script(
     assert ended.value.code == EXIT_NOT_FOUND
 
 
-def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_path: Path) -> None:
+def test_a_theatre_without_devices_is_a_problem_and_the_advice_names_the_sections_to_declare(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "theatre.toml").write_text('theatre = "lab"\n')
     report = examine(tmp_path / "theatre.toml")
     (diagnostic,) = (one for one in report.case if one.subject == "devices of a case")
@@ -100,7 +102,7 @@ def test_a_theatre_without_devices_is_a_problem_that_says_what_to_declare(tmp_pa
         (-1, False, "CAL-001 calibration head-1 expired", True),
     ],
 )
-def test_each_calibration_record_shows_until_when_it_is_valid(
+def test_each_calibration_record_shows_how_long_it_is_valid(
     days: int, well: bool, said: str, advised: bool
 ) -> None:
     now = datetime.now(UTC)
@@ -119,7 +121,7 @@ def test_each_calibration_record_shows_until_when_it_is_valid(
         assert said in diagnostic.seen
 
 
-def test_missing_calibrations_are_a_problem_only_where_a_case_could_be_run(theatre: Path) -> None:
+def test_missing_calibrations_are_a_problem_only_where_a_case_could_run(theatre: Path) -> None:
     (alone,) = examine(theatre).calibrations
     assert alone.well
     arm = '[robot.master]\ndriver = "lines"\nendpoint = "tcp://127.0.0.1:3"\n'
@@ -128,19 +130,19 @@ def test_missing_calibrations_are_a_problem_only_where_a_case_could_be_run(theat
     assert "[calibration]" in whole.advice
 
 
-def test_bare_endpoints_are_looked_at_by_the_probe_of_their_scheme() -> None:
+def test_bare_endpoints_are_examined_by_the_probe_of_their_scheme() -> None:
     report = examine(None, ["tcp://127.0.0.1:1", "serial:///dev/ttyUSB0"])
     assert [each.subject for each in report.devices] == [
         "line tcp://127.0.0.1:1", "line serial:///dev/ttyUSB0"
     ]  # fmt: skip
 
 
-def test_an_endpoint_that_no_probe_can_look_at_is_refused() -> None:
+def test_an_endpoint_that_no_probe_supports_is_refused() -> None:
     with pytest.raises(BadEndpoint, match="serial: or tcp:"):
         examine(None, ["udp://127.0.0.1:59152"])
 
 
-def test_an_endpoint_that_two_probes_can_look_at_needs_a_theatre_file(
+def test_an_endpoint_that_two_probes_support_needs_a_theatre_file(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(doctor, "endpoint_probes", lambda: {"lines": LineProbe(), "scales": LineProbe()})
@@ -148,7 +150,7 @@ def test_an_endpoint_that_two_probes_can_look_at_needs_a_theatre_file(
         examine(None, ["tcp://127.0.0.1:1"])
 
 
-def test_a_computer_alone_is_well_without_devices(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_computer_without_devices_is_healthy(capsys: pytest.CaptureFixture[str]) -> None:
     report = examine(None)
     assert report.devices == ()
     assert {"Python", "packages", "real-time priority"} <= {each.subject for each in report.computer}
@@ -166,19 +168,19 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
     }
 
 
-def test_a_device_that_is_not_well_ends_with_4(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unhealthy_device_gives_exit_code_4(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
         show(Report((), (WELL, UNWELL)), as_json=False)
     assert ended.value.code == 4
     assert "device tracker\tPROBLEM\tsilent\tSwitch it on." in capsys.readouterr().out
 
 
-def test_a_computer_that_is_not_well_does_not_count(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unhealthy_computer_does_not_affect_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
     show(Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
     assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out
 
 
-def test_an_expired_calibration_is_a_problem_also_for_a_script() -> None:
+def test_an_expired_calibration_is_a_problem_in_the_json_output_too() -> None:
     with pytest.raises(SystemExit) as ended:
         show(Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)), as_json=True)
     assert ended.value.code == EXIT_NOT_FOUND

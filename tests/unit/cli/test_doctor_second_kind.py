@@ -1,4 +1,4 @@
-"""A kind of device that the doctor has never heard of is shown like any other."""
+"""The doctor shows a device of a kind it does not know like any other."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from procedures.cli.doctor.report import examine
 
 
 @pytest.mark.parametrize("plugged_in", [True, False])
-def test_a_device_of_another_kind_is_shown_by_the_doctor(
+def test_the_doctor_shows_a_device_of_an_unknown_kind(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, plugged_in: bool
 ) -> None:
     install(monkeypatch)

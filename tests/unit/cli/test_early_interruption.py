@@ -1,4 +1,4 @@
-"""An interruption while a command still imports leaves one word and the documented exit code."""
+"""Interrupting a command during its imports prints one word and gives the documented exit code."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def _ended(program: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("package", ["procedures.cli", "sim.cli", "ronna_hw.conformance.cli"])
-def test_an_interrupted_import_is_told_in_one_word(package: str) -> None:
+def test_an_interrupt_during_import_prints_one_word(package: str) -> None:
     done = _ended(f"import {package}; raise KeyboardInterrupt")
     assert (done.returncode, done.stdout, done.stderr) == (EXIT_INTERRUPTED, "", "interrupted\n")
 
 
-def test_any_other_mistake_keeps_its_trace() -> None:
+def test_any_other_exception_keeps_its_traceback() -> None:
     done = _ended("import procedures.cli; raise ValueError('a mistake')")
     assert done.returncode == EXIT_FAILED
     assert "Traceback" in done.stderr

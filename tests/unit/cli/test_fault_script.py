@@ -1,4 +1,4 @@
-"""Step names in a fault script are checked by the command line; the theatre knows no list of them."""
+"""The command line checks the step names in a fault script; the theatre has no list of them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _script(folder: Path, text: str) -> Path:
     return path
 
 
-def test_known_steps_pass_with_and_without_a_target(tmp_path: Path) -> None:
+def test_known_steps_are_accepted_with_and_without_a_target(tmp_path: Path) -> None:
     check_fault_script(
         _script(
             tmp_path,
@@ -30,7 +30,7 @@ def test_known_steps_pass_with_and_without_a_target(tmp_path: Path) -> None:
     )
 
 
-def test_every_unknown_step_is_named_with_its_line_and_the_known_ones(tmp_path: Path) -> None:
+def test_every_unknown_step_is_reported_with_its_line_and_the_known_steps(tmp_path: Path) -> None:
     text = "when step == tea: robot drop 5 %\n\nwhen step == at_targets:T1: robot drop 5 %\n"
     with pytest.raises(UsageMistake) as caught:
         check_fault_script(_script(tmp_path, text), STEPS)

@@ -1,4 +1,4 @@
-"""Every run leaves a report; what ended the run is what the caller hears of."""
+"""Every run leaves a report, and the exception that ended the run reaches the caller."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from ronna_hw.evidence.inspection import REQUEST_FILE
 
 @pytest.mark.hazard(41)
 @pytest.mark.parametrize("problem", [GateFailed("too far off"), KeyboardInterrupt()])
-def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, problem: BaseException) -> None:
+def test_a_run_that_ends_in_an_error_or_interrupt_leaves_a_report_and_reraises_it(
+    tmp_path: Path, problem: BaseException
+) -> None:
     with pytest.raises(type(problem)) as met, leaving_report(tmp_path):
         raise problem
     assert met.value is problem
@@ -26,7 +28,7 @@ def test_whatever_ends_a_run_it_leaves_a_report_and_is_raised(tmp_path: Path, pr
 
 
 @pytest.mark.parametrize(("moved", "said"), [(True, "the arm is where it stopped"), (False, "has moved")])
-def test_who_interrupts_is_told_where_the_arm_is_and_how_to_go_on(
+def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], moved: bool, said: str
 ) -> None:
     (tmp_path / REQUEST_FILE).touch()
@@ -44,7 +46,7 @@ def test_who_interrupts_is_told_where_the_arm_is_and_how_to_go_on(
 
 
 @pytest.mark.hazard(41)
-def test_a_report_that_cannot_be_written_hides_nothing(
+def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def full(*_: object, **__: object) -> Path:
@@ -56,7 +58,7 @@ def test_a_report_that_cannot_be_written_hides_nothing(
     assert "the report could not be written: [Errno 28]" in capsys.readouterr().err
 
 
-def test_the_command_makes_the_report_of_a_run_that_was_killed_at_once(tmp_path: Path) -> None:
+def test_the_report_command_works_on_a_run_killed_at_its_start(tmp_path: Path) -> None:
     (tmp_path / "log.jsonl").touch()
     done = in_this_process(app, "report", tmp_path)
     assert (done.returncode, done.stdout) == (0, f"{tmp_path / 'report.html'}\n")

@@ -1,4 +1,4 @@
-"""A new case is told of a run on the same theatre that left the arm away from its home."""
+"""A new case warns about a run on the same theatre that left the arm away from home."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_theatre_without_an_earlier_run_gives_no_warning(tmp_path: Path) -> No
 
 
 @pytest.mark.hazard(5)
-def test_such_a_position_becomes_home_only_when_it_is_confirmed(tmp_path: Path) -> None:
+def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -> None:
     cell = RecordingCell(tmp_path)
     cell.operator.refusing = (Topic.RESUME,)
     engine = cell.engine(order_of([set_up.STEP], ()))

@@ -1,4 +1,4 @@
-"""A new theatre file: what was found stands in it, what was not is an example, mistakes leave no file."""
+"""A new theatre file holds the devices found and examples of the others; a mistake leaves no file."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def new_theatre(out: Path, *more: object, serial: str = "/dev/ttyUSB7") -> tuple
     return done.returncode, done.stdout, done.stderr
 
 
-def test_what_was_found_stands_in_the_file(cameras: Cameras, out: Path) -> None:
+def test_the_file_contains_the_devices_that_were_found(cameras: Cameras, out: Path) -> None:
     code, _, _ = new_theatre(out, "--name", "our lab")
     file = read_theatre_file(out)
     assert code == 0
@@ -92,12 +92,12 @@ def test_what_was_found_stands_in_the_file(cameras: Cameras, out: Path) -> None:
     assert file.stereo.options == {"left_serial": "11", "right_serial": "12"}
 
 
-def test_other_options_stand_in_comments_with_meaning_and_default(cameras: Cameras, out: Path) -> None:
+def test_other_options_are_comments_with_their_meaning_and_default(cameras: Cameras, out: Path) -> None:
     new_theatre(out)
     assert "# Exposure of both cameras.\n# exposure_us = 2000.0\n" in out.read_text()
 
 
-def test_a_device_that_was_not_found_is_an_example_in_comments(cameras: Cameras, out: Path) -> None:
+def test_a_device_that_was_not_found_becomes_a_commented_example(cameras: Cameras, out: Path) -> None:
     cameras.pairs = ()
     code, _, errors = new_theatre(out)
     text = out.read_text()
@@ -119,19 +119,19 @@ def test_missing_records_are_described_key_by_key(cameras: Cameras, out: Path) -
     assert read_theatre_file(out).calibration is None
 
 
-def test_only_the_given_lines_and_cards_are_searched(cameras: Cameras, out: Path) -> None:
+def test_only_the_given_serial_lines_and_interfaces_are_searched(cameras: Cameras, out: Path) -> None:
     new_theatre(out)
     (search,) = cameras.searches
     assert [each.name for each in search.interfaces] == ["lo"]
     assert [str(line) for line in search.lines] == ["serial:///dev/ttyUSB7"]
 
 
-def test_without_an_interface_no_network_is_searched(cameras: Cameras, out: Path) -> None:
+def test_no_network_is_searched_without_an_interface(cameras: Cameras, out: Path) -> None:
     in_this_process(app, "new-theatre", "--hardware", "--no-check", "--serial", "/dev/ttyUSB7", "--out", out)
     assert cameras.searches[0].interfaces == ()
 
 
-def test_of_several_pairs_the_serial_numbers_choose(cameras: Cameras, out: Path) -> None:
+def test_a_serial_number_selects_among_several_pairs(cameras: Cameras, out: Path) -> None:
     cameras.pairs = (pair("11", "12"), pair("12", "11"), pair("11", "13"))
     new_theatre(out, "--left", "12")
     stereo = read_theatre_file(out).stereo
@@ -139,14 +139,16 @@ def test_of_several_pairs_the_serial_numbers_choose(cameras: Cameras, out: Path)
     assert stereo.options["right_serial"] == "11"
 
 
-def test_a_camera_is_chosen_by_its_address_as_well(cameras: Cameras, out: Path) -> None:
+def test_a_camera_can_also_be_selected_by_its_address(cameras: Cameras, out: Path) -> None:
     new_theatre(out, "--right", "192.168.3.2")
     stereo = read_theatre_file(out).stereo
     assert stereo is not None
     assert stereo.options["right_serial"] == "12"
 
 
-def test_on_a_terminal_a_person_chooses(cameras: Cameras, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_user_at_a_terminal_chooses_among_several_pairs(
+    cameras: Cameras, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     cameras.pairs = (pair("11", "12"), pair("12", "11"))
     monkeypatch.setattr(command, "_choose", lambda _question, words: len(words) - 1)
     new_theatre(out)
@@ -155,14 +157,14 @@ def test_on_a_terminal_a_person_chooses(cameras: Cameras, out: Path, monkeypatch
     assert stereo.options["left_serial"] == "12"
 
 
-def test_an_option_is_taken_as_toml_has_it(cameras: Cameras, out: Path) -> None:
+def test_an_option_value_is_parsed_as_toml(cameras: Cameras, out: Path) -> None:
     new_theatre(out, "--option", "stereo.exposure_us=1500.5")
     stereo = read_theatre_file(out).stereo
     assert stereo is not None
     assert stereo.options["exposure_us"] == 1500.5
 
 
-def test_records_of_another_file_are_taken_over(cameras: Cameras, out: Path, tmp_path: Path) -> None:
+def test_records_are_copied_from_another_file(cameras: Cameras, out: Path, tmp_path: Path) -> None:
     (tmp_path / "mount").mkdir()
     (tmp_path / "mount/special.rom").write_bytes(b"rom")
     other = tmp_path / "mount/drawing.toml"
@@ -178,7 +180,7 @@ def test_records_of_another_file_are_taken_over(cameras: Cameras, out: Path, tmp
     assert file.tracker.options["tools"][0]["rom"] == str(tmp_path / "mount/special.rom")
 
 
-def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: Path) -> None:
+def test_a_file_with_simulated_devices_gets_a_rehearsal_banner(cameras: Cameras, out: Path) -> None:
     cameras.pairs = ()
     new_theatre(out, serial="/dev/pts/77")
     assert "REHEARSAL" in read_theatre_file(out).banner
@@ -205,7 +207,7 @@ def test_devices_that_can_only_be_simulated_get_a_banner(cameras: Cameras, out: 
         (("--records", "/nonexist.toml"), "cannot read /nonexist.toml"),
     ],
 )
-def test_a_mistake_is_told_and_leaves_no_file(
+def test_a_mistake_is_reported_and_leaves_no_file(
     cameras: Cameras, out: Path, options: tuple[str, ...], told: str
 ) -> None:
     code, _, errors = new_theatre(out, *options)
@@ -223,7 +225,7 @@ def test_several_devices_without_a_choice_are_refused(cameras: Cameras, out: Pat
     assert not out.exists()
 
 
-def test_an_existing_file_is_left_as_it_is(cameras: Cameras, out: Path) -> None:
+def test_an_existing_file_is_not_overwritten(cameras: Cameras, out: Path) -> None:
     out.write_text("mine")
     code, _, errors = new_theatre(out)
     assert code == EXIT_USAGE
@@ -231,7 +233,7 @@ def test_an_existing_file_is_left_as_it_is(cameras: Cameras, out: Path) -> None:
     assert out.read_text() == "mine"
 
 
-def test_without_hardware_the_command_says_what_writes_the_other_file(out: Path) -> None:
+def test_new_theatre_without_hardware_names_the_command_that_writes_a_simulated_theatre(out: Path) -> None:
     done = in_this_process(app, "new-theatre", "--out", out)
     assert done.returncode == EXIT_USAGE
     assert "ronna-sim theatre" in done.stderr

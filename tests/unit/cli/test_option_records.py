@@ -1,4 +1,4 @@
-"""Options that are declared once, as the fields of a dataclass."""
+"""Options declared once, as the fields of a dataclass."""
 
 from __future__ import annotations
 
@@ -52,19 +52,19 @@ def draw(
         ),
     ],
 )
-def test_a_command_gets_its_options_as_a_record(
+def test_a_command_receives_its_options_as_a_record(
     arguments: tuple[str, ...], got: tuple[str, Drawing, bool]
 ) -> None:
     done = in_this_process(app, *arguments)
     assert done.stdout == f"{got[0]} {got[1]} {got[2]}\n", done.stderr
 
 
-def test_help_lists_the_fields_where_the_command_has_the_record() -> None:
+def test_help_lists_the_fields_at_the_position_of_the_record() -> None:
     shown = in_this_process(app, "--help").stdout
     assert shown.index("--out") < shown.index("Seeds; repeatable.") < shown.index("--loud")
 
 
-def test_a_field_is_checked_like_any_option() -> None:
+def test_a_field_is_validated_like_any_option() -> None:
     done = in_this_process(app, "it", "--seed", "-1")
     assert done.returncode == 2
     assert "at least 0" in done.stderr

@@ -31,12 +31,12 @@ def attached() -> tuple[Interrupts, Any]:
     return interrupts, engine
 
 
-def test_before_there_is_an_engine_an_interrupt_ends_the_command() -> None:
+def test_an_interrupt_before_there_is_an_engine_ends_the_command() -> None:
     with pytest.raises(KeyboardInterrupt):
         Interrupts().interrupt()
 
 
-def test_the_first_interrupt_asks_for_a_pause_and_stops_nothing(attached: tuple[Interrupts, Any]) -> None:
+def test_the_first_interrupt_requests_a_pause_and_stops_nothing(attached: tuple[Interrupts, Any]) -> None:
     interrupts, engine = attached
     interrupts.interrupt()
     assert (engine.paused, engine.stops) == (["Ctrl-C"], 0)
@@ -50,7 +50,7 @@ def test_the_third_interrupt_ends_the_command(attached: tuple[Interrupts, Any]) 
         interrupts.interrupt()
 
 
-def test_after_a_rest_the_count_begins_again(attached: tuple[Interrupts, Any]) -> None:
+def test_the_interrupt_count_restarts_after_a_pause(attached: tuple[Interrupts, Any]) -> None:
     interrupts, engine = attached
     for _ in range(4):
         interrupts.interrupt()
@@ -58,7 +58,7 @@ def test_after_a_rest_the_count_begins_again(attached: tuple[Interrupts, Any]) -
     assert len(engine.paused) == 4
 
 
-def test_at_a_question_the_first_interrupt_shows_what_was_asked_again(
+def test_an_interrupt_at_a_question_repeats_the_prompt(
     attached: tuple[Interrupts, Any], capfd: pytest.CaptureFixture[str]
 ) -> None:
     interrupts, engine = attached

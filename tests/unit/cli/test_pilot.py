@@ -1,4 +1,4 @@
-"""A case run as ordered from the console, on the engine's own thread."""
+"""A case run by orders from the console, on the engine's own thread."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def running(operated: Operated) -> Iterator[Operated]:
     operated.thread.join(20)
 
 
-def test_nothing_is_done_before_somebody_sits_in_the_seat_of_a_case_that_waits(cell: RecordingCell) -> None:
+def test_a_waiting_case_does_nothing_until_the_operators_seat_is_taken(cell: RecordingCell) -> None:
     with running(Operated(cell.engine(plain_order()), runs=False)) as case:
         case.await_waiting()
         assert case.give("next", upcoming="image") == "you are not in the operator's seat"
@@ -89,7 +89,7 @@ def test_nothing_is_done_before_somebody_sits_in_the_seat_of_a_case_that_waits(c
     assert entries[0]["by"] == "Ana"
 
 
-def test_run_to_stops_after_that_step_and_run_on_at_the_end(cell: RecordingCell) -> None:
+def test_run_to_stops_after_its_step_and_resume_runs_to_the_end(cell: RecordingCell) -> None:
     with running(Operated(cell.engine(plain_order()))) as case:
         case.await_waiting()
         case.give("claim", name="Ana")
@@ -102,13 +102,13 @@ def test_run_to_stops_after_that_step_and_run_on_at_the_end(cell: RecordingCell)
         assert case.engine.machine.state == "finished"
 
 
-def test_a_simulated_case_runs_by_itself_until_somebody_takes_the_seat(cell: RecordingCell) -> None:
+def test_a_simulated_case_runs_without_an_operator_in_the_seat(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()), waits=False)
     case.pilot.run_to_end(case.engine)
     assert case.engine.machine.state == "finished"
 
 
-def test_a_case_whose_console_ends_does_nothing_more_until_it_is_continued_without(
+def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_without_it(
     cell: RecordingCell,
 ) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
@@ -120,14 +120,14 @@ def test_a_case_whose_console_ends_does_nothing_more_until_it_is_continued_witho
     assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
 
 
-def test_a_case_that_is_continued_without_its_console_runs_to_its_end(cell: RecordingCell) -> None:
+def test_a_case_continued_without_its_console_runs_to_its_end(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()))
     case.pilot.desk.leave()
     case._run()
     assert case.engine.machine.state == "finished"
 
 
-def test_what_was_ordered_from_a_seat_that_became_free_is_not_done_for_the_next_who_takes_it(
+def test_orders_of_an_operator_who_left_the_seat_are_not_carried_out_for_the_next(
     cell: RecordingCell,
 ) -> None:
     def leaving(context: StepContext) -> Outcome[StepResult]:
@@ -158,7 +158,7 @@ def failing(times: int) -> Callable[[StepContext], Outcome[StepResult]]:
     return work
 
 
-def test_a_step_that_fails_holds_the_case_for_the_operator_who_repeats_it(
+def test_a_failed_step_holds_the_case_until_the_operator_repeats_it(
     cell: RecordingCell, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with running(Operated(cell.engine(plain_order(image=failing(1))))) as case:
@@ -172,7 +172,7 @@ def test_a_step_that_fails_holds_the_case_for_the_operator_who_repeats_it(
     assert "PRO-007" in capsys.readouterr().err
 
 
-def test_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
+def test_an_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
     with running(Operated(cell.engine(plain_order()))) as case:
         case.await_waiting()
         case.give("claim", name="Ana")
@@ -182,7 +182,7 @@ def test_abort_between_steps_ends_the_case(cell: RecordingCell) -> None:
     assert case.engine.machine.state == "aborted"
 
 
-def test_a_console_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_console_package_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     with pytest.raises(ConsoleMissing, match="PRO-040"):
         check_console()

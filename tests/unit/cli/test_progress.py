@@ -1,4 +1,4 @@
-"""The progress bar of a longer command."""
+"""The progress bar of a long-running command."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def terminal(monkeypatch: pytest.MonkeyPatch, now: SimpleNamespace) -> StringIO:
     return sent
 
 
-def test_the_bar_of_a_calibration_and_its_clock_rest_while_a_question_is_open(
+def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
     monkeypatch: pytest.MonkeyPatch, terminal: StringIO, now: SimpleNamespace, tmp_path: Path
 ) -> None:
     at_question: list[str] = []
@@ -63,9 +63,7 @@ def test_the_bar_of_a_calibration_and_its_clock_rest_while_a_question_is_open(
     assert "0:01:" not in terminal.getvalue()
 
 
-def test_a_bar_that_nobody_has_seen_yet_is_not_shown_beside_a_question(
-    terminal: StringIO, now: SimpleNamespace
-) -> None:
+def test_a_bar_not_yet_shown_stays_hidden_during_a_question(terminal: StringIO, now: SimpleNamespace) -> None:
     with progress.progress_bar("looking") as bar:
         with bar.hidden():
             now.s += 60.0

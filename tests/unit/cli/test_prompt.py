@@ -1,4 +1,4 @@
-"""A case driven by typed commands: what each one does, and what leads on when a step has failed."""
+"""A case driven by typed commands: what each command does, and how to continue after a failed step."""
 
 import io
 import sys
@@ -43,7 +43,7 @@ def too_far(_context: StepContext) -> Outcome[StepResult]:
     raise GateFailed("too far")
 
 
-def test_a_step_that_fails_leaves_the_case_held_and_the_words_that_lead_on_are_shown(
+def test_a_failed_step_holds_the_case_and_shows_the_commands_that_continue(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     engine = cell.engine(plain_order(localization=too_far))
@@ -55,7 +55,7 @@ def test_a_step_that_fails_leaves_the_case_held_and_the_words_that_lead_on_are_s
     assert engine.status(engine.order.find("image")) == "done"
 
 
-def test_back_shows_what_it_supersedes_and_repeats_only_what_is_confirmed(
+def test_back_shows_what_it_supersedes_and_repeats_nothing_without_confirmation(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     cell.operator = RecordingOperator(Topic.REPEAT)
@@ -68,7 +68,7 @@ def test_back_shows_what_it_supersedes_and_repeats_only_what_is_confirmed(
     assert engine.case.stands(engine.order.find("fit:T1"))
 
 
-def test_back_runs_the_step_again_and_the_case_goes_on_from_there(
+def test_back_repeats_the_step_and_the_case_continues_from_there(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -77,7 +77,7 @@ def test_back_runs_the_step_again_and_the_case_goes_on_from_there(
     assert engine.upcoming == engine.order.find("fit:T1")
 
 
-def test_no_step_is_skipped_and_the_reason_is_who_reads_it(
+def test_skip_is_refused_and_names_the_step_that_needs_the_result(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Typed(monkeypatch, "skip image").at(cell.engine(plain_order()))
@@ -103,13 +103,13 @@ def paused(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, *lines: str) ->
     return engine
 
 
-def test_a_pause_goes_on_by_resume_alone(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_resume_ends_a_pause(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = paused(cell, monkeypatch, "yes", "", "next", "why", "resume")
     assert engine.case.stands(engine.order.find("image"))
     assert not engine.case.stands(engine.order.find("localization:T1"))
 
 
-def test_a_mistyped_command_is_named_with_what_may_have_been_meant(
+def test_an_unknown_command_is_reported_with_a_suggestion(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     typed = Typed(monkeypatch, "wy", "weiter")
@@ -123,7 +123,7 @@ def test_a_mistyped_command_is_named_with_what_may_have_been_meant(
 
 
 @pytest.mark.parametrize("last", [("abort",), ()])
-def test_abort_and_the_end_of_the_input_end_a_case_that_is_paused(
+def test_abort_or_end_of_input_ends_a_paused_case(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, last: tuple[str, ...]
 ) -> None:
     with pytest.raises(OperatorAborted):
@@ -148,7 +148,7 @@ def test_abort_parks_the_arm_and_then_ends_the_case(
     assert engine.machine.state == "aborted"
 
 
-def test_a_case_that_is_finished_stays_finished_whatever_is_typed(
+def test_a_finished_case_stays_finished_whatever_is_typed(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -157,7 +157,7 @@ def test_a_case_that_is_finished_stays_finished_whatever_is_typed(
     assert engine.machine.state == "finished"
 
 
-def test_abort_that_is_not_confirmed_moves_nothing_and_leaves_the_case_held(
+def test_an_unconfirmed_abort_moves_nothing_and_leaves_the_case_held(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell.operator = RecordingOperator(Topic.PARK)
@@ -168,7 +168,7 @@ def test_abort_that_is_not_confirmed_moves_nothing_and_leaves_the_case_held(
 
 
 @pytest.mark.parametrize("line", ["next 3", "abort now", "quit please"])
-def test_words_after_a_command_that_takes_none_are_refused_and_nothing_is_done(
+def test_surplus_arguments_are_refused_and_nothing_is_done(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, line: str
 ) -> None:
     engine = cell.engine(plain_order())
@@ -179,7 +179,7 @@ def test_words_after_a_command_that_takes_none_are_refused_and_nothing_is_done(
     assert engine.machine.state == "idle"
 
 
-def test_who_quits_is_told_how_to_go_on(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_quit_prints_how_to_resume(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
     engine = cell.engine(plain_order())
     typed = Typed(monkeypatch, "next", "quit")
     typed.at(engine)
@@ -187,16 +187,14 @@ def test_who_quits_is_told_how_to_go_on(cell: RecordingCell, monkeypatch: pytest
     assert typed.said == [f"the case is left as it is; {way_on}"]
 
 
-def test_an_empty_line_does_not_push_the_reason_of_a_hold_off_the_screen(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_empty_line_prints_only_a_short_hint(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> None:
     typed = Typed(monkeypatch, "", "  ")
     typed.at(cell.engine(plain_order()))
     assert typed.said == ["nothing was typed; help lists the commands"] * 2
 
 
 @pytest.mark.parametrize(("word", "meant"), [("exit", "quit"), ("QUIT", "quit"), ("continue", "resume")])
-def test_a_word_for_leaving_is_not_taken_for_one_that_moves(
+def test_a_synonym_is_not_executed_but_suggests_the_command_that_was_meant(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, word: str, meant: str
 ) -> None:
     typed = Typed(monkeypatch, word)
@@ -212,7 +210,7 @@ def test_a_command_without_its_step_asks_for_one(
     assert "no step is named. Name one" in capsys.readouterr().err
 
 
-def test_a_device_is_no_name_of_who_acknowledges(
+def test_a_device_is_refused_as_the_name_of_the_person_acknowledging(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     role = next(iter(cell.workcell.devices))
@@ -221,7 +219,7 @@ def test_a_device_is_no_name_of_who_acknowledges(
     assert cell.entries() == []
 
 
-def test_who_acknowledged_what_is_said_and_how_it_goes_on(
+def test_acknowledge_shows_by_whom_and_what_was_acknowledged_and_how_to_continue(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -232,7 +230,7 @@ def test_who_acknowledged_what_is_said_and_how_it_goes_on(
     assert typed.said[1] == "the arm is at rest; resume continues"
 
 
-def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_errors_advice(
+def test_a_device_in_fault_shows_its_current_recovery_steps_instead_of_the_errors_advice(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def is_stopped(_context: StepContext) -> Outcome[StepResult]:
@@ -246,7 +244,7 @@ def test_of_a_device_in_fault_the_way_on_is_told_as_it_stands_in_place_of_the_er
     assert typed.said[1] == f"{HELD}; resume continues"
 
 
-def test_who_leaves_a_case_while_a_device_is_in_fault_leaves_it_with_that_fault(
+def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def is_stopped(_context: StepContext) -> Outcome[StepResult]:
@@ -260,14 +258,14 @@ def test_who_leaves_a_case_while_a_device_is_in_fault_leaves_it_with_that_fault(
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
 
 
-def test_what_only_looks_may_fail_at_a_pause_and_the_pause_stands(
+def test_a_failing_query_during_a_pause_does_not_end_the_pause(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = paused(cell, monkeypatch, "why nothing_like_it", "resume")
     assert engine.case.stands(engine.order.find("image"))
 
 
-def test_resume_leaves_the_prompt_of_a_held_case_and_the_end_of_the_input_ends_it(
+def test_resume_leaves_the_prompt_of_a_held_case_and_end_of_input_ends_the_case(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -275,7 +273,7 @@ def test_resume_leaves_the_prompt_of_a_held_case_and_the_end_of_the_input_ends_i
     assert not Typed(monkeypatch, "next", resumes=True).at(engine)
 
 
-def test_why_tells_of_a_step_that_has_run_that_its_result_stands(
+def test_why_reports_that_a_completed_step_has_a_valid_result(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -285,7 +283,7 @@ def test_why_tells_of_a_step_that_has_run_that_its_result_stands(
     assert "can start" in typed.said[-1]
 
 
-def test_a_pause_at_an_idle_prompt_says_that_the_next_step_waits(
+def test_pause_at_an_idle_prompt_says_that_the_case_pauses_before_the_next_step(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     typed = Typed(monkeypatch, "pause")

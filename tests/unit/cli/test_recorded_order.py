@@ -1,4 +1,4 @@
-"""The order of a run whose arm only leaves is that of the plan that was checked, wherever its file is now."""
+"""The step order for bringing an arm home comes from the recorded plan, wherever the plan file is now."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Begun(StepResult, kind="begun"):
     """What was done before there was a plan."""
 
 
-def test_the_order_comes_from_the_record_and_no_plan_file_is_read(tmp_path: Path) -> None:
+def test_the_order_comes_from_the_record_without_reading_a_plan_file(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "run")
     cell.begin(checked_plan()).run_to()
     broken_off(cell)
@@ -29,7 +29,7 @@ def test_the_order_comes_from_the_record_and_no_plan_file_is_read(tmp_path: Path
     assert StepKey("retreat", order.trajectories[-1]) in order.sequence
 
 
-def test_before_a_plan_was_checked_there_are_no_steps_at_targets(tmp_path: Path) -> None:
+def test_an_order_without_a_checked_plan_has_no_steps_at_targets(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "run")
     cell.engine(order_of([done_later(Begun())], ())).run_to()
     broken_off(cell)

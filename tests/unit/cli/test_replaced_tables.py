@@ -1,4 +1,4 @@
-"""A theatre file that a calibration writes keeps what a person wrote into the former one."""
+"""A calibration that rewrites the theatre file keeps the user's own content."""
 
 from __future__ import annotations
 
@@ -53,6 +53,6 @@ def test_only_the_named_tables_change(tables: dict[str, dict[str, object]]) -> N
     "former",
     ['calibration = { tool_tip = { identifier = "old" } }\n', '[calibration]\ntool_tip.identifier = "old"\n'],
 )
-def test_what_is_written_in_another_way_is_replaced_as_well(former: str) -> None:
+def test_inline_tables_and_dotted_keys_are_replaced_too(former: str) -> None:
     written = with_tables(former, {"calibration": {"tool_tip": TIP}})
     assert tomllib.loads(written) == {"calibration": {"tool_tip": TIP}}

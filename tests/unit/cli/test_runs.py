@@ -1,4 +1,4 @@
-"""Commands about runs that there are, on small runs made in this process."""
+"""Commands on existing runs, tried on small runs made in this process."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def run(tmp_path: Path) -> Path:
     return folder
 
 
-def test_the_request_is_the_first_file_and_says_what_was_asked_for(tmp_path: Path) -> None:
+def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: Path) -> None:
     asked = CaseRequest(
         out=tmp_path, choice=SceneChoice("mini", 7, 4), strategy="nos", speed="1", faults=Path("/a/b.txt")
     )
@@ -82,7 +82,7 @@ def test_the_request_is_the_first_file_and_says_what_was_asked_for(tmp_path: Pat
     assert read_request(folder) == asked
 
 
-def test_the_request_of_a_calibration_says_what_its_steps_are_made_from(tmp_path: Path) -> None:
+def test_the_request_of_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
     recipe = Recipe(of=Calibrated.TIP, looks=8, more=3, ball_mm=(500.0, 0.0, 200.0)).model_dump(mode="json")
     asked = CalibrationRun(
         choice=SceneChoice("mini", 7, first_day=True), recipe=recipe, days=30, write=Path("/a/tip.toml")
@@ -96,7 +96,7 @@ def test_the_request_of_a_calibration_says_what_its_steps_are_made_from(tmp_path
 
 
 @pytest.mark.hazard(2)
-def test_a_run_of_another_version_is_not_taken_up(tmp_path: Path) -> None:
+def test_resume_refuses_a_run_of_another_version(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     path = folder / REQUEST_FILE
     content = json.loads(path.read_text())
@@ -109,7 +109,7 @@ def test_a_run_of_another_version_is_not_taken_up(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("content", [None, "", '{"schema": 1}', "\0\0\0"])
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path, content: str | None) -> None:
     if content is not None:
         (tmp_path / REQUEST_FILE).write_text(content)
     with pytest.raises(BadRequestFile, match="PRO-034"):
@@ -117,7 +117,9 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, content: str | None)
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "list"])
-def test_every_command_on_a_run_refuses_what_is_no_run_alike(tmp_path: Path, command: str) -> None:
+def test_every_command_on_a_run_refuses_other_folders_with_the_same_error(
+    tmp_path: Path, command: str
+) -> None:
     for folder in (tmp_path, tmp_path / "none"):
         refused = in_this_process(app, command, folder)
         assert refused.returncode == EXIT_FAILED
@@ -126,7 +128,7 @@ def test_every_command_on_a_run_refuses_what_is_no_run_alike(tmp_path: Path, com
 
 @pytest.mark.hazard(42)
 @pytest.mark.parametrize("command", [("resume", "--accept"), ("report",)], ids=lambda command: command[0])
-def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_a_run_open_in_another_program_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     with held_run(folder):
         refused = in_this_process(app, *command, folder)
@@ -136,7 +138,7 @@ def test_a_run_that_another_program_has_open_is_refused(tmp_path: Path, command:
 
 @pytest.mark.hazard(42)
 @pytest.mark.parametrize(("lead", "options"), [(follow_case, {"as_json": False}), (step_through, {})])
-def test_who_leads_a_case_holds_its_run_from_before_anything_is_opened(
+def test_a_command_that_drives_a_case_locks_its_run_before_opening_anything(
     tmp_path: Path,
     lead: Callable[..., None],
     options: dict[str, bool],
@@ -155,13 +157,13 @@ def test_who_leads_a_case_holds_its_run_from_before_anything_is_opened(
     assert refused == [EXIT_REFUSED]
 
 
-def test_nothing_is_accepted_unseen_on_real_devices(tmp_path: Path) -> None:
+def test_resume_refuses_the_accept_option_on_real_devices(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path))
     refused = in_this_process(app, "resume", folder, "--accept")
     assert refused.returncode == EXIT_USAGE
 
 
-def test_verify_says_that_a_run_is_whole_or_names_what_is_not(run: Path) -> None:
+def test_verify_reports_that_a_run_is_intact_or_names_the_changed_files(run: Path) -> None:
     whole = in_this_process(app, "verify", run, "--json")
     assert (whole.returncode, json.loads(whole.stdout)["whole"]) == (0, True)
     (run / "records" / "01-image.json").write_text("{}")
@@ -206,7 +208,7 @@ SPOILT = (foreign_record, line_removed, record_gone, request_changed, file_added
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("spoil", SPOILT, ids=lambda spoil: spoil.__name__)
-def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
+def test_every_command_names_the_changed_file_of_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
     name = spoil(run)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay
@@ -227,7 +229,7 @@ def test_every_command_names_what_was_changed_in_a_run(run: Path, spoil: Callabl
 
 
 @pytest.mark.hazard(39)
-def test_a_full_disk_while_a_run_is_sealed_loses_nothing(
+def test_a_full_disk_while_sealing_a_run_loses_nothing(
     run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (run / SEAL_FILE).unlink()
@@ -245,7 +247,7 @@ def test_a_full_disk_while_a_run_is_sealed_loses_nothing(
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("moment", ["write_report", "_take_over", "seal_run"])
-def test_a_report_that_is_interrupted_leaves_no_changed_run(
+def test_an_interrupted_report_does_not_leave_the_run_changed(
     run: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
     where = written_report if moment == "write_report" else runs_report
@@ -265,7 +267,7 @@ def test_a_report_that_is_interrupted_leaves_no_changed_run(
     assert inspected(run).problems == ()
 
 
-def test_a_finished_run_is_said_to_be_finished_and_its_truth_is_not_asked_again(
+def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
@@ -284,7 +286,7 @@ def test_a_finished_run_is_said_to_be_finished_and_its_truth_is_not_asked_again(
     assert f"{folder.name} is finished" in capsys.readouterr().err
 
 
-def test_an_end_that_is_written_later_names_ct_and_plan_where_they_are(tmp_path: Path) -> None:
+def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path) -> None:
     case, folder = tmp_path / "case", tmp_path / "run"
     (case / "ct").mkdir(parents=True)
     for name in ("ct/1.dcm", "plan.toml"):
@@ -299,7 +301,7 @@ def test_an_end_that_is_written_later_names_ct_and_plan_where_they_are(tmp_path:
     assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]
 
 
-def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> None:
+def test_lineage_shows_every_result_with_its_parents(run: Path) -> None:
     text = in_this_process(app, "lineage", run).stdout
     lines = text.splitlines()
     fit = next(number for number, line in enumerate(lines) if line.strip() == "05-fit-T1")
@@ -310,7 +312,7 @@ def test_lineage_draws_every_result_with_what_it_was_made_from(run: Path) -> Non
     assert chart.count(":::superseded") == 2
 
 
-def test_list_and_show_tell_how_runs_ended(run: Path) -> None:
+def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> None:
     listed = json.loads(in_this_process(app, "list", run.parent, "--json").stdout)["runs"]
     assert [(one["run"], one["ended"]) for one in listed] == [(run.name, "done")]
     shown = json.loads(in_this_process(app, "show", run, "--json").stdout)
@@ -337,7 +339,7 @@ def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, s
     assert f"{run.name} is not reliable: report/truth.json: {what}" in table
 
 
-def test_watch_names_first_what_is_not_as_a_finished_run_left_it(run: Path) -> None:
+def test_watch_first_names_the_files_changed_since_the_run_finished(run: Path) -> None:
     stream = EventStream()
     file = EventFile(run, stream)
     stream.publish(CaseState(state="finished"))
@@ -352,33 +354,35 @@ def test_watch_names_first_what_is_not_as_a_finished_run_left_it(run: Path) -> N
 
 
 @pytest.mark.parametrize("which", [(), ("RUN", "--config", "theatre.toml")])
-def test_faults_are_acknowledged_of_one_run_or_one_theatre(which: tuple[str, ...]) -> None:
+def test_acknowledge_requires_either_a_run_or_a_theatre(which: tuple[str, ...]) -> None:
     refused = in_this_process(app, "acknowledge", *which)
     assert refused.returncode == EXIT_USAGE
     one_error(refused.stderr)
 
 
 @pytest.mark.parametrize("by", [(), ("--by", "007")])
-def test_nobody_acknowledges_without_a_name_and_no_device_is_asked(run: Path, by: tuple[str, ...]) -> None:
+def test_acknowledge_without_a_persons_name_is_refused(run: Path, by: tuple[str, ...]) -> None:
     refused = in_this_process(app, "acknowledge", run, *by)
     assert refused.returncode == EXIT_REFUSED
     assert one_error(refused.stderr)[0].startswith("DEV-006")
 
 
-def test_an_arm_that_never_moved_is_not_asked_for_to_be_home(tmp_path: Path) -> None:
+def test_home_has_nothing_to_do_when_the_arm_never_moved(tmp_path: Path) -> None:
     folder = new_run_folder(CaseRequest(out=tmp_path))
     done = in_this_process(app, "home", folder, "--json")
     assert json.loads(done.stdout) == {"run": folder.name, "home": True, "moved": False}
 
 
-def test_nothing_of_a_finished_run_is_acknowledged_and_nothing_written(run: Path) -> None:
+def test_acknowledge_on_a_finished_run_writes_nothing(run: Path) -> None:
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     done = in_this_process(app, "acknowledge", run, "--by", "A. Nurse")
     assert (done.returncode, done.stdout) == (0, "the run is finished\n")
     assert {path: path.read_bytes() for path in run.rglob("*") if path.is_file()} == before
 
 
-def test_what_was_acknowledged_is_said_with_by_whom(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     cell = RecordingCell(tmp_path / "run")
     for device in (cell.tracker, cell.stereo):
         monkeypatch.setattr(device, "recover", lambda _by: None, raising=False)
@@ -387,7 +391,7 @@ def test_what_was_acknowledged_is_said_with_by_whom(monkeypatch: pytest.MonkeyPa
     assert "acknowledged by A. Nurse: robot.master: " in done.stdout
 
 
-def test_devices_of_a_theatre_are_recovered_without_a_run_and_what_is_not_there_is_told(
+def test_acknowledge_recovers_a_theatre_without_a_run_and_lists_unreachable_devices(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     cell = RecordingCell(tmp_path / "run")

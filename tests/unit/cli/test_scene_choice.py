@@ -1,4 +1,4 @@
-"""What a scene choice says about the seed of the scene."""
+"""The seed of the scene that a scene choice gives."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from procedures.cli.case.request import CaseRequest
 from procedures.cli.case.scene_choice import SceneChoice
 
 
-def test_a_built_in_scene_has_the_seed_that_was_asked_for() -> None:
+def test_a_built_in_scene_uses_the_requested_seed() -> None:
     assert SceneChoice("mini", seed=7).own_seed == 7
 
 
 @pytest.mark.parametrize(("name", "text"), [("scene.toml", "seed = 4\n"), ("scene.json", '{"seed": 4}')])
-def test_a_scene_file_has_its_own_seed(tmp_path: Path, name: str, text: str) -> None:
+def test_a_scene_file_brings_its_own_seed(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
     assert SceneChoice(str(tmp_path / name)).own_seed == 4
 
 
 @pytest.mark.parametrize("text", ["seed = ", "seed = [1]\n"])
-def test_a_bad_scene_file_is_left_to_its_reader(tmp_path: Path, text: str) -> None:
+def test_an_invalid_scene_file_gives_seed_zero(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
     assert SceneChoice(str(tmp_path / "scene.toml")).own_seed == 0
 

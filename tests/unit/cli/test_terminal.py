@@ -1,4 +1,4 @@
-"""Messages, exit codes and tables that all commands share."""
+"""Messages, exit codes and tables shared by all commands."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_an_operating_system_error_becomes_one_line_with_a_code(
 
 
 @pytest.mark.parametrize(("problem", "kind"), [(MemoryError(), OutOfMemory), (TypeError("x"), InternalFault)])
-def test_an_unforeseen_error_has_a_code_and_no_trace(
+def test_an_unexpected_error_has_a_code_and_no_traceback(
     problem: Exception, kind: type[RonnaError], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert terminal.exit_code_of(raising(problem), []) == 1
@@ -96,18 +96,20 @@ def test_an_unforeseen_error_has_a_code_and_no_trace(
     assert "Traceback" not in err
 
 
-def test_an_error_of_ours_keeps_its_exit_code_and_says_what_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_error_of_our_own_keeps_its_exit_code_and_says_what_to_do(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert terminal.exit_code_of(raising(TooFar("reach\nexceeded", limit="0.9 m")), []) == 6
     assert capsys.readouterr().err == "TEST-001: reach exceeded; limit 0.9 m. Come closer.\n"
 
 
-def test_verbose_shows_the_trace(capsys: pytest.CaptureFixture[str]) -> None:
+def test_verbose_shows_the_traceback(capsys: pytest.CaptureFixture[str]) -> None:
     assert terminal.exit_code_of(raising(TooFar("reach exceeded")), ["--verbose"]) == 6
     assert "Traceback" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("arguments", [["--no-such"], ["--count", "many"], ["surplus"]])
-def test_a_wrong_command_line_is_a_usage_mistake(
+def test_an_invalid_command_line_is_a_usage_mistake(
     arguments: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert terminal.exit_code_of(app_that(lambda: None), arguments) == 2
@@ -117,7 +119,7 @@ def test_a_wrong_command_line_is_a_usage_mistake(
     assert err.count("\n") == 1
 
 
-def test_a_command_without_arguments_shows_its_help_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_without_arguments_shows_its_help_unchanged(capsys: pytest.CaptureFixture[str]) -> None:
     app = typer.Typer(no_args_is_help=True, rich_markup_mode=None)
     for name in ("make", "show"):
         app.command(name)(lambda: None)
@@ -175,7 +177,7 @@ def script(tmp_path: Path) -> list[str]:
     return [sys.executable, str(path)]
 
 
-def test_a_full_disk_behind_standard_output_is_a_message(script: list[str]) -> None:
+def test_a_full_disk_behind_standard_output_is_reported(script: list[str]) -> None:
     with open("/dev/full", "w") as full:
         done = subprocess.run(script, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1
@@ -183,7 +185,7 @@ def test_a_full_disk_behind_standard_output_is_a_message(script: list[str]) -> N
     assert done.stderr.count("\n") == 1
 
 
-def test_a_reader_that_leaves_early_is_not_an_error_message(script: list[str]) -> None:
+def test_a_closed_output_pipe_prints_no_error_message(script: list[str]) -> None:
     with subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as child:
         assert child.stdout is not None
         assert child.stderr is not None
@@ -247,7 +249,7 @@ def spoken(arguments: str, environment: str, script: str = SPEAKING) -> subproce
         ("--verbose --log-level tracker=error", "tracker=debug,stereo=error", "errors"),
     ],
 )
-def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
+def test_verbose_shows_the_log_at_the_levels_set_by_option_and_environment(
     arguments: str, environment: str, shown: str
 ) -> None:
     done = spoken(arguments, environment)
@@ -257,7 +259,7 @@ def test_verbose_shows_the_log_at_the_levels_of_option_and_environment(
     assert arguments or done.stderr == ""
 
 
-def test_the_process_that_a_command_becomes_logs_at_its_levels() -> None:
+def test_a_process_started_by_exec_inherits_the_log_levels() -> None:
     becoming = (
         "import os, sys, typer; from ronna_hw.command_line import terminal; app = typer.Typer()\n"
         "@app.command()\n"
@@ -274,14 +276,14 @@ def test_the_process_that_a_command_becomes_logs_at_its_levels() -> None:
     ("arguments", "environment"),
     [("--log-level tracker=loud", ""), ("", "loud"), ("--log-level tacker=debug", ""), ("", "robots=debug")],
 )
-def test_a_level_or_logger_that_does_not_exist_is_a_usage_error(arguments: str, environment: str) -> None:
+def test_an_unknown_level_or_logger_is_a_usage_error(arguments: str, environment: str) -> None:
     done = spoken(arguments, environment)
     assert done.returncode == 2
     assert done.stderr.startswith("CLI-001: log level ")
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_every_logger_of_the_sources_can_be_named() -> None:
+def test_every_logger_in_the_sources_can_be_named() -> None:
     parts = set()
     for folder in ("ronna_hw", "drivers", "sim", "procedures", "console"):
         for source in (ROOT / folder).rglob("*.py"):
@@ -297,7 +299,7 @@ WORDY = [
 
 
 @pytest.mark.parametrize("width", [72, 80, 90, 100, 140])
-def test_a_table_on_a_terminal_cuts_no_word_and_no_heading(
+def test_a_table_on_a_terminal_cuts_neither_words_nor_headings(
     width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
@@ -323,7 +325,7 @@ def test_the_title_of_a_narrow_table_stays_on_one_line(
     assert capsys.readouterr().out.splitlines()[0] == title
 
 
-def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
+def test_a_heading_too_wide_for_the_terminal_gives_tab_separated_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(tables, "on_terminal", lambda stream: True)
@@ -335,7 +337,7 @@ def test_a_heading_too_wide_for_the_frame_gives_tab_separated_lines(
 ESCAPES = "\x1b[2J\x1b]0;owned\x07 \u202egnp.exe\r\nforged line"
 
 
-def test_names_from_outside_neither_steer_a_terminal_nor_forge_a_line(
+def test_external_names_cannot_inject_escape_sequences_or_lines(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     terminal.fail_with(TooFar(f"no series in {ESCAPES}"))
@@ -348,7 +350,7 @@ def test_names_from_outside_neither_steer_a_terminal_nor_forge_a_line(
     assert "\\u202e" in printed
 
 
-def test_numbers_and_paths_are_never_longer_than_a_line() -> None:
+def test_long_numbers_and_paths_are_shortened_to_a_line() -> None:
     path = f"/patients/{'a' * 300}/slice.dcm"
     told = str(TooFar(f"cannot read {path}", got="9" * 400))
     assert max(len(word.rstrip(".:")) for word in told.split()) <= 160
@@ -361,7 +363,7 @@ def test_numbers_and_paths_are_never_longer_than_a_line() -> None:
 @pytest.mark.parametrize(
     ("access", "folder", "file"), [(None, 0o700, 0o600), ("owner", 0o700, 0o600), ("group", 0o770, 0o660)]
 )
-def test_what_a_command_writes_is_its_users_whatever_the_umask(
+def test_files_written_by_a_command_get_the_configured_access_whatever_the_umask(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, access: str | None, folder: int, file: int, umask: int
 ) -> None:
     monkeypatch.delenv("RONNA_ACCESS", raising=False)
@@ -382,7 +384,7 @@ def test_what_a_command_writes_is_its_users_whatever_the_umask(
     assert stat.S_IMODE((tmp_path / "run" / "journal.jsonl").stat().st_mode) == file
 
 
-def test_another_word_for_the_access_is_a_usage_error(
+def test_an_unknown_access_setting_is_a_usage_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("RONNA_ACCESS", "everybody")

@@ -1,4 +1,4 @@
-"""Who sits at the terminal is told what to mount, and in a simulated room how."""
+"""The user at the terminal is asked to mount tools, and in a simulated room is shown the command."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def _no_control(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("RONNA_CONTROL", raising=False)
 
 
-def test_a_control_port_in_the_environment_is_not_asked_for(
+def test_a_control_port_in_the_environment_is_left_out_of_the_mount_command(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("RONNA_CONTROL", "tcp://127.0.0.1:9?token=x")
@@ -37,7 +37,7 @@ def test_a_control_port_in_the_environment_is_not_asked_for(
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_only_in_a_simulated_room_a_command_mounts_the_tool(
+def test_only_a_simulated_room_shows_a_mount_command(
     simulated: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     TerminalRoom(simulated=simulated).change_tool(2, "the surgical guide")
@@ -59,7 +59,7 @@ def test_readings_are_typed_as_numbers_and_asked_again_otherwise(
     assert "'y' is not an answer" in told
 
 
-def test_what_no_dial_can_show_is_asked_again_at_once(
+def test_an_implausible_reading_is_asked_again_at_once(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     typing(monkeypatch, "100", "0.1", "0", "0", "yes")
@@ -67,7 +67,7 @@ def test_what_no_dial_can_show_is_asked_again_at_once(
     assert "100 is implausible: expected -10 to 10;" in capsys.readouterr().err
 
 
-def test_several_readings_are_shown_back_and_typed_again_when_one_is_wrong(
+def test_several_readings_are_shown_back_and_can_be_typed_again(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     typing(monkeypatch, "1", "2", "3", "again", "1", "2", "4", "yes")
@@ -75,18 +75,18 @@ def test_several_readings_are_shown_back_and_typed_again_when_one_is_wrong(
     assert "  x in mm: 1\n  y in mm: 2\n  z in mm: 3\n" in capsys.readouterr().err
 
 
-def test_nobody_who_reads_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_answering_nobody_ends_the_reading_without_values(monkeypatch: pytest.MonkeyPatch) -> None:
     typing(monkeypatch, "1", "nobody")
     assert TerminalRoom().work(THREE_DIALS) == ()
 
 
-def test_what_the_stand_is_to_hold_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_user_is_asked_to_put_the_object_on_the_stand(capsys: pytest.CaptureFixture[str]) -> None:
     TerminalRoom(simulated=True).prepare_stand("divot")
     assert capsys.readouterr().err.startswith("Put the divot on the calibration stand.\n")
 
 
 @pytest.mark.parametrize("simulated", [True, False])
-def test_work_is_told_and_without_a_terminal_nothing_is_read(
+def test_work_is_shown_and_nothing_is_read_without_a_terminal(
     simulated: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
     task = Task(DEPTH_STOP, "set the depth stop for T1 to 165.00 mm", "T1", (165.0,), ("depth stop in mm",))

@@ -1,4 +1,4 @@
-"""While a run has the devices of a theatre, other commands leave them alone and name that run."""
+"""While a run uses the devices of a theatre, other commands leave them alone and name that run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def run_on(theatre: Path, folder: Path) -> Iterator[int]:
         run.communicate("")
 
 
-def test_while_a_run_has_the_theatre_its_devices_are_not_asked_and_the_run_is_named(
+def test_the_doctor_queries_no_device_in_use_by_a_run_and_names_the_run(
     theatre: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "runs" / "20261121T180000-ab12"
@@ -59,7 +59,7 @@ def test_while_a_run_has_the_theatre_its_devices_are_not_asked_and_the_run_is_na
 @pytest.mark.parametrize(
     "command", [("calibrate", "tool-tip"), ("calibrate", "tracker-frame"), ("run", "--case", ".")]
 )
-def test_while_a_run_has_the_theatre_no_other_command_asks_for_anything_there(
+def test_calibrate_and_run_are_refused_while_a_run_uses_the_theatre(
     theatre: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     folder, out = tmp_path / "runs" / "20261121T180000-ab12", tmp_path / "other"
@@ -89,7 +89,7 @@ def left_run(theatre: Path, tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("command", [("resume",), ("home",), ("acknowledge", "--by", "A. Person")])
-def test_while_a_run_has_the_theatre_no_other_run_is_gone_on_with_there(
+def test_resume_home_and_acknowledge_of_another_run_are_refused_while_a_run_uses_the_theatre(
     theatre: Path, left_run: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     before = read_files(left_run)
@@ -100,7 +100,7 @@ def test_while_a_run_has_the_theatre_no_other_run_is_gone_on_with_there(
     assert read_files(left_run) == before
 
 
-def test_while_a_run_has_the_theatre_its_devices_are_acknowledged_in_that_run(
+def test_acknowledge_with_a_config_is_refused_while_a_run_uses_the_theatre(
     theatre: Path, tmp_path: Path
 ) -> None:
     with run_on(theatre, tmp_path / "runs" / "20261121T180000-ab12") as number:

@@ -1,4 +1,4 @@
-"""`ronna-tool` as a user runs it: a record is defined, listed and checked; what is wrong is told."""
+"""`ronna-tool` as a user runs it: records are defined, listed and checked; mistakes are reported."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def theatre(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_purposes_of_the_command_line_are_those_of_the_records() -> None:
+def test_the_command_line_offers_the_purposes_of_the_records() -> None:
     assert [one.value for one in Purpose] == [one.value for one in ToolPurpose]
 
 
-def test_a_tool_is_defined_with_flange_and_tip_of_the_file_and_listed(theatre: Path) -> None:
+def test_a_defined_tool_takes_flange_and_tip_from_the_file_and_is_listed(theatre: Path) -> None:
     new = theatre.with_name("new.toml")
     options = ("--config", theatre, "--write", new, "--purpose", "drill_guide", *DEFINE)
     done = in_this_process(app, "define", "drill-guide", *options)
@@ -57,7 +57,7 @@ def test_a_tool_is_defined_with_flange_and_tip_of_the_file_and_listed(theatre: P
     assert in_this_process(app, "check", "--config", new).returncode == 0
 
 
-def test_a_guide_without_its_bore_is_refused(theatre: Path) -> None:
+def test_a_guide_without_a_bore_is_refused(theatre: Path) -> None:
     options = ("--config", theatre, "--write", theatre.with_name("new.toml"), "--purpose", "needle_guide")
     done = in_this_process(app, "define", "guide", *options, *PLAIN, *GAUGE)
     assert done.returncode != 0
@@ -66,7 +66,7 @@ def test_a_guide_without_its_bore_is_refused(theatre: Path) -> None:
 
 
 @pytest.mark.hazard(47)
-def test_a_record_of_another_flange_does_not_fit(theatre: Path) -> None:
+def test_check_refuses_a_record_of_another_flange(theatre: Path) -> None:
     new = theatre.with_name("new.toml")
     options = ("--config", theatre, "--write", new, "--purpose", "gripper", *PLAIN, "--flange", "old")
     assert in_this_process(app, "define", "gripper", *options).returncode == 0
@@ -76,7 +76,7 @@ def test_a_record_of_another_flange_does_not_fit(theatre: Path) -> None:
 
 
 @pytest.mark.hazard(47)
-def test_a_record_that_has_expired_is_refused_and_says_what_to_do(theatre: Path) -> None:
+def test_check_refuses_an_expired_record_and_says_what_to_do(theatre: Path) -> None:
     content = tomllib.loads(theatre.read_text())
     content["tools"]["guide"].update(
         created=datetime(2020, 1, 1, tzinfo=UTC), expires=datetime(2021, 1, 1, tzinfo=UTC)
@@ -99,7 +99,7 @@ def _with_another_tip(theatre: Path) -> tuple[Path, dict[str, Any]]:
 
 
 @pytest.mark.hazard(47)
-def test_a_calibrated_tip_does_not_certify_the_tool_and_says_how_to_go_on(
+def test_calibrating_the_tip_leaves_the_tool_record_outdated_and_names_the_renew_command(
     theatre: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = tomllib.loads(theatre.read_text())["tools"]["guide"]
@@ -112,7 +112,7 @@ def test_a_calibrated_tip_does_not_certify_the_tool_and_says_how_to_go_on(
     assert "ronna-tool renew" in refused.stderr
 
 
-def test_a_renewed_record_is_of_the_new_tip_and_of_the_gauge_as_it_was_read(theatre: Path) -> None:
+def test_a_renewed_record_has_the_new_tip_and_the_gauge_readings(theatre: Path) -> None:
     new, _ = _with_another_tip(theatre)
     last = theatre.with_name("last.toml")
     dials = ("--gauge-mm", "0.01", "-0.02", "0.03", "0.04", "-0.05")
@@ -127,7 +127,7 @@ def test_a_renewed_record_is_of_the_new_tip_and_of_the_gauge_as_it_was_read(thea
     assert in_this_process(app, "check", "--config", last).returncode == 0
 
 
-def test_the_doctor_tells_of_a_guide_that_weighs_beyond_its_end(theatre: Path) -> None:
+def test_the_doctor_warns_of_a_centre_of_gravity_beyond_the_end_of_the_guide(theatre: Path) -> None:
     content = tomllib.loads(theatre.read_text())
     pose = content["calibration"]["tool_tip"]["flange_from_tool"]
     (before,) = tool_diagnostics(read_theatre_file(theatre), datetime.now(UTC))
@@ -154,7 +154,7 @@ def test_the_doctor_tells_of_a_guide_that_weighs_beyond_its_end(theatre: Path) -
         ),
     ],
 )
-def test_what_no_tool_can_have_is_refused_by_name_value_and_range(
+def test_an_impossible_value_is_refused_with_its_name_value_and_range(
     theatre: Path, command: str, told: str
 ) -> None:
     name, *arguments = shlex.split(command)
@@ -175,7 +175,7 @@ def test_a_tool_without_a_gauge_cannot_be_renewed(theatre: Path) -> None:
     assert not last.exists()
 
 
-def test_a_tip_can_be_calibrated_while_the_record_is_of_a_former_one(theatre: Path) -> None:
+def test_calibration_accepts_a_tool_record_of_the_former_tip(theatre: Path) -> None:
     new, _ = _with_another_tip(theatre)
     file = read_theatre_file(new)
     assert file.calibration is not None

@@ -1,4 +1,4 @@
-"""Cases run when their needs are met, fail by Nonconformity or error, and are told in the report."""
+"""Cases run when their needs are met, fail by Nonconformity or error, and appear in the report."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def suite_of(**runs: Run) -> Suite:
     return Suite("tracker", "none", cases=cases)
 
 
-def test_an_exception_that_is_not_ours_is_a_failure(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_foreign_exception_is_a_failure(make_dut: MakeDut, good_tracker: Any) -> None:
     result = run_case(Case("X", "breaks", (), raises(KeyError("x"))), make_dut(good_tracker))
     assert result.outcome is Outcome.FAIL
     assert "KeyError" in result.reason
@@ -57,19 +57,19 @@ def test_an_exception_that_is_not_ours_is_a_failure(make_dut: MakeDut, good_trac
 @pytest.mark.parametrize(
     "need", [need for need in NEEDS if need is not HOST_TIME], ids=lambda need: need.name
 )
-def test_a_case_is_skipped_with_the_reason_for_its_unmet_need(
+def test_a_case_with_an_unmet_need_is_skipped_with_the_reason(
     make_dut: MakeDut, good_tracker: Any, need: Need
 ) -> None:
     result = run_case(Case("X", "does harm", (need,), raises(AssertionError())), make_dut(good_tracker))
     assert (result.outcome, result.reason) == (Outcome.SKIP, need.reason)
 
 
-def test_what_is_allowed_is_run(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_case_whose_need_is_allowed_runs(make_dut: MakeDut, good_tracker: Any) -> None:
     dut = make_dut(good_tracker, allowed=frozenset({"motion"}))
     assert run_case(Case("X", "moves", (MOTION,), does_nothing), dut).outcome is Outcome.PASS
 
 
-def test_a_protocol_meets_needs_of_its_own(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_protocol_can_define_and_offer_its_own_needs(make_dut: MakeDut, good_tracker: Any) -> None:
     frobnication = Need("frobnication", "the device does not frobnicate")
     case = Case("F01", "frobnicates", (frobnication,), does_nothing)
     protocol = ProtocolCases((case,), offers=lambda dut: frozenset({frobnication.name}))
@@ -77,7 +77,7 @@ def test_a_protocol_meets_needs_of_its_own(make_dut: MakeDut, good_tracker: Any)
     assert run_case(case, make_dut(good_tracker, protocol=protocol)).outcome is Outcome.PASS
 
 
-def test_the_report_counts_and_is_sealed_by_a_hash(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_the_report_counts_outcomes_and_carries_a_hash(make_dut: MakeDut, good_tracker: Any) -> None:
     shares: list[float] = []
     suite = suite_of(A1=does_nothing, A2=raises(NotShown("too dark")), A3=does_nothing)
     report = run_suite(suite, make_dut(good_tracker), shares.append)
@@ -90,12 +90,12 @@ def test_the_report_counts_and_is_sealed_by_a_hash(make_dut: MakeDut, good_track
     assert shares[-1] == 1.0
 
 
-def test_a_device_that_cannot_be_connected_ends_the_run(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_device_that_cannot_be_connected_aborts_the_suite(make_dut: MakeDut, good_tracker: Any) -> None:
     with pytest.raises(ConnectError):
         run_suite(suite_of(A1=does_nothing), make_dut(good_tracker, endpoint="tcp://127.0.0.1:1"))
 
 
-def test_a_run_in_which_nothing_passed_has_not_passed(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_run_without_a_passed_case_has_not_passed(make_dut: MakeDut, good_tracker: Any) -> None:
     assert not run_suite(suite_of(), make_dut(good_tracker)).passed
 
 
@@ -108,7 +108,7 @@ def test_case_numbers_are_unique_in_a_list_and_in_a_composed_suite() -> None:
         composed(suite_of(A1=does_nothing), ProtocolCases(tuple(cases.cases)))
 
 
-def test_a_part_of_a_suite_is_chosen_by_the_prefix_of_its_numbers() -> None:
+def test_part_of_a_suite_is_selected_by_case_number_prefix() -> None:
     suite = suite_of(
         T01=does_nothing, T10=does_nothing, P01=does_nothing, P01b=does_nothing, P10=does_nothing
     )
@@ -119,7 +119,7 @@ def test_a_part_of_a_suite_is_chosen_by_the_prefix_of_its_numbers() -> None:
     assert caught.value.code == "CNF-003"
 
 
-def test_a_check_says_what_was_expected_and_found() -> None:
+def test_a_failed_check_reports_what_was_expected_and_found() -> None:
     with pytest.raises(AssertionError, match="expected 1, got 2"):
         check(False, "1", 2)
     check(True, "1", 2)

@@ -1,4 +1,4 @@
-"""Every line of a checklist has a case, or a place where it is shown; every case has its line."""
+"""Every checklist line has a case or names where it is shown; every case has its line."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def numbers_of(suite: Suite) -> list[str]:
 
 
 @of_each_checklist
-def test_every_line_has_a_case_or_says_where_it_is_shown(
+def test_every_line_has_a_case_or_names_where_it_is_shown(
     checklist: Checklist, suite: Suite, lines: int
 ) -> None:
     found = checklist.cases_by_line(numbers_of(suite))
@@ -54,12 +54,12 @@ def test_every_case_of_the_protocol_belongs_to_a_line(checklist: Checklist, suit
 
 
 @of_each_checklist
-def test_what_is_also_looked_at_exists(checklist: Checklist, suite: Suite, lines: int) -> None:
+def test_additional_cases_of_a_line_exist(checklist: Checklist, suite: Suite, lines: int) -> None:
     assert {number for also in checklist.also.values() for number in also} <= set(numbers_of(suite))
 
 
 @of_each_checklist
-def test_the_places_named_exist(checklist: Checklist, suite: Suite, lines: int) -> None:
+def test_the_test_and_benchmark_paths_named_exist(checklist: Checklist, suite: Suite, lines: int) -> None:
     for text in (*checklist.elsewhere.values(), *checklist.remarks.values()):
         for place in re.findall(r"(?:tests|benchmarks)/[\w/.]+\w", text):
             assert (ROOT / place).exists(), place
@@ -70,7 +70,7 @@ def test_the_places_named_exist(checklist: Checklist, suite: Suite, lines: int) 
     [(POLARIS_CHECKLIST, TRACKER, "P"), (KUKA_CHECKLIST, ROBOT, "K")],
     ids=["polaris", "kuka"],
 )
-def test_a_case_about_device_or_driver_stands_under_a_line_about_it(
+def test_a_case_about_device_or_driver_belongs_to_a_line_about_it(
     checklist: Checklist, suite: Suite, of_device: str
 ) -> None:
     for number in numbers_of(suite):
@@ -78,6 +78,6 @@ def test_a_case_about_device_or_driver_stands_under_a_line_about_it(
             assert f"{'S' if number[0] == of_device else 'D'}:" in checklist.lines[line], number
 
 
-def test_what_resets_the_tracker_is_not_run_unless_it_is_allowed() -> None:
+def test_the_tracker_cases_that_reset_the_device_need_permission() -> None:
     resets = {case.number for case in TRACKER.cases if DESTRUCTIVE in case.needs}
     assert resets == {"P01", "P01b", "P09"}

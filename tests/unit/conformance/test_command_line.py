@@ -1,4 +1,4 @@
-"""A mistake in the command line, or nobody at the endpoint, is one message and the documented exit code."""
+"""A wrong command line or an unreachable endpoint gives one message and the documented exit code."""
 
 from __future__ import annotations
 
@@ -37,17 +37,19 @@ def message_of(capsys: pytest.CaptureFixture[str], *arguments: str, exit_code: i
         (("--colour",), "CLI-001"),
     ],
 )
-def test_a_wrong_command_line_is_a_usage_error(
+def test_an_invalid_command_line_is_a_usage_error(
     capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], code: str
 ) -> None:
     assert message_of(capsys, *arguments, exit_code=EXIT_USAGE).startswith(code)
 
 
-def test_nobody_at_the_endpoint_is_not_found(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_endpoint_where_nothing_listens_is_reported_as_not_found(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert message_of(capsys, "--endpoint", NOBODY, exit_code=EXIT_NOT_FOUND).startswith("NDI-001")
 
 
-def test_a_report_that_cannot_be_written_is_refused_before_the_run(
+def test_an_unwritable_report_path_is_refused_before_connecting(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     report = str(tmp_path / "no" / "report.json")

@@ -1,4 +1,4 @@
-"""The line that misbehaves does exactly what it is told, and only to what the device says."""
+"""The disturbed line disturbs only what the device sends, and exactly as ordered."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_an_undisturbed_line_passes_everything_on(line: DisturbedLine) -> None:
         assert ask(client, everything) == everything
 
 
-def test_one_reply_is_spoilt_and_the_next_is_whole(line: DisturbedLine) -> None:
+def test_one_reply_is_corrupted_and_the_next_is_intact(line: DisturbedLine) -> None:
     with client_of(line) as client:
         ask(client, b"x")
         line.flip_next()
@@ -78,7 +78,7 @@ def test_one_reply_is_spoilt_and_the_next_is_whole(line: DisturbedLine) -> None:
         assert ask(client, b"ABC") == b"ABC"
 
 
-def test_a_held_reply_comes_late_and_nothing_overtakes_it(line: DisturbedLine) -> None:
+def test_a_delayed_reply_arrives_late_and_in_order(line: DisturbedLine) -> None:
     with client_of(line) as client:
         ask(client, b"x")
         line.delay_next(0.2)
@@ -93,7 +93,7 @@ def test_a_held_reply_comes_late_and_nothing_overtakes_it(line: DisturbedLine) -
         assert time.monotonic() - began_s >= 0.2
 
 
-def test_silence_swallows_until_it_is_switched_off(line: DisturbedLine) -> None:
+def test_silence_drops_everything_until_it_is_switched_off(line: DisturbedLine) -> None:
     with client_of(line) as client:
         ask(client, b"x")
         line.silence()
@@ -105,7 +105,7 @@ def test_silence_swallows_until_it_is_switched_off(line: DisturbedLine) -> None:
         assert ask(client, b"heard") == b"heard"
 
 
-def test_a_cut_connection_ends_and_the_next_is_served(line: DisturbedLine) -> None:
+def test_a_cut_closes_the_connection_and_the_next_one_is_served(line: DisturbedLine) -> None:
     with client_of(line) as client:
         ask(client, b"x")
         line.cut()
@@ -114,12 +114,12 @@ def test_a_cut_connection_ends_and_the_next_is_served(line: DisturbedLine) -> No
         assert ask(client, b"again") == b"again"
 
 
-def test_a_device_that_is_not_there_is_an_end_not_a_crash() -> None:
+def test_an_unreachable_device_ends_the_connection_without_a_crash() -> None:
     with DisturbedLine(parse_endpoint("tcp://127.0.0.1:1")) as line, client_of(line) as client:
         assert client.recv(4096) == b""
 
 
-def test_a_serial_device_is_reached_as_well() -> None:
+def test_a_serial_device_works_too() -> None:
     unit, terminal = pty.openpty()
     tty.setraw(terminal)
     try:

@@ -1,4 +1,4 @@
-"""An arm that is no simulator of ours is moved only when a person has confirmed it, by name."""
+"""An arm that is not our simulator is moved only after a person has confirmed it by name."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def _run(*arguments: str) -> int:
     return exit_code_of(cli.app, ["robot", *NOBODY, *arguments])
 
 
-def test_without_a_name_nothing_is_even_connected(
+def test_motion_without_a_confirming_name_is_refused_before_connecting(
     confirmed: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("Ana\n"))  # no terminal: nobody can be asked
@@ -51,7 +51,7 @@ def test_without_a_name_nothing_is_even_connected(
     assert confirmed == []
 
 
-def test_a_person_at_the_terminal_is_asked(
+def test_the_user_at_the_terminal_is_asked_for_a_name(
     confirmed: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal(" Ana \n"))
@@ -60,7 +60,7 @@ def test_a_person_at_the_terminal_is_asked(
     assert "Confirmed by" in capsys.readouterr().err
 
 
-def test_who_just_presses_return_has_not_confirmed(
+def test_pressing_return_alone_does_not_confirm(
     confirmed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(sys, "stdin", Terminal("\n"))
@@ -71,12 +71,14 @@ def test_who_just_presses_return_has_not_confirmed(
 @pytest.mark.parametrize(
     "arguments", [(), ("--allow", "destructive"), ("--allow", "motion", "--only", "K01")]
 )
-def test_what_moves_nothing_asks_nobody(confirmed: list[str], arguments: tuple[str, ...]) -> None:
+def test_a_suite_without_motion_asks_for_no_confirmation(
+    confirmed: list[str], arguments: tuple[str, ...]
+) -> None:
     _run(*arguments)
     assert confirmed == [""]
 
 
-def test_the_name_stands_in_the_report(confirmed: list[str]) -> None:
+def test_the_report_contains_the_name_of_the_confirming_person(confirmed: list[str]) -> None:
     _run("--allow", "motion", "--confirmed-by", "Ana")
     assert confirmed == ["Ana"]
     report = Report("robot", "kuka_rsi", {}, Identity("", "", "", ""), "", (), "Ana")

@@ -1,4 +1,4 @@
-"""What the command line names is what is tested; mistakes are told before anything starts."""
+"""The suite tests the device named on the command line; mistakes are reported before anything starts."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def stand_for(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTe
     return stand(resolve(kind, choice))
 
 
-def test_the_device_of_a_theatre_file_keeps_its_options(theatre: Path) -> None:
+def test_a_device_from_a_theatre_file_keeps_its_options(theatre: Path) -> None:
     with stand_for("tracker", Choice(config=theatre)) as dut:
         assert dut.name == "tracker"
         assert dut.config.endpoint == "tcp://127.0.0.1:8765"
@@ -58,7 +58,7 @@ def test_the_device_of_a_theatre_file_keeps_its_options(theatre: Path) -> None:
         } <= dut.offers
 
 
-def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
+def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
     with (
         pytest.raises(DeviceNotInFile) as caught,
         stand_for("stereo", Choice(config=theatre)),
@@ -75,25 +75,25 @@ def test_a_device_that_the_file_does_not_hold_is_told(theatre: Path) -> None:
             pass
 
 
-def test_an_endpoint_alone_means_the_usual_driver_with_its_usual_options() -> None:
+def test_an_endpoint_alone_selects_the_default_driver_and_options() -> None:
     with stand_for("tracker", Choice(endpoints=("serial:///dev/ttyUSB0",), allow=("destructive",))) as dut:
         assert dut.config.driver == "ndi_polaris"
         assert dut.make().tools == ("robot_frame",)
         assert "destructive" in dut.offers
 
 
-def test_named_endpoints_reach_the_driver_by_their_names() -> None:
+def test_named_endpoints_reach_the_driver_under_their_names() -> None:
     named = ("rsi=udp://127.0.0.1:1", "eki_project=tcp://127.0.0.1:2")
     with stand_for("robot", Choice(endpoints=named)) as dut:
         assert dut.config.endpoints == {"rsi": "udp://127.0.0.1:1", "eki_project": "tcp://127.0.0.1:2"}
 
 
-def test_an_equals_sign_in_an_address_is_no_name() -> None:
+def test_an_equals_sign_in_an_address_does_not_make_a_name() -> None:
     with stand_for("tracker", Choice(endpoints=("serial:///dev/a=b",))) as dut:
         assert dut.config.endpoint == "serial:///dev/a=b"
 
 
-def test_a_simulator_that_does_not_start_is_told() -> None:
+def test_a_simulator_that_does_not_start_is_reported() -> None:
     target = resolve("tracker", Choice(sim=True))
     broken = replace(target.protocol, simulator=lambda: ("no-such-device",))
     with pytest.raises(ChildNotReady), stand(replace(target, protocol=broken)):

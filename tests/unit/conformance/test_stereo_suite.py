@@ -1,4 +1,4 @@
-"""The stereo suite passes a good driver of any protocol, and finds each mistake by the case meant for it."""
+"""The stereo suite passes a good driver of any protocol and finds each mistake by its own case."""
 
 from __future__ import annotations
 
@@ -142,6 +142,6 @@ def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, mistake: str) -> N
     assert run_case(case, make_dut(**members)).outcome is Outcome.FAIL
 
 
-def test_every_case_about_a_pair_has_its_mistake() -> None:
+def test_every_stereo_case_has_its_mistake() -> None:
     """S15 to S18 are those of any device; the tracker's suite finds mistakes by them."""
     assert {number for number, _ in MISTAKES.values()} == {f"S{number:02d}" for number in range(1, 15)}

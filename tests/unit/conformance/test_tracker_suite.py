@@ -1,4 +1,4 @@
-"""The tracker suite passes a good driver, and finds each kind of mistake by the case that is meant for it."""
+"""The tracker suite passes a good driver and finds each kind of mistake by its own case."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def failed(dut: DeviceUnderTest) -> set[str]:
     return {number for number, outcome in outcomes(dut).items() if outcome is Outcome.FAIL}
 
 
-def test_a_good_driver_passes_everything_that_applies(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_good_driver_passes_all_applicable_cases(make_dut: MakeDut, good_tracker: Any) -> None:
     found = outcomes(make_dut(good_tracker))
     assert Outcome.FAIL not in found.values()
     assert [n for n, outcome in found.items() if outcome is Outcome.PASS] == [
@@ -172,7 +172,7 @@ def test_each_mistake_is_found_by_its_case(make_dut: MakeDut, good_tracker: Any,
     assert number in failed(make_dut(MISTAKES[number](good_tracker)))
 
 
-def test_a_driver_without_a_call_is_no_tracker(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_a_driver_with_a_missing_method_fails(make_dut: MakeDut, good_tracker: Any) -> None:
     class Incomplete:
         def __init__(self, name: str, config: Any, clock: Any) -> None:
             self.good = good_tracker(name, config, clock)
@@ -185,7 +185,7 @@ def test_a_driver_without_a_call_is_no_tracker(make_dut: MakeDut, good_tracker: 
     assert "T01" in failed(make_dut(Incomplete))
 
 
-def test_a_case_that_cannot_be_decided_says_why(make_dut: MakeDut, good_tracker: Any) -> None:
+def test_undecidable_cases_are_skipped(make_dut: MakeDut, good_tracker: Any) -> None:
     class Blind(good_tracker):  # type: ignore[misc]
         def reading(self, tool: str) -> ToolReading:
             return ToolReading(tool, Validity.MISSING, None, None, None)

@@ -1,4 +1,4 @@
-"""Structures while they are drawn and imported."""
+"""Structures to avoid, as they are drawn and imported."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from procedures.planning.errors import PlanMistakes
 GEOMETRY = VoxelGeometry((67, 67, 67), np.full(3, -99.0), np.eye(3)[::-1], np.full(3, 3.0))
 
 
-def test_a_stroke_leaves_points_that_stand_for_its_line_and_keeps_its_margin() -> None:
+def test_a_stroke_is_sampled_along_its_line_and_keeps_its_margin() -> None:
     draft = drawn(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
     draft = with_margin(draft, "vessel", 5.0)
     draft = drawn(draft, "vessel", (9.0, 0.0, 0.0), (0.0, 0.0, 0.0))
@@ -27,7 +27,7 @@ def test_a_stroke_leaves_points_that_stand_for_its_line_and_keeps_its_margin() -
     assert max(math.dist(a, b) for a, b in pairwise(vessel.points_mm)) <= STEP_MM
 
 
-def test_an_imported_structure_never_takes_the_place_of_another() -> None:
+def test_an_imported_structure_never_replaces_another() -> None:
     draft = imported(Draft("HFS", 4), "S1", b"1,2,3\n", "a.csv", GEOMETRY)
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*S1 already.*another name"):
         imported(draft, "S1", b"4,5,6\n", "a.csv", GEOMETRY)
@@ -35,13 +35,13 @@ def test_an_imported_structure_never_takes_the_place_of_another() -> None:
 
 
 @pytest.mark.parametrize("name", ["", "-", "a" * 40, "a\nb"])
-def test_a_name_that_a_plan_does_not_take_is_refused(name: str) -> None:
+def test_an_invalid_structure_name_is_refused(name: str) -> None:
     with pytest.raises(PlanMistakes, match="PLAN-002"):
         drawn(Draft("HFS", 4), name, (0.0, 0.0, 0.0), None)
 
 
 @pytest.mark.parametrize("margin_mm", [-1.0, 31.0, math.inf])
-def test_a_margin_that_is_none_is_refused(margin_mm: float) -> None:
+def test_an_invalid_margin_is_refused(margin_mm: float) -> None:
     draft = drawn(Draft("HFS", 4), "vessel", (0.0, 0.0, 0.0), None)
     with pytest.raises(PlanMistakes, match="PLAN-002"):
         with_margin(draft, "vessel", margin_mm)

@@ -1,4 +1,4 @@
-"""Pages wait for changes; one that is closed waits no longer."""
+"""Pages wait for changes; a closed page stops waiting."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ async def _forever(changed: asyncio.Event) -> None:
 
 
 @pytest.mark.parametrize("steps", range(6))
-def test_whoever_is_told_and_ended_at_once_ends_whatever_comes_first(steps: int) -> None:
+def test_a_waiter_that_is_notified_and_cancelled_at_once_ends(steps: int) -> None:
     async def ends() -> bool:
         changed = asyncio.Event()
         task = asyncio.create_task(_forever(changed))
@@ -32,7 +32,7 @@ def test_whoever_is_told_and_ended_at_once_ends_whatever_comes_first(steps: int)
     assert asyncio.run(ends())
 
 
-def test_it_comes_back_when_its_time_is_over_and_when_something_changed() -> None:
+def test_waiting_for_a_change_ends_on_timeout_and_on_a_change() -> None:
     async def both() -> bool:
         changed = asyncio.Event()
         await changed_within(changed, 0.0)

@@ -1,4 +1,4 @@
-"""Pictures through a CT: what stands on the patient's left, back and top stands where its letter says."""
+"""CT cut pictures: the patient's left, back and top appear on the sides that carry their letters."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def picture(plane: Plane, at_mm: np.ndarray) -> Cut:
 
 @pytest.mark.parametrize("axes", [UPWARDS, TURNED])
 @pytest.mark.parametrize("plane", list(DIRECTIONS))
-def test_a_mark_appears_where_its_place_is_said_to_appear(plane: Plane, axes: np.ndarray) -> None:
+def test_a_mark_appears_at_its_computed_picture_position(plane: Plane, axes: np.ndarray) -> None:
     right, down = (np.array(one) for one in DIRECTIONS[plane])
     normal = np.cross(right, down)
     cut = picture(plane, normal * float(MARK_MM @ normal))
@@ -58,7 +58,7 @@ def test_a_mark_appears_where_its_place_is_said_to_appear(plane: Plane, axes: np
     assert np.allclose(cut.to_patient_mm(x, y), MARK_MM)
 
 
-def test_the_sides_of_the_pictures_are_those_of_the_convention() -> None:
+def test_the_sides_of_the_pictures_follow_the_radiological_convention() -> None:
     told = {plane: [side(np.array(one)) for one in DIRECTIONS[plane]] for plane in DIRECTIONS}
     assert told == {Plane.AXIAL: ["L", "P"], Plane.CORONAL: ["L", "I"], Plane.SAGITTAL: ["P", "I"]}
     assert side(np.array([0.8, -0.6, 0.0])) == "LA"
@@ -72,7 +72,9 @@ def test_the_sides_of_the_pictures_are_those_of_the_convention() -> None:
         ((0.6, 0.0, 0.8), (0.0, 1.0, 0.0)),
     ],
 )
-def test_every_pixel_is_what_scipy_samples_there(right: tuple[float, ...], down: tuple[float, ...]) -> None:
+def test_every_pixel_agrees_with_scipy_interpolation(
+    right: tuple[float, ...], down: tuple[float, ...]
+) -> None:
     scan = volume()
     cut = Cut(np.array([1.0, 2.0, 3.0]), np.array(right), np.array(down), 0.1)
     hu = cut_hu(scan, cut)
@@ -86,7 +88,7 @@ def test_every_pixel_is_what_scipy_samples_there(right: tuple[float, ...], down:
     assert np.abs(hu[rows, columns] - sampled).max() < 12.0  # OpenCV interpolates in steps of 1/32 of a pixel
 
 
-def test_what_was_not_scanned_is_not_black_like_air() -> None:
+def test_unscanned_regions_are_grey_and_not_black_like_air() -> None:
     cut = picture(Plane.AXIAL, np.array([0.0, 0.0, 500.0]))
     assert (cut_hu(volume(), cut) == UNSCANNED_HU).all()
     shown = cv2.imdecode(
@@ -96,7 +98,7 @@ def test_what_was_not_scanned_is_not_black_like_air() -> None:
     assert (shown == UNSCANNED_GREY).all()
 
 
-def test_the_window_is_black_at_its_lower_and_white_at_its_upper_end() -> None:
+def test_the_window_is_black_at_its_lower_and_white_at_its_upper_limit() -> None:
     cut = picture(Plane.AXIAL, MARK_MM * (0.0, 0.0, 1.0))
     shown = cv2.imdecode(np.frombuffer(cut_png(volume(), cut, (0.0, 500.0)), np.uint8), cv2.IMREAD_GRAYSCALE)
     hu = cut_hu(volume(), cut)

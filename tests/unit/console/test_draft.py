@@ -1,4 +1,4 @@
-"""A plan while it is drawn: what is typed, changed and taken back."""
+"""A plan while it is drawn: typed numbers, changes, undo and redo."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def drawn() -> Draft:
     ("words", "number"),
     [("-12.5", -12.5), ("8,4", 8.4), (" +3 ", 3.0), ("−7", -7.0), (".5", 0.5), ("12.", 12.0)],
 )
-def test_a_number_is_read_as_people_type_it(words: str, number: float) -> None:
+def test_typed_numbers_are_read_with_comma_sign_and_blanks(words: str, number: float) -> None:
     assert typed_number(words) == number
 
 
 @pytest.mark.parametrize("words", ["", "1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5"])
-def test_what_is_no_number_is_refused_with_an_example(words: str) -> None:
+def test_text_that_is_not_a_number_is_refused_with_an_example(words: str) -> None:
     with pytest.raises(ValueError, match=r"such as -12\.5"):
         typed_number(words)
 
 
-def test_a_draft_is_a_plan_with_the_trajectories_that_are_whole() -> None:
+def test_a_draft_becomes_a_plan_of_its_complete_trajectories() -> None:
     draft, name = drawn().with_new_way()
     assert name == "T2"
     plan = parse_plan(draft.content("1.2.3"))
@@ -40,7 +40,7 @@ def test_a_draft_is_a_plan_with_the_trajectories_that_are_whole() -> None:
     assert Draft.of(plan).ways == drawn().ways
 
 
-def test_undo_takes_back_step_by_step_and_redo_makes_it_again() -> None:
+def test_undo_and_redo_go_step_by_step() -> None:
     history = History(drawn())
     first, second = replace(drawn(), standoff_mm=31.0), replace(drawn(), standoff_mm=32.0)
     history.change(first)
@@ -58,7 +58,7 @@ def test_undo_takes_back_step_by_step_and_redo_makes_it_again() -> None:
     assert not history.can_redo
 
 
-def test_a_drag_is_taken_back_as_one_step() -> None:
+def test_a_drag_is_undone_as_one_step() -> None:
     history = History(drawn())
     for step, standoff_mm in enumerate((31.0, 32.0, 33.0)):
         history.change(replace(drawn(), standoff_mm=standoff_mm), goes_on=step > 0)
@@ -66,14 +66,14 @@ def test_a_drag_is_taken_back_as_one_step() -> None:
     assert history.now == drawn()
 
 
-def test_axis_and_depth_give_the_entry_that_they_were_read_from() -> None:
+def test_axis_and_depth_reproduce_the_entry() -> None:
     axis = Axis.of(ENTRY, TARGET)
     assert axis.entry_mm(TARGET, math.dist(ENTRY, TARGET)) == pytest.approx(ENTRY)
     assert Axis.of((9.0, 0.0, 0.0), (0.0, 0.0, 0.0)) == Axis(0.0, 0.0)
     assert Axis.of((0.0, 9.0, 9.0), (0.0, 0.0, 0.0)) == Axis(pytest.approx(90.0), pytest.approx(45.0))
 
 
-def test_names_of_trajectories_are_not_used_twice_and_one_always_stands() -> None:
+def test_trajectory_names_are_not_duplicated_and_one_trajectory_always_remains() -> None:
     draft, _ = drawn().with_new_way()
     draft = draft.without_way("T1")
     assert [one.identifier for one in draft.ways] == ["T2"]

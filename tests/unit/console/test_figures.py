@@ -1,4 +1,4 @@
-"""What had been measured at a moment of a recorded case, and whether its files are as they were left."""
+"""What had been measured at a moment of a recorded case, and whether its files have been changed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def after(*done: str) -> CaseFigures:
     return found
 
 
-def test_instruments_appear_one_after_the_other() -> None:
+def test_figures_appear_in_the_order_in_which_they_were_measured() -> None:
     assert as_of(None, CaseView(), CaseView()) is None
     nothing = after("ct_import")
     tracked = after("global_localization")
@@ -50,13 +50,13 @@ def test_instruments_appear_one_after_the_other() -> None:
     assert (localized.spheres, localized.pictures) == (FIGURES.spheres, FIGURES.pictures)
 
 
-def test_a_prediction_appears_with_the_registration_that_is_for_its_target() -> None:
+def test_a_prediction_appears_with_the_registration_of_its_target() -> None:
     first, every = after("registration:T1"), after("registration")
     assert [one.target for one in first.predictions] == ["T1"]
     assert every.predictions == FIGURES.predictions
 
 
-def test_figures_of_a_result_that_was_repeated_since_are_not_shown_before_that() -> None:
+def test_figures_of_a_repeated_result_are_hidden_before_the_repetition() -> None:
     then, now = (
         CaseView(steps=(StepRow("registration", "", "", False, "done", record=record),))
         for record in ("registration-1", "registration-2")
@@ -66,7 +66,7 @@ def test_figures_of_a_result_that_was_repeated_since_are_not_shown_before_that()
 
 
 @pytest.mark.hazard(39)
-def test_every_file_of_a_case_under_review_is_compared_once_its_program_is_gone(tmp_path: Path) -> None:
+def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_path: Path) -> None:
     cell = RecordingCell(tmp_path / "run")
     (cell.folder / "theatre").mkdir()
     for name in ("changed", "gone"):

@@ -1,4 +1,4 @@
-"""The fold: a view at one moment and what happened since make the view of the later moment."""
+"""The fold: the view at one moment plus the events since gives the view at the later moment."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ HAPPENINGS = st.one_of(
 
 
 @given(st.lists(HAPPENINGS, max_size=40), st.data())
-def test_a_snapshot_and_the_changes_since_make_the_later_snapshot(
+def test_a_snapshot_plus_the_later_events_gives_the_later_snapshot(
     happenings: list[Happening], data: st.DataObject
 ) -> None:
     events = events_of(happenings)
@@ -93,7 +93,7 @@ def test_a_snapshot_and_the_changes_since_make_the_later_snapshot(
     assert recorded.latest == recorded.at(len(events)) == late
 
 
-def test_a_step_that_is_done_is_shown_done_and_what_it_superseded_as_gone() -> None:
+def test_a_completed_step_is_shown_as_done_and_a_superseded_one_as_superseded() -> None:
     done = StepState(step="fit:T1", state="done", summary="0.2 mm", record="03-fit-T1")
     view = view_after(ORDER, StepState(step="fit:T1", state="begun"), done)
     assert (view.steps[2].state, view.steps[2].summary, view.running) == ("done", "0.2 mm", "")
@@ -101,7 +101,7 @@ def test_a_step_that_is_done_is_shown_done_and_what_it_superseded_as_gone() -> N
     assert again.steps[2].state == "superseded"
 
 
-def test_what_stands_in_a_run_that_is_taken_up_is_done_and_what_was_left_open_is_over() -> None:
+def test_a_resumed_run_shows_its_results_as_done_and_drops_open_question_and_seat() -> None:
     step = OrderedStep(step="image", title="Image", phase="operation", moves=False, record="01-image")
     killed = (JournalLine(line={"entry": "opened"}), ORDER, question(2), Seat(holder="Ana"))
     view = view_after(*killed, JournalLine(line={"entry": "restarted"}), Order(steps=(step,)))
@@ -109,12 +109,12 @@ def test_what_stands_in_a_run_that_is_taken_up_is_done_and_what_was_left_open_is
     assert (view.question, view.seat, view.results) == (None, None, 1)
 
 
-def test_an_answer_takes_away_its_own_question_and_no_other() -> None:
+def test_an_answer_removes_only_its_own_question() -> None:
     assert view_after(question(2), Answered(question=1, answer="yes")).question is not None
     assert view_after(question(2), Answered(question=2, answer="yes")).question is None
 
 
-def test_the_first_journal_line_says_what_theatre_it_is_and_the_last_how_it_ended() -> None:
+def test_the_first_journal_line_names_the_theatre_and_the_last_the_outcome() -> None:
     opened = {
         "entry": "opened",
         "run": "r1",
@@ -127,17 +127,17 @@ def test_the_first_journal_line_says_what_theatre_it_is_and_the_last_how_it_ende
     assert view_after(JournalLine(line={"entry": "opened", "banner": None})).banner == ""
 
 
-def test_a_long_case_keeps_a_bounded_journal() -> None:
+def test_a_long_case_keeps_a_bounded_number_of_journal_lines() -> None:
     lines = [JournalLine(line={"entry": "motion", "sequence": number}) for number in range(2 * JOURNAL_KEPT)]
     assert len(view_after(*lines).journal) == JOURNAL_KEPT
 
 
-def test_a_fault_is_told_once_with_what_to_do() -> None:
+def test_a_fault_notice_shows_the_advice_only_once() -> None:
     view = view_after(Fault(code="RSI-010", what="RSI-010: it stopped. Look.", advice="Look."))
     assert (view.notices[0].what, view.notices[0].advice) == ("it stopped.", "Look.")
 
 
-def test_what_was_wrong_with_a_step_is_settled_once_the_step_is_done() -> None:
+def test_the_notice_of_a_failed_step_is_settled_once_the_step_is_done() -> None:
     failed = (
         StepState(step="check", state="begun"),
         Fault(code="TOOL-005", what="TOOL-005: bent. Seat it.", advice="Seat it."),

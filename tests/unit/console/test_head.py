@@ -1,4 +1,4 @@
-"""The surface of the head: where the CT shows it, in the patient's own directions."""
+"""The surface of the head, extracted from the CT in patient coordinates."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def scan(mark: bool = True) -> Volume:
     return Volume(np.where(solid, 40, -1000).astype(np.int16), geometry, "1.2", "1.3")
 
 
-def test_the_surface_is_that_of_the_head_alone_filled_and_on_the_patients_own_side() -> None:
+def test_the_surface_is_the_filled_head_without_the_headrest_and_not_mirrored() -> None:
     volume = scan()
     corners, triangles = head_surface(volume)
     middle = volume.geometry.to_patient_mm(np.array(SHAPE) / 2)
@@ -51,14 +51,14 @@ def test_an_empty_scan_has_no_head() -> None:
         head_surface(Volume(np.full(SHAPE, -1000, np.int16), geometry, "1.2", "1.3"))
 
 
-def test_the_mesh_is_binary_stl_in_metres() -> None:
+def test_the_mesh_is_written_as_binary_stl_in_metres() -> None:
     corners = np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]])
     content = stl(corners, np.array([[0, 1, 2]]))
     assert len(content) == 84 + 50
     assert struct.unpack("<I12f", content[80:132]) == (1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0)
 
 
-def test_the_series_is_the_runs_own_or_the_one_it_was_asked_to_use(tmp_path: Path) -> None:
+def test_the_series_in_the_run_folder_takes_precedence_over_the_one_in_the_request(tmp_path: Path) -> None:
     assert series_of(tmp_path) is None
     (tmp_path / "request.json").write_text('{"case": "/data/case-7"}')
     assert series_of(tmp_path) == Path("/data/case-7/ct")

@@ -1,4 +1,4 @@
-"""The hub: what stands still is told as past, and an order is answered or says that it was not."""
+"""The hub: stale data is shown as stale, and every order gets an answer or a refusal."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Clock:
         return self.now_s
 
 
-def test_an_engine_that_falls_silent_is_told() -> None:
+def test_a_silent_engine_is_reported() -> None:
     clock = Clock()
     hub = Hub(Path(), clock)
     hub.live = True
@@ -40,7 +40,7 @@ def test_an_engine_that_falls_silent_is_told() -> None:
     assert hub.frozen == ""
 
 
-def test_an_arm_that_nothing_new_is_told_of_grows_old_while_the_engine_lives() -> None:
+def test_arm_data_without_updates_ages_while_the_engine_is_alive() -> None:
     clock = Clock()
     hub = Hub(Path(), clock)
     hub.live = True
@@ -80,7 +80,7 @@ def line(number: int, what: Happening) -> bytes:
     return b'{"event":' + event(number, what).model_dump_json().encode() + b"}"
 
 
-def test_an_engine_that_ends_before_its_journal_is_closed_leaves_a_banner() -> None:
+def test_an_engine_that_ends_before_closing_its_journal_leaves_a_banner() -> None:
     hub = fed(line(1, CaseState(state="held")), b'{"beat":1}')
     assert hub.view.state == "held"
     assert "THE ENGINE HAS ENDED" in hub.frozen
@@ -89,12 +89,12 @@ def test_an_engine_that_ends_before_its_journal_is_closed_leaves_a_banner() -> N
 
 
 @pytest.mark.parametrize("bad", [b"nonsense", b'{"event":{}}', b"\xff\xfe", b'{"nonce":1}'])
-def test_a_line_that_is_none_of_the_engines_ends_the_picture_and_not_the_console(bad: bytes) -> None:
+def test_an_invalid_line_from_the_engine_ends_the_feed_but_not_the_console(bad: bytes) -> None:
     hub = fed(line(1, CaseState(state="held")), bad, line(2, CaseState(state="finished")))
     assert (hub.view.state, hub.ended) == ("held", True)
 
 
-def test_orders_go_to_the_engine_and_come_back_with_its_words() -> None:
+def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:
     ours, theirs = socket.socketpair()
     hub = Hub(Path())
 
@@ -118,11 +118,11 @@ def test_orders_go_to_the_engine_and_come_back_with_its_words() -> None:
     assert asyncio.run(give()) == ("", "the seat is taken by Ana")
 
 
-def test_a_case_that_does_not_run_here_takes_no_order() -> None:
+def test_an_order_is_refused_when_no_case_is_running() -> None:
     assert asyncio.run(Hub(Path()).order(OPERATOR, {"kind": "pause"})) == NOT_RUNNING
 
 
-def test_sessions_are_bounded_and_the_oldest_of_a_role_makes_room() -> None:
+def test_sessions_are_limited_and_a_new_one_replaces_the_oldest_of_its_role() -> None:
     sessions = Sessions()
     operator = sessions.open(sessions.operator_token)
     cookies = [sessions.open(sessions.viewer_token) for _ in range(MOST_SESSIONS + 1)]
@@ -132,7 +132,7 @@ def test_sessions_are_bounded_and_the_oldest_of_a_role_makes_room() -> None:
     assert sessions.find(operator) is not None
 
 
-def test_a_port_that_is_in_use_is_told_with_what_to_do() -> None:
+def test_a_port_in_use_is_reported() -> None:
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -141,7 +141,7 @@ def test_a_port_that_is_in_use_is_told_with_what_to_do() -> None:
     assert "CON-001" in str(refused.value)
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO())
     with pytest.raises(NothingToShow, match="CON-002"):
         review(tmp_path, 0)
@@ -150,7 +150,7 @@ def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.
         review(tmp_path, 0)
 
 
-def test_what_cannot_be_read_any_more_is_told_on_the_page_with_its_code() -> None:
+def test_an_unreadable_event_file_is_reported_on_the_page_with_its_code() -> None:
     hub = Hub(Path("nowhere"))
     assert hub.frozen == ""
     hub.break_off("PRO-018: line 7 was written by another version. Use the version that wrote it.")

@@ -1,4 +1,4 @@
-"""The sockets behind which the pages are served."""
+"""The listening sockets that serve the pages."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ async def _pinged(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) ->
 
 
 @pytest.mark.parametrize("line", [b"a:b\r\n", b"a"], ids=["many headers", "one header"])
-def test_a_head_without_end_is_not_read_to_its_end(line: bytes) -> None:
+def test_an_endless_request_head_is_cut_off(line: bytes) -> None:
     async def sent_whole() -> bool:
         async with Served().serving() as console:
             _, writer = await console.connected(b"GET / HTTP/1.1\r\na:")
@@ -104,7 +104,9 @@ def test_a_head_without_end_is_not_read_to_its_end(line: bytes) -> None:
 
 @pytest.mark.parametrize("half", [b"", b"GET / HT", b"GET / HTTP/1.1\r\nHost: a\r\n"])
 @pytest.mark.parametrize("answered", [b"", b"GET / HTTP/1.1\r\nHost: a\r\n\r\n"], ids=["first", "second"])
-def test_half_a_request_is_hung_up_on(monkeypatch: pytest.MonkeyPatch, answered: bytes, half: bytes) -> None:
+def test_an_incomplete_request_is_disconnected_after_the_time_limit(
+    monkeypatch: pytest.MonkeyPatch, answered: bytes, half: bytes
+) -> None:
     monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
 
     async def said() -> bytes:
@@ -117,7 +119,7 @@ def test_half_a_request_is_hung_up_on(monkeypatch: pytest.MonkeyPatch, answered:
     assert (b" 421 " in asyncio.run(said())) == bool(answered)
 
 
-def test_a_request_in_drips_has_the_time_of_one_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slowly_sent_request_gets_no_more_time_than_any_other(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
 
     async def drip() -> None:
@@ -133,7 +135,7 @@ def test_a_request_in_drips_has_the_time_of_one_request(monkeypatch: pytest.Monk
     asyncio.run(asyncio.wait_for(drip(), 10.0))
 
 
-def test_strangers_keep_nobody_out_who_has_the_key(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_without_the_key_do_not_lock_out_the_operator(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(listening, "MOST_STRANGERS", 4)
 
     async def come() -> None:
@@ -152,7 +154,7 @@ def test_strangers_keep_nobody_out_who_has_the_key(monkeypatch: pytest.MonkeyPat
     asyncio.run(come())
 
 
-def test_an_open_socket_outlasts_the_time_of_a_request(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_open_socket_outlasts_the_request_time_limit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection, "REQUEST_LIMIT_S", 0.1)
 
     async def stay() -> None:
@@ -168,7 +170,7 @@ def test_an_open_socket_outlasts_the_time_of_a_request(monkeypatch: pytest.Monke
     asyncio.run(stay())
 
 
-def test_what_is_sent_does_not_wait_until_what_went_before_was_heard() -> None:
+def test_accepted_connections_use_tcp_nodelay() -> None:
     async def delays() -> int:
         came: asyncio.Future[int] = asyncio.get_running_loop().create_future()
 

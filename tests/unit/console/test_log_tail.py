@@ -1,4 +1,4 @@
-"""The end of a log, as the page shows it."""
+"""The tail of a log, as the page shows it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def line(level: str, event: str, **more: object) -> str:
     return json.dumps({"timestamp": "2026-11-21T10:21:05.1Z", "level": level, "event": event, **more}) + "\n"
 
 
-def test_a_log_is_read_again_when_it_has_grown_and_a_line_that_is_not_complete_waits(tmp_path: Path) -> None:
+def test_a_grown_log_is_read_again_and_an_incomplete_line_waits(tmp_path: Path) -> None:
     tail = LogTail(tmp_path)
     assert tail.lines() == ()
     with (tmp_path / LOG_FILE).open("a") as file:
@@ -25,7 +25,7 @@ def test_a_log_is_read_again_when_it_has_grown_and_a_line_that_is_not_complete_w
     assert tail.lines()[-1] == "10:21:05 error step failed"
 
 
-def test_of_a_long_log_only_whole_lines_of_its_end_are_shown(tmp_path: Path) -> None:
+def test_only_whole_lines_from_the_end_of_a_long_log_are_shown(tmp_path: Path) -> None:
     (tmp_path / LOG_FILE).write_text("".join(line("info", f"event {number:04}") for number in range(2000)))
     shown = LogTail(tmp_path).lines()
     assert shown[-1].endswith("event 1999")
@@ -33,7 +33,7 @@ def test_of_a_long_log_only_whole_lines_of_its_end_are_shown(tmp_path: Path) -> 
     assert all(one.startswith("10:21:05 info event ") for one in shown)
 
 
-def test_a_line_that_is_no_json_is_left_out_and_text_of_others_is_escaped(tmp_path: Path) -> None:
+def test_a_line_that_is_not_json_is_omitted_and_other_text_is_escaped(tmp_path: Path) -> None:
     (tmp_path / LOG_FILE).write_text("torn\n[1]\n" + line("warning", "<script>"))
     shown = log(LogTail(tmp_path).lines())
     assert "&lt;script" in shown

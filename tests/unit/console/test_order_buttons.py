@@ -1,4 +1,4 @@
-"""A button orders what it showed, whenever its click arrives."""
+"""A button gives the order that it showed, however late its click arrives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from console.panels.question import ARMED_S, HeldButton
 from procedures.engine.events import Waiting
 
 
-def test_a_late_click_on_next_is_not_for_the_step_that_is_shown_since() -> None:
+def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
     async def give(_order: dict[str, Any]) -> None:
         pass
 
@@ -34,7 +34,7 @@ def test_a_late_click_on_next_is_not_for_the_step_that_is_shown_since() -> None:
     ("up", "acted"),
     [({"timeStamp": 1009.0}, 0), ({"timeStamp": 1011.0}, 1), ({}, 0), ({"timeStamp": "x"}, 0)],
 )
-def test_a_held_button_acts_when_the_browser_says_that_it_was_held_for_a_second(
+def test_a_hold_button_acts_only_after_the_browser_reports_a_hold_of_one_second(
     up: dict[str, Any], acted: int
 ) -> None:
     done, told = [], []

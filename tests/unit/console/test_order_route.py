@@ -1,4 +1,4 @@
-"""Orders over HTTP: what an operator may ask, what a viewer may not, and what is past."""
+"""Orders over HTTP: what an operator may order, what a viewer may not, and what is out of date."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def waiting(console: Console, tmp_path: Path) -> Iterator[Console]:
 
 
 @pytest.mark.parametrize("order", ORDERS, ids=lambda order: order["kind"])
-def test_a_viewer_gives_no_order(console: Console, order: dict[str, object]) -> None:
+def test_a_viewer_cannot_give_orders(console: Console, order: dict[str, object]) -> None:
     answer = console.order(console.viewer(), **order)
     assert answer.status == 403
     assert answer.refused == "viewers cannot give orders"
 
 
 @pytest.mark.parametrize("order", ORDERS[2:], ids=lambda order: order["kind"])
-def test_who_is_not_in_the_seat_steers_nothing(waiting: Console, order: dict[str, object]) -> None:
+def test_an_operator_outside_the_seat_cannot_steer(waiting: Console, order: dict[str, object]) -> None:
     if order["kind"] == "stop":
         return
     answer = waiting.order(waiting.operator(), **order)
@@ -69,16 +69,16 @@ def test_who_is_not_in_the_seat_steers_nothing(waiting: Console, order: dict[str
     assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone
 
 
-def test_anybody_who_may_operate_stops_the_arm_without_the_seat(waiting: Console) -> None:
+def test_any_operator_can_stop_the_arm_without_the_seat(waiting: Console) -> None:
     assert waiting.order(waiting.operator(), kind="stop").status == 200
 
 
-def test_a_second_claim_is_told_who_has_the_seat(waiting: Console) -> None:
+def test_a_second_claim_is_refused_and_names_who_has_the_seat(waiting: Console) -> None:
     answer = waiting.order(waiting.operator(), kind="claim", name="Ben")
     assert (answer.status, answer.refused) == (409, "the seat is taken by Ana")
 
 
-def test_next_is_carried_out_once_and_quotes_what_was_shown(waiting: Console) -> None:
+def test_next_is_carried_out_once_and_only_for_the_step_that_was_shown(waiting: Console) -> None:
     cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]  # of this fixture alone
     stale = waiting.order(cookie, kind="next", upcoming="fit:T1", nonce="nonce-01")
     assert (stale.status, stale.refused) == (409, "out of date: the next step is now image")
@@ -88,7 +88,7 @@ def test_next_is_carried_out_once_and_quotes_what_was_shown(waiting: Console) ->
     eventually(lambda: waiting.wishes == [Wish("next", by="Ana")])  # type: ignore[attr-defined]  # of this fixture alone
 
 
-def test_more_orders_than_a_person_gives_are_refused(waiting: Console) -> None:
+def test_more_orders_per_second_than_a_person_gives_are_refused(waiting: Console) -> None:
     cookie = waiting.cookie_of_ana  # type: ignore[attr-defined]  # of this fixture alone
     answers = [waiting.order(cookie, kind="pause").refused for _ in range(ORDERS_PER_SECOND + 1)]
     assert answers[-1] == "too many orders in one second"
@@ -124,13 +124,13 @@ def hammered(console: Console, count: int) -> set[int]:
     }
 
 
-def test_two_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Console) -> None:
+def test_two_thousand_mutated_orders_are_refused_and_have_no_effect(waiting: Console) -> None:
     assert hammered(waiting, 2000) <= {400, 409}
     assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(1200)
-def test_a_hundred_thousand_mutated_orders_are_refused_and_wish_nothing(waiting: Console) -> None:
+def test_a_hundred_thousand_mutated_orders_are_refused_and_have_no_effect(waiting: Console) -> None:
     assert hammered(waiting, 100_000) <= {400, 409}
     assert waiting.wishes == []  # type: ignore[attr-defined]  # of this fixture alone

@@ -1,4 +1,4 @@
-"""What the panels say: never by colour alone, and nothing that somebody else wrote as HTML."""
+"""What the panels show: never by colour alone, and text from elsewhere never as HTML."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from procedures.reporting.case_figures import CaseFigures
 SCRIPT = "<script>alert(1)</script>"
 
 
-def test_simulated_and_hardware_are_told_in_words() -> None:
+def test_simulation_and_hardware_are_labelled_in_words() -> None:
     assert "SIMULATED THEATRE" in banner(CaseView(banner="SIMULATED THEATRE"))
     assert "HARDWARE" in banner(CaseView(banner=""))
     assert "HARDWARE" not in banner(CaseView())  # nothing is known yet
     assert "SIMULATED" not in banner(CaseView())
 
 
-def test_the_course_says_what_is_done_what_is_next_and_why_it_may_not_begin() -> None:
+def test_the_step_list_shows_what_is_done_what_is_next_and_why_it_cannot_start() -> None:
     rows = (
         StepRow("image", "Import", "preoperative", False, "done", "3 slices"),
         StepRow("fit:T1", "Register", "operation", True),
@@ -32,14 +32,14 @@ def test_the_course_says_what_is_done_what_is_next_and_why_it_may_not_begin() ->
         assert words in shown
 
 
-def test_an_old_reading_and_a_fault_are_told_in_words() -> None:
+def test_a_stale_reading_and_a_fault_are_shown_in_words() -> None:
     seen = DeviceState(device="arm", state="fault", fault="RSI-010: stopped")
     shown = devices(CaseView(devices={"arm": DeviceRow(seen, 7.25)}))
     for words in ("RSI-010: stopped", "7.2 s old", "fault"):
         assert words in shown
 
 
-def test_what_a_controller_says_of_itself_stands_beside_it_and_what_forbids_motion_stands_out() -> None:
+def test_facts_reported_by_a_controller_are_shown_and_those_that_forbid_motion_are_marked() -> None:
     says = (
         DeviceFact(name="operating mode", found="T1"),
         DeviceFact(name="guard", found="open", ready=False),
@@ -52,14 +52,14 @@ def test_what_a_controller_says_of_itself_stands_beside_it_and_what_forbids_moti
     assert "T1" in mode(view)
 
 
-def test_a_run_that_is_not_as_it_was_left_is_told_with_what_to_do() -> None:
+def test_a_changed_run_is_reported_with_what_to_do() -> None:
     assert problems(CaseFigures()) == ""
     shown = problems(CaseFigures(problems=("records/03.json is changed", "plan.toml is missing")))
     for words in ("records/03.json is changed and 1 more", "ronna-procedure verify"):
         assert words in shown
 
 
-def test_text_of_others_is_escaped_everywhere() -> None:
+def test_external_text_is_escaped_in_every_panel() -> None:
     row = StepRow(SCRIPT, SCRIPT, SCRIPT, False, "done", SCRIPT)
     fact = DeviceFact(name="operating mode", found=SCRIPT)
     state = DeviceState(device=SCRIPT, state=SCRIPT, fault=SCRIPT, says=(fact,), notices=(SCRIPT,))

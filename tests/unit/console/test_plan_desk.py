@@ -1,4 +1,4 @@
-"""The desk of the planner: opened on a file, saved, and refused with nothing lost."""
+"""The planner's desk: opens a plan, saves it, and loses nothing when saving is refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def desk(file: Path) -> PlanDesk:
     return PlanDesk(scan(), file, None)
 
 
-def test_a_plan_that_was_saved_is_opened_as_it_stood(desk: PlanDesk, file: Path) -> None:
+def test_a_saved_plan_is_reopened_unchanged(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     assert not desk.is_saved
     save(desk)
@@ -66,7 +66,7 @@ def test_a_trajectory_without_its_target_is_not_saved(desk: PlanDesk, file: Path
     assert desk.draft.way("T2").entry_mm == ENTRY
 
 
-def test_a_plan_of_another_ct_is_told_and_never_overwritten(desk: PlanDesk, file: Path) -> None:
+def test_a_plan_of_another_ct_is_reported_and_never_overwritten(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     before = file.read_bytes()
@@ -80,7 +80,7 @@ def test_a_plan_of_another_ct_is_told_and_never_overwritten(desk: PlanDesk, file
     assert file.read_bytes() == before
 
 
-def test_a_file_that_is_no_plan_is_told_and_left(file: Path) -> None:
+def test_a_file_that_is_not_a_plan_is_reported_and_left_unchanged(file: Path) -> None:
     file.write_text("not = [toml")
     desk = PlanDesk(scan(), file, None)
     assert desk.read_only is not None
@@ -88,7 +88,7 @@ def test_a_file_that_is_no_plan_is_told_and_left(file: Path) -> None:
     assert file.read_text() == "not = [toml"
 
 
-def test_an_altered_plan_is_opened_with_a_warning_and_sealed_again(desk: PlanDesk, file: Path) -> None:
+def test_an_altered_plan_opens_with_a_warning_and_is_resealed_on_saving(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     file.write_text(file.read_text().replace("30.0", "29.0", 1))
@@ -101,7 +101,7 @@ def test_an_altered_plan_is_opened_with_a_warning_and_sealed_again(desk: PlanDes
     assert read_plan(file).standoff_mm == 29.0
 
 
-def test_a_plan_that_another_program_changed_meanwhile_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
+def test_a_plan_changed_meanwhile_by_another_program_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     file.write_text("theirs")
@@ -112,7 +112,7 @@ def test_a_plan_that_another_program_changed_meanwhile_is_not_overwritten(desk: 
     assert desk.draft.standoff_mm == 31.0
 
 
-def test_a_plan_that_can_no_longer_be_read_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
+def test_a_plan_that_has_become_unreadable_is_not_overwritten(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     file.unlink()
@@ -121,7 +121,7 @@ def test_a_plan_that_can_no_longer_be_read_is_not_overwritten(desk: PlanDesk, fi
         save(desk)
 
 
-def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: Path) -> None:
+def test_a_plan_is_read_only_while_a_case_runs_on_it(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     before, draft = file.read_bytes(), desk.draft
@@ -137,7 +137,7 @@ def test_while_a_case_runs_on_it_a_plan_is_only_looked_at(desk: PlanDesk, file: 
     assert read_plan(file).standoff_mm == 31.0
 
 
-def test_a_case_that_begins_on_the_plan_while_it_is_saved_wins(
+def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw(desk)
@@ -187,7 +187,7 @@ def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk:
     assert read_plan(file).trajectory("T1").entry_mm == ENTRY
 
 
-def test_while_it_saves_the_planner_does_not_take_itself_for_a_case(
+def test_the_planner_does_not_take_its_own_save_for_a_running_case(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw(desk)
@@ -204,13 +204,13 @@ def test_while_it_saves_the_planner_does_not_take_itself_for_a_case(
     assert seen == [None]
 
 
-def test_a_place_without_a_sphere_is_refused_and_no_marker(desk: PlanDesk) -> None:
+def test_a_pick_without_a_sphere_is_refused_and_adds_no_marker(desk: PlanDesk) -> None:
     with pytest.raises(PickRefused, match="CT-019"):
         asyncio.run(desk.add_marker((0.0, 0.0, 0.0)))
     assert desk.draft.markers == ()
 
 
-def test_a_ct_without_spheres_is_told_with_what_to_do(desk: PlanDesk) -> None:
+def test_a_ct_without_spheres_is_reported_while_the_head_is_still_shown(desk: PlanDesk) -> None:
     async def searched() -> None:
         work = asyncio.create_task(desk.work())
         heard = desk.subscribe()
@@ -229,7 +229,7 @@ def test_a_ct_without_spheres_is_told_with_what_to_do(desk: PlanDesk) -> None:
     ("target_mm", "code"),
     [((5.0, -20.0, 520.0), "PLAN-004"), ((5.0, -20.0, -105.0), "PLAN-004"), ((5.0, -90.0, 95.0), "PLAN-011")],
 )
-def test_what_is_wrong_with_a_drawn_trajectory_is_said_with_its_code(
+def test_mistakes_of_a_drawn_trajectory_are_reported_with_their_codes(
     desk: PlanDesk, target_mm: tuple[float, float, float], code: str
 ) -> None:
     draw(desk)
@@ -238,13 +238,13 @@ def test_what_is_wrong_with_a_drawn_trajectory_is_said_with_its_code(
     assert code in [one.code for one in judged.findings]
 
 
-def test_a_place_outside_the_scan_is_said(desk: PlanDesk) -> None:
+def test_a_target_outside_the_scan_is_reported(desk: PlanDesk) -> None:
     draw(desk)
     draft = desk.draft.with_way("T1", replace(desk.draft.way("T1"), target_mm=(105.0, -50.0, 60.0)))
     assert "PLAN-006" in [one.code for one in judge(draft, scan(), None, thorough=True).findings]
 
 
-def test_the_length_of_the_instrument_is_asked_for_and_all_else_is_judged(desk: PlanDesk) -> None:
+def test_a_missing_instrument_length_is_reported_and_everything_else_still_judged(desk: PlanDesk) -> None:
     draw(desk)
     judged = judge(replace(desk.draft, instrument_length_mm=None), scan(), None, thorough=True)
     assert "instrument length" in judged.findings[0].what

@@ -1,4 +1,4 @@
-"""Where bodies are drawn, and which two come closest."""
+"""Where the collision bodies are drawn, and which two are closest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from procedures.engine.events import Bodies, Body, Pose
 
 
 @pytest.mark.parametrize("end", [(0, 0, 5), (0, 0, -5), (3, 0, 0), (1, -2, 3), (0, 4, 0)])
-def test_a_capsule_stands_along_its_axis_and_is_not_mirrored(end: tuple[float, float, float]) -> None:
+def test_a_capsule_is_drawn_along_its_axis_and_not_mirrored(end: tuple[float, float, float]) -> None:
     rotation = np.array(upright((0.0, 0.0, 0.0), end))
     assert rotation @ [0, 0, 1] == pytest.approx(np.array(end) / math.hypot(*end))
     assert np.linalg.det(rotation) == pytest.approx(1.0)
@@ -29,7 +29,7 @@ BODIES = Bodies(
 )
 
 
-def test_the_closest_of_the_checked_pairs_is_named_with_its_clearance_and_place() -> None:
+def test_the_closest_checked_pair_is_named_with_its_clearance_and_location() -> None:
     pose = Pose(
         arm="arm",
         joints_rad=(0.0,),
@@ -47,5 +47,5 @@ def test_the_closest_of_the_checked_pairs_is_named_with_its_clearance_and_place(
     assert closest.to_mm == pytest.approx((200, 10, 0), abs=1e-3)
 
 
-def test_a_pose_of_other_bodies_has_no_clearance() -> None:
+def test_a_pose_without_matching_bodies_has_no_clearance() -> None:
     assert closest_pair(BODIES, Pose(arm="arm", joints_rad=(0.0,), age_s=0.0)) is None

@@ -1,4 +1,4 @@
-"""A plan of several planners, cases and runs: one changes it, and what nobody saved is not lost."""
+"""A plan shared by planners, cases and runs: one at a time changes it, and unsaved work is not lost."""
 
 from __future__ import annotations
 
@@ -26,9 +26,7 @@ def desk(file: Path) -> PlanDesk:
     return PlanDesk(scan(), file, None)
 
 
-def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan(
-    desk: PlanDesk, file: Path
-) -> None:
+def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: PlanDesk, file: Path) -> None:
     draw(desk)
     save(desk)
     assert desk.keep() is None
@@ -49,7 +47,7 @@ def test_what_was_drawn_and_not_saved_is_taken_up_and_undo_goes_back_to_the_plan
     assert not kept.exists()
 
 
-def test_a_second_planner_looks_on_until_the_first_has_left_and_then_goes_on_with_its_draft(
+def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues_its_draft(
     desk: PlanDesk, file: Path
 ) -> None:
     draw(desk)
@@ -75,7 +73,7 @@ def test_a_second_planner_looks_on_until_the_first_has_left_and_then_goes_on_wit
     assert [one.name for one in file.parent.iterdir()] == [file.name]
 
 
-def test_whoever_looks_on_is_told_when_the_plan_is_free(
+def test_a_read_only_planner_is_notified_when_the_plan_becomes_free(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(desk_module, "AGAIN_S", 0.01)
@@ -97,7 +95,7 @@ def test_whoever_looks_on_is_told_when_the_plan_is_free(
     asyncio.run(asyncio.wait_for(becomes_free(), 60.0))
 
 
-def test_the_plan_of_a_run_is_looked_at_and_nothing_is_written_beside_it(
+def test_a_plan_inside_a_run_opens_read_only_and_nothing_is_written_next_to_it(
     desk: PlanDesk, tmp_path: Path
 ) -> None:
     draw(desk)
@@ -117,7 +115,7 @@ def test_the_plan_of_a_run_is_looked_at_and_nothing_is_written_beside_it(
     assert [one.name for one in case.iterdir()] == ["plan.toml"]
 
 
-def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told(
+def test_unsaved_changes_to_a_plan_changed_meanwhile_are_set_aside_and_reported(
     desk: PlanDesk, file: Path
 ) -> None:
     draw(desk)
@@ -135,7 +133,7 @@ def test_unsaved_changes_of_a_plan_that_was_changed_since_are_put_aside_and_told
     assert kept.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
-def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_offered_when_it_has_ended(
+def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ended(
     desk: PlanDesk, file: Path
 ) -> None:
     draw(desk)
@@ -155,7 +153,7 @@ def test_unsaved_changes_that_a_running_case_kept_from_being_taken_up_are_offere
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1, 2", b'{"ways": 7}'])
-def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: bytes) -> None:
+def test_damaged_unsaved_changes_are_set_aside(file: Path, content: bytes) -> None:
     file.with_name("plan.toml.unsaved").write_bytes(content)
     desk = PlanDesk(scan(), file, None)
     assert desk.notice is not None
@@ -163,7 +161,7 @@ def test_unsaved_changes_that_are_damaged_are_put_aside(file: Path, content: byt
     assert file.with_name("plan.toml.unsaved-1").read_bytes() == content
 
 
-def test_a_plan_that_cannot_be_read_once_it_is_free_is_told(
+def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     draw(desk)
@@ -179,7 +177,7 @@ def test_a_plan_that_cannot_be_read_once_it_is_free_is_told(
     assert "Input/output error" in str(other.read_only)
 
 
-def test_a_planner_in_a_folder_that_was_closed_to_it_leaves_the_plan_to_the_next(
+def test_a_planner_that_cannot_delete_its_unsaved_changes_still_releases_the_plan(
     desk: PlanDesk, file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def forbidden(_path: Path) -> None:

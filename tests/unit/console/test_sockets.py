@@ -1,4 +1,4 @@
-"""Messages on a socket of the page library, bound to the session whose page they speak for."""
+"""Messages on a socket of the page library, bound to the session that owns their page."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def library() -> Library:
 
 
 @pytest.mark.parametrize("name", ["event", "javascript_response", "ack", "log"])
-def test_a_socket_speaks_for_pages_of_its_own_session_only(library: Library, name: str) -> None:
+def test_a_socket_accepts_messages_only_for_pages_of_its_own_session(library: Library, name: str) -> None:
     handler = library.handlers["/"][name]
     handler("b", {"client_id": "page-of-ana", "id": 1})
     handler("a", {"client_id": "page-of-ana", "id": 2})
@@ -64,7 +64,7 @@ def test_a_malformed_message_is_dropped(library: Library, message: Any) -> None:
     assert library.heard == []
 
 
-def test_a_page_is_entered_by_its_own_session_only(library: Library) -> None:
+def test_a_page_accepts_a_connection_only_from_its_own_session(library: Library) -> None:
     shake = library.handlers["/"]["handshake"]
     assert not asyncio.run(shake("b", {"client_id": "page-of-ana"}))
     assert not asyncio.run(shake("a", None))

@@ -44,7 +44,7 @@ def device() -> Recorded:
     return Recorded()
 
 
-def test_a_device_is_brought_to_active_from_wherever_it_stands(device: Recorded) -> None:
+def test_a_device_is_brought_to_active_from_disconnected_and_from_configured(device: Recorded) -> None:
     with device.active() as active:
         assert active is device
         assert device.state is Lifecycle.ACTIVE
@@ -53,7 +53,7 @@ def test_a_device_is_brought_to_active_from_wherever_it_stands(device: Recorded)
     assert device.calls == ["connect", "configure", *2 * ("activate", "deactivate")]
 
 
-def test_a_block_inside_another_leaves_the_device_active(device: Recorded) -> None:
+def test_a_nested_block_leaves_the_device_active(device: Recorded) -> None:
     with device.active():
         with device.active():
             pass
@@ -61,7 +61,7 @@ def test_a_block_inside_another_leaves_the_device_active(device: Recorded) -> No
     assert device.calls == ["connect", "configure", "activate", "deactivate"]
 
 
-def test_a_device_in_hold_starts_anew(device: Recorded) -> None:
+def test_a_device_in_hold_is_deactivated_and_activated_again(device: Recorded) -> None:
     with device.active():
         device.guard.enter(Lifecycle.HOLD)
         with device.active():
@@ -69,7 +69,9 @@ def test_a_device_in_hold_starts_anew(device: Recorded) -> None:
     assert device.calls[2:] == ["activate", "deactivate", "activate", "deactivate"]
 
 
-def test_a_failure_to_deactivate_masks_nothing_and_is_raised_when_nothing_else_is(device: Recorded) -> None:
+def test_a_failure_to_deactivate_does_not_mask_an_error_and_is_raised_when_there_is_none(
+    device: Recorded,
+) -> None:
     def refuse() -> None:
         raise LinkTimeout("no reply to STOP")
 
@@ -82,14 +84,14 @@ def test_a_failure_to_deactivate_masks_nothing_and_is_raised_when_nothing_else_i
         pass
 
 
-def test_a_second_interruption_waits_until_the_device_is_inactive(device: Recorded) -> None:
+def test_a_second_interrupt_waits_until_the_device_is_inactive(device: Recorded) -> None:
     device.on_deactivate = lambda: signal.raise_signal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt), device.active():
         raise KeyboardInterrupt
     assert device.state is Lifecycle.CONFIGURED
 
 
-def test_a_fault_in_the_block_stays_latched_and_the_next_block_is_refused_for_it(device: Recorded) -> None:
+def test_a_fault_in_the_block_stays_latched_and_the_next_block_is_refused(device: Recorded) -> None:
     fault = DeviceError("hardware failure")
     with device.active():
         device.guard.latch(fault)

@@ -1,4 +1,4 @@
-"""Files and messages from outside cost a bounded amount, and are refused with a code of ours."""
+"""Input from outside has a bounded cost and is refused with an error code of our own."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ NO_FILES: dict[str, Callable[[Path], Path]] = {
     "read", [read_picks, *(reader for reader, _ in TOML_FILES)], ids=lambda one: one.__name__
 )
 @pytest.mark.parametrize("made", NO_FILES.values(), ids=NO_FILES)
-def test_what_is_no_file_is_refused_by_its_path_and_not_waited_for(
+def test_a_path_that_is_not_a_regular_file_is_refused_without_waiting(
     tmp_path: Path, read: Callable[[Path], Any], made: Callable[[Path], Path]
 ) -> None:
     path = made(tmp_path / "given.toml")
@@ -98,12 +98,12 @@ def test_what_is_no_file_is_refused_by_its_path_and_not_waited_for(
         read(path)
 
 
-def test_a_file_that_cannot_be_read_is_named() -> None:
+def test_an_unreadable_file_is_named() -> None:
     with pytest.raises(OSError, match="/proc/self/mem"):
         read_bounded(Path("/proc/self/mem"), 100)
 
 
-def test_toml_of_our_own_forms_passes() -> None:
+def test_valid_toml_with_uids_dotted_keys_and_large_integers_is_accepted() -> None:
     assert parse_toml('series = "1.2.840.10008.5.1.4.1.1.2"\n"a.b".c."d.e" = [[1.5, [2]], {x = {y = 3}}]')
     assert parse_toml(f"a = [{-(2**63)}, {2**63 - 1}]")["a"] == [-(2**63), 2**63 - 1]
 
@@ -128,7 +128,7 @@ MANY_VALUES = {  # each was a mistake of its own to the model that reads it: fiv
 
 
 @pytest.mark.parametrize("content", MANY_VALUES.values(), ids=MANY_VALUES)
-def test_as_many_values_as_no_model_has_are_counted_before_it_reads_them(
+def test_too_many_values_are_refused_before_the_model_reads_them(
     tmp_path: Path, content: Callable[[], bytes]
 ) -> None:
     for name in (RESULT_FILE, "place.json", "scene.json"):
@@ -150,7 +150,7 @@ def test_hostile_json_is_refused(content: bytes) -> None:
 @pytest.mark.parametrize(
     "text", ['"' + "[" * 1000 + '"', '["\\"[[{", ' + "[1], " * 1000 + "{}]", "[" * 60 + "]" * 60]
 )
-def test_json_whose_brackets_only_look_deep_passes(text: str) -> None:
+def test_json_whose_brackets_only_appear_deep_is_accepted(text: str) -> None:
     parse_json(text)
 
 
@@ -162,7 +162,7 @@ def test_hostile_picks_are_refused(tmp_path: Path, content: bytes) -> None:
 
 
 @pytest.mark.parametrize("name", ["nested lists", "nested objects", "a number of 400 digits"])
-def test_hostile_files_of_a_run_are_refused(tmp_path: Path, name: str) -> None:
+def test_hostile_files_in_a_run_are_refused(tmp_path: Path, name: str) -> None:
     content = b'{"entry":' + HOSTILE_JSON[name] + b"}\n"
     for file in ("record.json", "journal.jsonl", "events.jsonl"):
         (tmp_path / file).write_bytes(content)
@@ -175,7 +175,7 @@ def test_hostile_files_of_a_run_are_refused(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("size", [3_000_000_000, 300_000_000_000])
-def test_files_of_a_run_that_are_mostly_holes_are_refused_by_their_size(tmp_path: Path, size: int) -> None:
+def test_huge_sparse_files_in_a_run_are_refused_by_their_size(tmp_path: Path, size: int) -> None:
     for file in ("events.jsonl", "link.a.jsonl"):
         (tmp_path / file).touch()
         os.truncate(tmp_path / file, size)
@@ -186,7 +186,7 @@ def test_files_of_a_run_that_are_mostly_holes_are_refused_by_their_size(tmp_path
             next(read_link(tmp_path, "link"))
 
 
-def test_a_file_is_read_no_further_than_its_bound() -> None:
+def test_a_file_is_not_read_beyond_its_limit() -> None:
     with (
         bounded_cost(10 << 20, 1.0),
         pytest.raises(InputRefused, match=r"cpuinfo is too large; limit 100 bytes"),
@@ -197,7 +197,7 @@ def test_a_file_is_read_no_further_than_its_bound() -> None:
 @pytest.mark.parametrize(
     "packed", [zlib.compress(bytes(50_000_000)), zlib.compress(b"whole")[:-3], b"no such thing"]
 )
-def test_what_is_inflated_is_bounded_and_whole(packed: bytes) -> None:
+def test_inflated_data_must_be_complete_and_within_the_limit(packed: bytes) -> None:
     with bounded_cost(20 << 20, 1.0), pytest.raises(InputRefused, match="deflated data"):
         inflate(packed, 1_000_000)
     assert inflate(zlib.compress(b"whole"), 5) == b"whole"

@@ -26,13 +26,13 @@ def path() -> Iterator[str]:
     os.close(file)
 
 
-def test_while_nothing_streams_a_wait_advances_the_time_for_everybody(path: str) -> None:
+def test_a_wait_advances_the_time_for_all_while_nothing_streams(path: str) -> None:
     one, other = SharedClock(path), SharedClock(path)
     one.sleep(1.5)
     assert other.now_s() == 1.5
 
 
-def test_while_a_device_streams_its_cycles_alone_advance_the_time(path: str) -> None:
+def test_only_the_cycles_of_a_streaming_device_advance_the_time(path: str) -> None:
     robot, camera = SharedClock(path), SharedClock(path)
     robot.advance_cycle(CYCLE_NS)
     waited = threading.Event()
@@ -51,7 +51,7 @@ def test_while_a_device_streams_its_cycles_alone_advance_the_time(path: str) -> 
     assert not robot.has_waiters()
 
 
-def test_when_the_stream_ends_a_wait_goes_on_by_itself(path: str) -> None:
+def test_a_wait_advances_the_time_again_after_the_stream_ends(path: str) -> None:
     robot = SharedClock(path)
     robot.advance_cycle(CYCLE_NS)
     robot.end_stream()
@@ -68,7 +68,7 @@ def test_a_paced_clock_follows_the_host() -> None:
     os.close(file)
 
 
-def test_a_file_that_is_no_clock_is_refused(tmp_path: object) -> None:
+def test_a_file_that_is_not_a_clock_is_refused(tmp_path: object) -> None:
     file = os.memfd_create("not a clock")
     os.ftruncate(file, CLOCK.size_bytes)
     with pytest.raises(ClockUnavailable, match="CLK-001"):
@@ -76,12 +76,12 @@ def test_a_file_that_is_no_clock_is_refused(tmp_path: object) -> None:
     os.close(file)
 
 
-def test_a_clock_that_has_gone_is_refused() -> None:
+def test_a_clock_that_is_gone_is_refused() -> None:
     with pytest.raises(ClockUnavailable):
         open_clock("shm:///proc/self/fd/9999")
 
 
-def test_cycles_wait_for_the_reader_of_a_measurement_and_go_on_once_it_waits(path: str) -> None:
+def test_cycles_wait_for_the_reader_of_a_measurement_until_it_waits(path: str) -> None:
     robot, tracker = SharedClock(path), SharedClock(path)
     robot.advance_cycle(CYCLE_NS)
     assert not robot.must_wait_for_reader(CYCLE_NS)  # nobody reads

@@ -1,4 +1,4 @@
-"""The cell in the theatre file: strict, with defaults, and the example of the how-to is right."""
+"""The cell table of the theatre file: strict, with defaults, and the how-to's example is valid."""
 
 import re
 import tomllib
@@ -18,7 +18,7 @@ def _cell(**keys: Any) -> CollisionConfig:
     return parse_theatre({"theatre": "lab", "cell": keys}).cell
 
 
-def test_without_a_cell_the_defaults_hold() -> None:
+def test_the_defaults_apply_without_a_cell() -> None:
     cell = parse_theatre({"theatre": "lab"}).cell
     assert cell == CollisionConfig()
     assert cell.bodies == AROUND_THE_PATIENT
@@ -26,7 +26,7 @@ def test_without_a_cell_the_defaults_hold() -> None:
     assert not any(body.enters_head for body in (*cell.guide, *cell.stereo_head))  # hands bring in what does
 
 
-def test_the_example_of_the_how_to_is_a_cell() -> None:
+def test_the_example_in_the_how_to_is_a_valid_cell() -> None:
     example = re.search(r"```toml\n(.*?)```", HOW_TO.read_text(encoding="utf-8"), re.DOTALL)
     assert example is not None
     cell = parse_theatre({"theatre": "lab", **tomllib.loads(example[1])}).cell
@@ -46,6 +46,6 @@ def test_the_example_of_the_how_to_is_a_cell() -> None:
         ({"guide": [{**BODY, "end_mm": [0.0, 0.0]}]}, "cell.guide 1.end_mm"),
     ],
 )
-def test_a_mistake_is_named_with_its_place(keys: dict[str, Any], said: str) -> None:
+def test_a_mistake_is_reported_with_its_location(keys: dict[str, Any], said: str) -> None:
     with pytest.raises(BadTheatreFile, match=re.escape(said)):
         _cell(**keys)

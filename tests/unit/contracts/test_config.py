@@ -32,7 +32,9 @@ def test_a_small_theatre_file_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("watched", list(WatchPatient))
-def test_what_the_page_says_of_a_setting_is_accepted(tmp_path: Path, watched: WatchPatient) -> None:
+def test_procedure_settings_survive_a_round_trip_through_the_theatre_file(
+    tmp_path: Path, watched: WatchPatient
+) -> None:
     settings = ProcedureSettings(watch_patient=watched, stand_mm=(500.0, 0.0, 300.0))
     path = tmp_path / "theatre.toml"
     tables = {"schema": 1, "theatre": "lab", "procedure": settings.model_dump(mode="json")}
@@ -40,7 +42,7 @@ def test_what_the_page_says_of_a_setting_is_accepted(tmp_path: Path, watched: Wa
     assert read_theatre_file(path).procedure == settings
 
 
-def test_a_plan_given_as_a_theatre_file_is_named_in_one_line() -> None:
+def test_a_plan_given_as_a_theatre_file_is_recognised() -> None:
     with pytest.raises(BadTheatreFile, match=r"plan\.toml is a plan, not a theatre file"):
         parse_theatre({"schema": 1, "trajectories": [], "implanted": 3}, "plan.toml")
 
@@ -93,7 +95,7 @@ POSE: dict[str, Any] = {"translation_mm": [0.0, 0.0, 300.0], "quaternion_wxyz": 
         ({"expires": date(2026, 12, 21)}, {}, "time zone, as 2026-12-21T12:00:00Z (found 2026-12-21)"),
     ],
 )
-def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
+def test_a_record_in_the_wrong_unit_or_without_a_time_zone_is_explained(
     record: dict[str, Any], pose: dict[str, Any], said: str
 ) -> None:
     tip = {**RECORD, "flange_from_tool": {**POSE, **pose}, **record}
@@ -114,12 +116,12 @@ def test_a_record_in_the_wrong_unit_or_without_a_time_zone_says_so(
         ),
     ],
 )
-def test_what_stands_in_a_wrong_unit_or_place_says_so(content: dict[str, Any], said: str) -> None:
+def test_a_setting_in_the_wrong_unit_or_place_is_explained(content: dict[str, Any], said: str) -> None:
     with pytest.raises(BadTheatreFile, match=re.escape(said)):
         parse_theatre({"theatre": "lab", **content})
 
 
-def test_a_dated_record_is_read_again_from_the_json_that_a_run_keeps_it_in() -> None:
+def test_a_dated_record_survives_a_round_trip_through_json() -> None:
     made = datetime(2026, 11, 21, 12, tzinfo=UTC)
     dated = Dated(identifier="one", created=made, expires=made.replace(month=12), made_by="a test")
     assert Dated.model_validate_json(dated.model_dump_json()) == dated
@@ -143,7 +145,7 @@ def test_a_missing_theatre_file_is_refused(tmp_path: Path) -> None:
         read_theatre_file(tmp_path / "none.toml")
 
 
-def test_an_unknown_driver_names_those_that_are_installed() -> None:
+def test_an_unknown_driver_is_reported_with_the_installed_ones() -> None:
     config = DeviceConfig(driver="abacus", endpoint="tcp://127.0.0.1:1")
     with pytest.raises(UnknownDriver) as refused:
         make_device("tracker", config, HostClock())
@@ -155,7 +157,7 @@ def test_the_three_drivers_are_installed() -> None:
     assert {"ndi_polaris", "kuka_rsi", "basler_stereo"} <= set(driver_names())
 
 
-def test_relative_paths_of_a_device_begin_at_its_theatre_file(
+def test_relative_paths_of_a_device_are_resolved_from_its_theatre_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lab = tmp_path / "lab"
@@ -171,7 +173,7 @@ def test_relative_paths_of_a_device_begin_at_its_theatre_file(
     assert DeviceConfig(driver="ndi_polaris", endpoint="host:").folder is None
 
 
-def test_a_misspelt_key_is_told_with_the_one_that_is_missing_beside_it() -> None:
+def test_a_misspelt_key_is_reported_with_a_suggestion() -> None:
     record = {**RECORD, "stated_error": RECORD["stated_error_mm"], "flange_from_tool": POSE}
     del record["stated_error_mm"]
     with pytest.raises(BadTheatreFile) as refused:

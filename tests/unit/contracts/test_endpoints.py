@@ -14,7 +14,7 @@ from ronna_hw.endpoints import BadEndpoint, parse_endpoint
         "host:",
     ],
 )
-def test_an_endpoint_is_written_as_it_was_read(text: str) -> None:
+def test_an_endpoint_survives_a_round_trip_through_text(text: str) -> None:
     assert str(parse_endpoint(text)) == text
 
 
@@ -22,12 +22,12 @@ def test_an_endpoint_is_written_as_it_was_read(text: str) -> None:
     "text",
     ["", "8765", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://a:1", "serial://dev/x", "udp://:5"],
 )
-def test_what_is_no_endpoint_is_refused_with_its_text(text: str) -> None:
+def test_invalid_endpoint_text_is_refused_and_quoted(text: str) -> None:
     with pytest.raises(BadEndpoint) as refused:
         parse_endpoint(text)
     assert repr(text) in str(refused.value)
 
 
-def test_an_endpoint_of_the_wrong_kind_names_the_kinds_that_serve() -> None:
+def test_an_endpoint_of_the_wrong_kind_is_refused_with_the_supported_kinds() -> None:
     with pytest.raises(BadEndpoint, match="serial: or tcp:"):
         parse_endpoint("udp://127.0.0.1:1").require("serial", "tcp")

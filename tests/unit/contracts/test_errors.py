@@ -14,7 +14,7 @@ from ronna_hw.text.beyond import beyond, told_apart
 TESTS = Path(__file__).resolve().parents[2]
 
 
-def test_every_code_is_given_once_and_every_error_says_what_to_do() -> None:
+def test_every_code_is_unique_and_every_error_says_what_to_do() -> None:
     seen: dict[str, str] = {}
     for error in errors_with_a_code():
         assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
@@ -24,22 +24,22 @@ def test_every_code_is_given_once_and_every_error_says_what_to_do() -> None:
     assert len(seen) > 20
 
 
-def test_every_code_is_named_by_a_test() -> None:
+def test_every_code_is_mentioned_by_a_test() -> None:
     tests = "\n".join(path.read_text(encoding="utf-8") for path in TESTS.rglob("*.py"))
     words = set(re.findall(r"\w+(?:-\d{3})?", tests))
     assert [error for error in errors_with_a_code() if not words & {error.code, error.__name__}] == []
 
 
-def test_an_error_is_one_line_with_what_was_expected_the_limit_and_what_to_do() -> None:
+def test_an_error_is_one_line_with_expectation_limit_and_action() -> None:
     error = RonnaError("no answer", expected="OKAY", limit="2 s", got="-", action="Try.", wire=b"\x01\xff")
     assert str(error) == "no answer; expected OKAY, limit 2 s, got -; last bytes 01 ff. Try."
 
 
-def test_a_value_without_anything_to_compare_it_with_follows_a_colon() -> None:
+def test_a_value_without_an_expectation_or_limit_follows_a_colon() -> None:
     assert str(RonnaError("no way to the host", got="no route")) == "no way to the host: no route"
 
 
-def test_an_error_from_another_process_says_what_it_said_there() -> None:
+def test_an_error_survives_pickling_to_another_process() -> None:
     plain = RonnaError("no answer", expected="OKAY", action="Try.", wire=b"\x01")
     for error in (plain, CommandRejected(1, "TX")):
         again = pickle.loads(pickle.dumps(error))
@@ -56,14 +56,14 @@ def test_an_error_from_another_process_says_what_it_said_there() -> None:
         (2.0, 2.0, 2, "2.00"),
     ],
 )
-def test_a_figure_is_shown_apart_from_the_limit_that_refuses_it(
+def test_a_figure_is_rounded_so_that_it_differs_from_the_limit_it_exceeds(
     value: float, limit: float, decimals: int, shown: str
 ) -> None:
     assert beyond(value, limit, decimals) == shown
 
 
 @given(st.floats(0.01, 1000.0), st.floats(1e-3, 0.2), st.booleans(), st.integers(0, 3))
-def test_a_figure_and_a_computed_limit_are_shown_in_their_order(
+def test_a_figure_and_a_computed_limit_keep_their_order_when_rounded(
     limit: float, share: float, above: bool, decimals: int
 ) -> None:
     value = limit * (1.0 + share if above else 1.0 - share)
@@ -72,7 +72,7 @@ def test_a_figure_and_a_computed_limit_are_shown_in_their_order(
     assert float(shown) != float(refused_from)
 
 
-def test_outside_the_contracts_errors_live_in_their_packages_errors_module() -> None:
+def test_errors_outside_ronna_hw_live_in_an_errors_module_of_their_package() -> None:
     for error in errors_with_a_code():
         if not error.__module__.startswith("ronna_hw."):
             assert error.__module__.endswith(".errors"), error

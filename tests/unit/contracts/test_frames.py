@@ -4,7 +4,7 @@ import pytest
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 
 
-def test_composing_across_meeting_frames_maps_points_through_both() -> None:
+def test_composing_across_matching_frames_maps_points_through_both() -> None:
     robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=(1.0, 2.0, 3.0))
     half_turn = Transform.of(Frame.TOOL, Frame.MARKER, quaternion_wxyz=(0.0, 0.0, 0.0, 1.0))
     mapped = (robot_from_tool @ half_turn).apply((1.0, 0.0, 0.0))
@@ -12,7 +12,7 @@ def test_composing_across_meeting_frames_maps_points_through_both() -> None:
 
 
 @pytest.mark.hazard(7)
-def test_composing_across_frames_that_do_not_meet_is_refused() -> None:
+def test_composing_across_mismatched_frames_is_refused() -> None:
     robot_from_tool = Transform.of(Frame.ROBOT, Frame.TOOL)
     with pytest.raises(FrameMismatch, match="FRM-001"):
         robot_from_tool @ Transform.of(Frame.CT, Frame.ROBOT)
@@ -31,7 +31,7 @@ def test_a_matrix_that_is_not_a_proper_rotation_is_refused(matrix: np.ndarray) -
     ids=["a translation that is no number", "a quaternion beyond all numbers"],
 )
 @pytest.mark.hazard(7)
-def test_what_is_not_finite_becomes_no_transform(wrong: dict[str, tuple[float, ...]]) -> None:
+def test_non_finite_values_are_refused(wrong: dict[str, tuple[float, ...]]) -> None:
     with pytest.raises(FrameMismatch):
         Transform.of(Frame.ROBOT, Frame.CT, **wrong)
 

@@ -1,4 +1,4 @@
-"""A few mutants for every parser of what comes from outside; the million is in tests/soak."""
+"""A few mutants for every parser of external input; the full million is in tests/soak."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def all_parsers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, 
 
 
 @pytest.mark.parametrize("name", PARSER_NAMES)
-def test_a_parser_takes_what_is_good_and_reads_or_refuses_mutants(
+def test_a_parser_accepts_valid_input_and_reads_or_refuses_mutants(
     all_parsers: dict[str, Parser], name: str
 ) -> None:
     parser = all_parsers[name]

@@ -1,4 +1,4 @@
-"""What can be seen of the house's rules without running it."""
+"""Code rules of the project that can be checked without running it."""
 
 import ast
 import re
@@ -15,14 +15,14 @@ LONGEST_LINES = 400
 LARGEST_MEDIAN_LINES = 130
 
 
-def test_drivers_do_not_know_that_devices_can_be_simulated() -> None:
+def test_drivers_do_not_mention_simulation() -> None:
     for path in (ROOT / "drivers").rglob("*"):
         if path.is_file() and "__pycache__" not in path.parts and path.suffix != ".rom":
             found = re.search(r"(?i)\b(sim\b|simulat)", path.read_text(encoding="utf-8"))
             assert found is None, f"{path.relative_to(ROOT)}: {found}"
 
 
-def test_modules_hold_one_idea() -> None:
+def test_modules_stay_short() -> None:
     lengths = sorted(len(path.read_text(encoding="utf-8").splitlines()) for path in MODULES)
     assert lengths[-1] <= LONGEST_LINES
     assert lengths[len(lengths) // 2] <= LARGEST_MEDIAN_LINES
@@ -34,7 +34,7 @@ MOVES_OR_LOOKS = re.compile(
 )
 
 
-def test_procedures_move_and_look_by_the_workcell_only() -> None:
+def test_procedures_move_and_measure_only_through_the_workcell() -> None:
     workcell = ROOT / "procedures" / "workcell"
     for path in (ROOT / "procedures").rglob("*.py"):
         if workcell not in path.parents:
@@ -43,25 +43,25 @@ def test_procedures_move_and_look_by_the_workcell_only() -> None:
 
 
 @pytest.mark.parametrize("folder", ["engine", "steps", "workcell"])
-def test_nothing_in_the_middle_is_of_any_type(folder: str) -> None:
+def test_engine_steps_and_workcell_do_not_use_any_as_a_type(folder: str) -> None:
     for path in (ROOT / "procedures" / folder).rglob("*.py"):
         assert not re.search(r"\bAny\b", path.read_text(encoding="utf-8")), path.relative_to(ROOT)
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_every_folder_says_what_lives_in_it(package: str) -> None:
+def test_every_package_has_a_docstring(package: str) -> None:
     for path in (ROOT / package).rglob("__init__.py"):
         assert ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))), path.relative_to(ROOT)
 
 
 @pytest.mark.parametrize("name", ["locked.txt", "run.txt"])
-def test_a_lock_names_no_package_index(name: str) -> None:
+def test_a_lock_file_has_hashes_and_no_package_index(name: str) -> None:
     lock = (ROOT / "requirements" / name).read_text(encoding="utf-8")
     assert "://" not in lock
     assert lock.count("--hash=sha256:") > lock.count("==")
 
 
-def test_a_case_runs_on_the_versions_that_are_tested() -> None:
+def test_the_runtime_lock_is_a_subset_of_the_tested_lock() -> None:
     run, every = (
         set(re.findall(r"^([\w.-]+==\S+)", (ROOT / "requirements" / name).read_text(), re.MULTILINE))
         for name in ("run.txt", "locked.txt")
@@ -79,7 +79,7 @@ def test_a_case_runs_on_the_versions_that_are_tested() -> None:
         ("procedures.cli.procedure", ("numpy", "scipy", "cv2", "pydantic", "pydicom", "matplotlib")),
     ],
 )
-def test_a_process_imports_only_what_it_uses(module: str, unwanted: tuple[str, ...]) -> None:
+def test_a_process_does_not_import_packages_it_does_not_need(module: str, unwanted: tuple[str, ...]) -> None:
     program = f"import sys, {module}; print(' '.join(name for name in {unwanted!r} if name in sys.modules))"
     done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == ""

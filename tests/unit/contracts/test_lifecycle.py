@@ -24,7 +24,7 @@ def test_a_latched_fault_keeps_its_first_cause_and_names_it() -> None:
         guard.require("move_joints", [Lifecycle.ACTIVE])
 
 
-def test_a_fault_is_left_only_towards_a_state_that_was_read_again() -> None:
+def test_a_fault_can_only_be_left_for_the_connected_state() -> None:
     guard = LifecycleGuard("arm")
     guard.latch(LinkTimeout("silence"))
     with pytest.raises(WrongState):
@@ -33,7 +33,7 @@ def test_a_fault_is_left_only_towards_a_state_that_was_read_again() -> None:
     assert guard.fault is None
 
 
-def test_closed_is_final() -> None:
+def test_the_closed_state_is_final() -> None:
     guard = LifecycleGuard("stereo")
     guard.enter(Lifecycle.CLOSED)
     guard.latch(LinkTimeout("late"))
@@ -42,7 +42,7 @@ def test_closed_is_final() -> None:
         guard.enter(Lifecycle.CONNECTED)
 
 
-def test_every_change_of_state_is_logged_under_the_name_of_the_device(tmp_path: Path) -> None:
+def test_every_state_change_is_logged_under_the_device_name(tmp_path: Path) -> None:
     guard = LifecycleGuard("robot.master")
     with keep_log(tmp_path):
         guard.enter(Lifecycle.CONNECTED, serial="P9-1")

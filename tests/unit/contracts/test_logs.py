@@ -1,4 +1,4 @@
-"""Logs: silent until somebody listens, bounded, a level per logger, harmless on a full disk."""
+"""Logs: off by default, bounded, with a level per logger, and harmless on a full disk."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def run_script(script: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-P", "-c", script], capture_output=True, text=True)
 
 
-def test_a_script_that_sets_up_no_log_sees_none_and_does_not_import_structlog() -> None:
+def test_a_script_without_log_setup_logs_nothing_and_does_not_import_structlog() -> None:
     done = run_script(
         "import sys; from ronna_hw.logs import logger; log = logger(device='tracker'); "
         "log.info('connected'); assert 'structlog' not in sys.modules; log.error('lost')"
@@ -43,7 +43,7 @@ def test_a_script_that_sets_up_no_log_sees_none_and_does_not_import_structlog() 
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
-def test_each_line_of_a_kept_log_says_when_who_and_what(tmp_path: Path) -> None:
+def test_each_line_of_a_kept_log_has_time_level_event_and_source(tmp_path: Path) -> None:
     with keep_log(tmp_path, run="r1"):
         logger(device="tracker").warning("reading lost", missed=3)
     opened, lost = lines_of(tmp_path)
@@ -58,14 +58,14 @@ def test_each_line_of_a_kept_log_says_when_who_and_what(tmp_path: Path) -> None:
     assert "ronna-hw" in opened["versions"]  # type: ignore[operator]
 
 
-def test_any_fact_makes_a_line_of_json(tmp_path: Path) -> None:
+def test_any_value_is_logged_as_valid_json(tmp_path: Path) -> None:
     with keep_log(tmp_path):
         logger(device="robot").info("moved", level=3, error_mm=float("nan"), at=object, path=tmp_path)
     _, moved = lines_of(tmp_path)
     assert (moved["level"], moved["error_mm"], moved["path"]) == ("info", "nan", "[redacted]")
 
 
-def test_after_the_block_nothing_more_is_written_even_when_the_run_failed(tmp_path: Path) -> None:
+def test_nothing_is_logged_after_the_block_even_when_the_run_failed(tmp_path: Path) -> None:
     handlers = list(logging.getLogger().handlers)
     with pytest.raises(ZeroDivisionError), keep_log(tmp_path):
         raise ZeroDivisionError
@@ -74,7 +74,7 @@ def test_after_the_block_nothing_more_is_written_even_when_the_run_failed(tmp_pa
     assert logging.getLogger().handlers == handlers
 
 
-def test_a_level_holds_for_one_logger_and_those_below_it(tmp_path: Path) -> None:
+def test_a_level_applies_to_one_logger_and_its_children(tmp_path: Path) -> None:
     with keep_log(tmp_path):
         set_level("debug", "robot")
         set_level("error", "tracker")
@@ -84,12 +84,12 @@ def test_a_level_holds_for_one_logger_and_those_below_it(tmp_path: Path) -> None
     assert [line["event"] for line in lines_of(tmp_path)] == ["opened", "detail"]
 
 
-def test_a_level_that_does_not_exist_is_refused() -> None:
+def test_an_unknown_level_is_refused() -> None:
     with pytest.raises(ValueError, match="expected a level"):
         set_level("loud", "tracker")
 
 
-def test_the_log_of_a_run_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_log_of_a_run_is_bounded_in_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(log_output, "FILE_BYTES", 2000)
     with keep_log(tmp_path):
         for number in range(200):
@@ -100,7 +100,7 @@ def test_the_log_of_a_run_is_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert lines_of(tmp_path)[-1]["number"] == 199
 
 
-def test_a_full_disk_loses_lines_and_stops_nothing(tmp_path: Path) -> None:
+def test_a_full_disk_drops_log_lines_and_stops_nothing(tmp_path: Path) -> None:
     done = run_script(
         "import resource; from pathlib import Path\n"
         "from ronna_hw.log_output import keep_log; from ronna_hw.logs import logger\n"
@@ -113,12 +113,12 @@ def test_a_full_disk_loses_lines_and_stops_nothing(tmp_path: Path) -> None:
     assert (tmp_path / LOG_FILE).stat().st_size <= 1000
 
 
-def test_a_folder_that_is_gone_stops_nothing(tmp_path: Path) -> None:
+def test_a_missing_log_folder_stops_nothing(tmp_path: Path) -> None:
     with keep_log(tmp_path / "gone"):
         logger(device="tracker").info("connected")
 
 
-def test_a_child_process_is_logged_from_ready_to_end_without_the_token_of_its_control_port(
+def test_a_child_process_is_logged_from_ready_to_end_without_its_control_token(
     tmp_path: Path,
 ) -> None:
     ready = "READY " + json.dumps({"control": "tcp://127.0.0.1:5?token=6f1e2b"})
@@ -131,7 +131,7 @@ def test_a_child_process_is_logged_from_ready_to_end_without_the_token_of_its_co
     assert "6f1e2b" not in text
 
 
-def test_a_library_that_reads_patient_files_is_named_but_not_quoted(tmp_path: Path) -> None:
+def test_a_library_that_reads_patient_files_is_named_but_its_text_redacted(tmp_path: Path) -> None:
     with keep_log(tmp_path):
         try:
             raise ValueError("DOE^JOHN")
@@ -144,7 +144,7 @@ def test_a_library_that_reads_patient_files_is_named_but_not_quoted(tmp_path: Pa
     assert other["event"] == "worker lost"
 
 
-def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
+def test_a_warning_is_logged_with_its_location_but_without_its_text() -> None:
     done = run_script(
         "import sys, warnings; from ronna_hw.log_output import show_log; show_log(sys.stderr); "
         "warnings.warn_explicit('DOE^JOHN', UserWarning, 'series.py', 7)"
@@ -153,7 +153,7 @@ def test_a_warning_keeps_its_place_and_loses_its_text() -> None:
     assert "DOE" not in done.stderr
 
 
-def test_ignored_warnings_reach_nobody() -> None:
+def test_ignored_warnings_are_not_printed() -> None:
     done = run_script(
         "import logging, warnings; from ronna_hw.command_line.logging_options import set_up_logging; "
         "set_up_logging(False); "

@@ -18,15 +18,15 @@ def tracker(*validities: Validity) -> Any:
     return SimpleNamespace(name="tracker", read_frame=lambda timeout_s: next(frames))
 
 
-def test_a_repeated_measurement_is_left_out() -> None:
+def test_repeated_measurements_are_skipped() -> None:
     frames = new_frames(tracker(Validity.OK, Validity.STALE), 3)
     assert [frame.stamp.sequence for frame in frames] == [0, 2, 4]
 
 
-def test_without_a_count_there_is_no_end() -> None:
+def test_new_frames_without_a_count_never_end() -> None:
     assert len(list(itertools.islice(new_frames(tracker(Validity.OK)), 1000))) == 1000
 
 
-def test_a_tracker_that_measures_nothing_new_is_an_error_after_the_time_limit() -> None:
+def test_a_tracker_without_new_measurements_is_an_error_after_the_time_limit() -> None:
     with pytest.raises(NoNewFrame, match=r"limit 0\.02 s"):
         next(new_frames(tracker(Validity.STALE), timeout_s=0.02))

@@ -1,4 +1,4 @@
-"""Probes are found like drivers; a driver without one is connected, identified and closed."""
+"""Probes are found like drivers; a device without a probe is connected, identified and closed."""
 
 from __future__ import annotations
 
@@ -37,19 +37,19 @@ def probed(driver: str = "force", endpoint: str = ENDPOINT) -> Diagnostic:
     return diagnostic
 
 
-def test_a_driver_brings_its_own_probe(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_can_provide_its_own_probe(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, {"force": own_probe}, force=Sensor)
     assert probed().seen == "no load cell"
     assert CLOSED == []
     assert registry.endpoint_probes() == {}  # it has no endpoint schemes
 
 
-def test_a_driver_without_a_probe_is_identified_and_closed() -> None:
+def test_a_device_without_a_probe_is_identified_and_closed() -> None:
     assert probed() == Diagnostic("device force", True, f"{ENDPOINT}: F1 7 1.0")
     assert CLOSED == ["force"]
 
 
-def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_named(
+def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(Sensor, "plugged_in", False)
@@ -60,7 +60,7 @@ def test_a_device_that_does_not_answer_is_closed_and_the_cause_is_named(
     assert CLOSED == ["force", "force"]
 
 
-def test_a_driver_that_is_not_installed_is_a_diagnostic_that_names_those_that_are() -> None:
+def test_an_uninstalled_driver_gives_a_diagnostic_that_names_the_installed_ones() -> None:
     seen = probed("abacus").seen
     assert "DEV-002" in seen
     assert "expected one of" in seen

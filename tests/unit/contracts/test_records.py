@@ -15,7 +15,7 @@ def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(1)
-def test_a_changed_record_is_refused(tmp_path: Path) -> None:
+def test_an_altered_record_is_refused(tmp_path: Path) -> None:
     path = write_record(Record("02-plan", "plan", {"01-ct_import": "ab"}, {"margin_mm": 2.0}), tmp_path)
     content = json.loads(path.read_text())
     content["payload"]["margin_mm"] = 20.0
@@ -25,7 +25,7 @@ def test_a_changed_record_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", '{"identifier": 1', '"text"', "[" * 100_000, '{"sha256": NaN'])
-def test_a_torn_record_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_malformed_record_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "torn.json"
     path.write_text(text)
     with pytest.raises(BadRecord):
@@ -48,26 +48,26 @@ def test_a_torn_record_is_refused(tmp_path: Path, text: str) -> None:
     ],
     ids=lambda change: next(iter(change)),
 )
-def test_the_hash_covers_everything_in_a_record(change: dict[str, Any]) -> None:
+def test_the_hash_covers_every_field_of_a_record(change: dict[str, Any]) -> None:
     one = Record("a", "k", {"p": "1"}, {"x": 1}, 1, "run", "1.2.3", "T1", "2026-01-01")
     assert replace(one, **change).sha256 != one.sha256
 
 
 @pytest.mark.hazard(1)
-def test_the_same_record_in_another_form_is_refused(tmp_path: Path) -> None:
+def test_a_reformatted_record_is_refused(tmp_path: Path) -> None:
     path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
     path.write_text(path.read_text() + " ")
     with pytest.raises(BadRecord, match="was rewritten"):
         read_record(path)
 
 
-def test_a_pipe_in_place_of_a_record_holds_nobody_up(tmp_path: Path) -> None:
+def test_a_pipe_in_place_of_a_record_is_refused_without_blocking(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.json")
     with pytest.raises(BadRecord, match=r"REC-001.*not a regular file"):
         read_record(tmp_path / "a.json")
 
 
-def test_a_file_that_cannot_be_written_whole_leaves_nothing_behind(tmp_path: Path) -> None:
+def test_a_failed_write_leaves_no_temporary_file(tmp_path: Path) -> None:
     target = tmp_path / "folder"
     target.mkdir()
     with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
@@ -75,9 +75,7 @@ def test_a_file_that_cannot_be_written_whole_leaves_nothing_behind(tmp_path: Pat
     assert list(tmp_path.iterdir()) == [target]
 
 
-def test_a_write_that_is_interrupted_leaves_nothing_half_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_interrupted_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupted(_file: int) -> None:
         raise KeyboardInterrupt
 
@@ -87,7 +85,7 @@ def test_a_write_that_is_interrupted_leaves_nothing_half_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_record_is_never_written_twice(tmp_path: Path) -> None:
+def test_a_record_is_never_overwritten(tmp_path: Path) -> None:
     first = Record("01-ct_import", "ct_import", {}, {"slices": 3})
     path = write_record(first, tmp_path)
     with pytest.raises(RecordExists, match="REC-002"):

@@ -1,4 +1,4 @@
-"""What a log line may say, value by value."""
+"""What a log line may contain, value by value."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Unreadable(DataError):
         ("uid", "1.2.840.113619.2.55.3"),
     ],
 )
-def test_what_names_a_patient_or_opens_a_door_is_taken_out(key: str, value: object) -> None:
+def test_patient_data_credentials_and_file_paths_are_redacted(key: str, value: object) -> None:
     assert redacted(key, value) == REDACTED
 
 
@@ -48,11 +48,11 @@ def test_what_names_a_patient_or_opens_a_door_is_taken_out(key: str, value: obje
         "firmware 007.000.012",
     ],
 )
-def test_what_a_lab_asks_about_is_kept(text: str) -> None:
+def test_endpoints_limits_codes_and_versions_are_kept(text: str) -> None:
     assert scrubbed(text) == text
 
 
-def test_the_token_of_a_control_port_is_taken_out_of_its_endpoint() -> None:
+def test_the_token_in_a_control_endpoint_is_redacted() -> None:
     assert scrubbed("tcp://127.0.0.1:5000?token=6f1e&x=1") == f"tcp://127.0.0.1:5000?token={REDACTED}&x=1"
 
 
@@ -75,11 +75,11 @@ def test_a_record_is_logged_field_by_field() -> None:
         (ValueError("could not convert 'DOE'"), "ValueError"),
     ],
 )
-def test_an_error_is_quoted_only_when_it_is_about_a_device(error: Exception, said: str) -> None:
+def test_an_error_message_is_logged_only_when_it_is_about_a_device(error: Exception, said: str) -> None:
     assert error_text(error) == said
 
 
-def test_arguments_keep_subcommand_options_numbers_and_endpoints() -> None:
+def test_redacted_arguments_keep_subcommand_options_numbers_and_endpoints() -> None:
     given = ["localize", "/scans/DOE", "--expected", "5", "--pick=DOE.csv", "--x=-1.5", "tcp://127.0.0.1:1"]
     kept = ["localize", REDACTED, "--expected", "5", f"--pick={REDACTED}", "--x=-1.5", "tcp://127.0.0.1:1"]
     assert redacted_arguments(given) == kept

@@ -15,14 +15,14 @@ COMMANDS = sorted(
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_tells_its_version_and_lock(name: str) -> None:
+def test_every_command_prints_its_version_and_lock(name: str) -> None:
     done = in_this_process(app_of(name), "--version")
     assert done.returncode == 0
     assert done.stdout.strip() == str(this_software())
     assert ", lock " in done.stdout
 
 
-def test_packages_that_are_not_as_locked_are_named(tmp_path: Path) -> None:
+def test_packages_that_differ_from_the_lock_are_named(tmp_path: Path) -> None:
     (tmp_path / LOCK).parent.mkdir()
     (tmp_path / LOCK).write_text("pytest==0.1 ; python_version < '3'\npytest==0.2\nno-such-package==1.0\n")
     found = this_software(tmp_path)
@@ -30,7 +30,7 @@ def test_packages_that_are_not_as_locked_are_named(tmp_path: Path) -> None:
     assert found.commit is None
 
 
-def test_without_a_checkout_the_packages_are_not_locked(tmp_path: Path) -> None:
+def test_packages_count_as_not_locked_without_a_checkout(tmp_path: Path) -> None:
     found = this_software(tmp_path)
     assert found == Software(found.version, None, None)
     assert str(found).endswith("packages not locked")

@@ -1,4 +1,4 @@
-"""Strays without identity are grouped over the frames and averaged."""
+"""Unidentified stray markers are grouped over the frames and averaged."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_each_sphere_becomes_one_group_with_a_better_mean(spheres, random):
 
 
 @pytest.mark.hazard(14)
-def test_a_flickering_reflection_is_left_out_and_an_occluded_sphere_kept(spheres, random):
+def test_a_flickering_reflection_is_rejected_and_an_occluded_sphere_kept(spheres, random):
     frames = noisy_frames(spheres, random)
     frames = [np.vstack([f, [[500.0, 0.0, 0.0]]]) if k % 3 == 0 else f for k, f in enumerate(frames)]
     frames = [
@@ -49,7 +49,7 @@ def test_a_flickering_reflection_is_left_out_and_an_occluded_sphere_kept(spheres
     assert [group.count for group in average.rejected] == [20]
 
 
-def test_two_spheres_that_touch_stay_two(random):
+def test_two_touching_spheres_stay_separate(random):
     pair = np.array([[0.0, 0.0, 0.0], [11.5, 0.0, 0.0]])
     assert [group.count for group in group_strays(noisy_frames(pair, random)).groups] == [60, 60]
 
@@ -64,19 +64,19 @@ def test_a_single_outlier_does_not_shift_the_mean_but_shows_in_the_spread(random
     assert group.spread_mm > 0.3
 
 
-def test_still_readings_have_no_spread():
+def test_identical_readings_have_zero_spread():
     (group,) = group_strays([[(1.0, 2.0, 3.0)]] * 10).groups
     assert group.mean_mm.tolist() == [1.0, 2.0, 3.0]
     assert group.spread_mm == 0.0
     assert group.outliers == 0
 
 
-def test_no_strays_are_no_groups():
+def test_no_strays_give_no_groups():
     assert group_strays([]).groups == ()
     assert group_strays([np.zeros((0, 3))] * 5).groups == ()
 
 
-def test_frames_give_their_strays_inside_the_volume_once_per_measurement():
+def test_only_strays_inside_the_volume_and_new_measurements_are_averaged():
     def frame(number, *strays, validity=Validity.OK):
         return TrackerFrame(Stamp(number, number, number / 60), validity, (), strays)
 
@@ -90,7 +90,7 @@ def test_frames_give_their_strays_inside_the_volume_once_per_measurement():
 
 
 @pytest.mark.parametrize("frame", [[(np.nan, 0.0, 0.0)], [(1.0, 2.0)], [1.0, 2.0, 3.0]])
-def test_what_is_no_position_is_refused(frame):
+def test_an_invalid_position_is_refused(frame):
     with pytest.raises(BadStrays, match="DEV-005"):
         group_strays([frame])
 

@@ -1,4 +1,4 @@
-"""A theatre of devices that exist only here, found by entry point as any installed driver is."""
+"""A theatre of test devices, found by entry point like any installed driver."""
 
 from __future__ import annotations
 
@@ -67,13 +67,13 @@ def path(tmp_path: Path) -> Path:
     return path
 
 
-def test_a_device_of_another_kind_is_declared_found_and_read(path: Path) -> None:
+def test_a_device_of_another_kind_is_declared_opened_and_read(path: Path) -> None:
     with open_theatre(path) as theatre, theatre.device("force", ForceSensor).active() as sensor:
         assert sensor.name == "device.force"
         assert sensor.read_force_N() == pytest.approx(3.0)
 
 
-def test_nothing_is_connected_before_it_is_asked_for(path: Path) -> None:
+def test_nothing_is_connected_before_it_is_requested(path: Path) -> None:
     theatre = Theatre.from_file(path)
     assert theatre.arms["left"].state is Lifecycle.DISCONNECTED
     assert theatre.arms["left"] is theatre.arms["left"]
@@ -84,7 +84,7 @@ def test_nothing_is_connected_before_it_is_asked_for(path: Path) -> None:
     theatre.close()
 
 
-def test_what_the_file_lacks_is_an_error_that_says_what_it_has(path: Path) -> None:
+def test_a_missing_device_is_an_error_that_lists_the_existing_ones(path: Path) -> None:
     theatre = Theatre.from_file(path)
     with pytest.raises(NotInTheatre, match=r"^DEV-007: theatre lab has no tracker: it has robot.left"):
         _ = theatre.tracker
@@ -113,14 +113,14 @@ def _leave_while_the_arms_are_active(path: Path, error: type[BaseException]) -> 
         raise error
 
 
-def test_every_arm_is_stopped_before_anything_is_closed(path: Path, installed: list[str]) -> None:
+def test_every_arm_is_stopped_before_any_device_is_closed(path: Path, installed: list[str]) -> None:
     with pytest.raises(ZeroDivisionError):
         _leave_while_the_arms_are_active(path, ZeroDivisionError)
     assert sorted(installed[:2]) == ["stop robot.left", "stop robot.right"]
     assert installed[2:] == ["close robot.left", "close robot.right", "close device.force"]
 
 
-def test_an_error_while_one_device_is_closed_keeps_no_other_open(
+def test_an_error_while_closing_one_device_does_not_keep_the_others_open(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(arm: Arm, *_: Any) -> None:
@@ -133,7 +133,7 @@ def test_an_error_while_one_device_is_closed_keeps_no_other_open(
     assert installed == ["close device.force"]
 
 
-def test_a_second_interruption_does_not_keep_devices_open(
+def test_a_second_interrupt_does_not_keep_devices_open(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Arm, "stop", lambda *_: signal.raise_signal(signal.SIGINT))
@@ -142,7 +142,7 @@ def test_a_second_interruption_does_not_keep_devices_open(
     assert installed == ["close robot.left", "close robot.right", "close device.force"]
 
 
-def test_a_device_that_is_not_there_is_the_drivers_own_error_and_the_rest_is_closed(
+def test_a_missing_device_raises_the_drivers_error_and_the_others_are_closed(
     path: Path, installed: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ScaledForceSensor, "plugged_in", False)
@@ -152,7 +152,7 @@ def test_a_device_that_is_not_there_is_the_drivers_own_error_and_the_rest_is_clo
 
 
 @pytest.mark.parametrize("cut", range(1, len(FILE) - 1, 7))
-def test_a_half_written_file_is_refused_or_lacks_what_was_not_written(path: Path, cut: int) -> None:
+def test_a_truncated_theatre_file_is_refused_or_lacks_the_missing_devices(path: Path, cut: int) -> None:
     path.write_text(FILE[:cut])
     try:
         theatre = Theatre.from_file(path)
@@ -161,13 +161,13 @@ def test_a_half_written_file_is_refused_or_lacks_what_was_not_written(path: Path
     assert len(theatre.file.devices) < 3
 
 
-def test_devices_carry_the_names_of_their_tables_and_the_folder_of_the_file(path: Path) -> None:
+def test_device_configs_have_the_names_of_their_tables_and_the_folder_of_the_file(path: Path) -> None:
     devices = Theatre.from_file(path).file.devices
     assert sorted(devices) == ["device.force", "robot.left", "robot.right"]
     assert {config.folder for config in devices.values()} == {path.parent}
 
 
-def test_a_closed_theatre_gives_neither_devices_nor_time(path: Path) -> None:
+def test_a_closed_theatre_provides_neither_devices_nor_clock(path: Path) -> None:
     with Theatre.from_file(path) as theatre:
         pass
     with pytest.raises(TheatreClosed, match="DEV-010"):
@@ -176,7 +176,7 @@ def test_a_closed_theatre_gives_neither_devices_nor_time(path: Path) -> None:
         theatre.clock.now_s()
 
 
-def test_a_theatre_can_be_made_of_parsed_content() -> None:
+def test_a_theatre_can_be_made_from_parsed_content() -> None:
     content = {"theatre": "lab", "device": {"force": {"driver": "force", "endpoint": "tcp://127.0.0.1:1"}}}
     theatre = Theatre(parse_theatre(content), HostClock())
     assert theatre.device("force", ScaledForceSensor).state is Lifecycle.DISCONNECTED

@@ -1,4 +1,4 @@
-"""Where people at other computers may look on: what is refused, and what is warned of."""
+"""The address for viewers at other computers: what is refused and what is warned about."""
 
 from __future__ import annotations
 
@@ -41,14 +41,16 @@ def test_an_address_that_is_too_wide_or_not_of_this_computer_is_refused(
 
 
 @pytest.mark.parametrize("given", [{"bind": "10.0.0.1"}, {"certificate": Path("a")}, {"key": Path("b")}])
-def test_an_address_without_its_files_and_files_without_an_address_are_refused(
+def test_an_address_without_certificate_and_key_or_the_reverse_is_refused(
     given: dict[str, object],
 ) -> None:
     with pytest.raises(UsageMistake, match="--certificate"):
         viewers_address(**{"bind": None, "certificate": None, "key": None} | given)  # type: ignore[arg-type]  # by name
 
 
-def test_files_that_are_no_pair_are_refused(pair: tuple[Path, Path], tmp_path: Path, own: str) -> None:
+def test_a_certificate_and_key_that_do_not_match_are_refused(
+    pair: tuple[Path, Path], tmp_path: Path, own: str
+) -> None:
     (tmp_path / "other.pem").write_text("no certificate")
     with pytest.raises(UsageMistake, match="not a matching certificate and key"):
         ViewersAddress(own, tmp_path / "other.pem", pair[1]).check()
@@ -56,7 +58,7 @@ def test_files_that_are_no_pair_are_refused(pair: tuple[Path, Path], tmp_path: P
         ViewersAddress(own, pair[0], tmp_path / "nothing.pem").check()
 
 
-def test_that_a_patient_is_shown_is_warned_of_and_a_key_that_others_read(
+def test_the_check_warns_about_patient_data_and_about_a_world_readable_key(
     pair: tuple[Path, Path], own: str
 ) -> None:
     assert ViewersAddress(own, *pair).check()[0] == WARNING

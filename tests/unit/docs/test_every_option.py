@@ -1,4 +1,4 @@
-"""Every command, argument and option explains itself, and so does everything on the pages about Python."""
+"""Every command, argument and option has a help text, and so has everything on the Python API pages."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def commands_below(command: Any, path: str) -> Iterator[tuple[str, Any]]:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_option_and_command_says_what_it_is_for(name: str) -> None:
+def test_every_command_and_option_has_a_help_text(name: str) -> None:
     (script,) = entry_points(group="console_scripts", name=name)
     application = import_module(script.module).app
     whole = with_common_options(typer.main.get_command(application))
@@ -47,13 +47,13 @@ def test_every_command_of_every_program_has_the_common_options(name: str) -> Non
 
 
 @pytest.mark.parametrize("page", [api_pages.numerics, api_pages.devices], ids=["numerics", "devices"])
-def test_everything_on_the_pages_about_python_has_its_words(page: Any) -> None:
+def test_everything_on_the_python_api_pages_is_described(page: Any) -> None:
     lines = page().splitlines()
     assert [line for line in lines if line.startswith("- ") and line.endswith(": ")] == []
     assert len([line for line in lines if line.startswith("- ")]) > 30
 
 
-def test_fields_have_their_types_enumerations_their_members_and_contracts_their_call() -> None:
+def test_api_pages_show_field_types_enumeration_members_and_signatures() -> None:
     devices, numerics = api_pages.devices(), api_pages.numerics()
     assert "- `position_mm`: `Vector3 | None`\n- `fit_error_mm`: `float | None`; rms of the fit" in devices
     assert "Members: `OK`, `PARTIAL`, `MISSING`, " in devices
@@ -61,7 +61,7 @@ def test_fields_have_their_types_enumerations_their_members_and_contracts_their_
     assert "- **`Pairing(image_mm, physical_mm, *, sigma_image_mm, sigma_physical_mm)`**: Indices" in numerics
 
 
-def test_what_a_driver_does_not_say_is_what_its_interface_says() -> None:
+def test_a_driver_method_without_a_docstring_shows_that_of_its_interface() -> None:
     driver = api_pages.devices().partition("class `PolarisTracker`")[2]
     told = next(line for line in driver.splitlines() if line.startswith("- **`observe("))
     interface = api_pages.devices().partition("class `OpticalTracker`")[2]

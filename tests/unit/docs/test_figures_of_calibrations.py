@@ -1,4 +1,4 @@
-"""The pages about calibrations explain figures under the names that the commands print."""
+"""The calibration pages explain figures under the names that the commands print."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ EXPLAINED = re.compile(r"^- \*\*(.+?)\*\*", re.MULTILINE)
 @pytest.mark.parametrize(
     "page", ["calibrate-tracker-frame", "calibrate-tool-tip", "stereo-calibration", "arm-calibration"]
 )
-def test_a_figure_is_explained_by_the_name_that_is_printed(page: str) -> None:
+def test_every_explained_figure_has_a_printed_name(page: str) -> None:
     text = (ROOT / f"docs/how-to/{page}.md").read_text(encoding="utf-8")
     section = text.partition("## What the figures mean")[2].partition("\n## ")[0]
     printed = Path(calibration.__file__).read_text(encoding="utf-8")

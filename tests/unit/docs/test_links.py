@@ -1,4 +1,4 @@
-"""Every page of the documents can be found from their index, and no link leads nowhere."""
+"""The documentation index lists every page, and no link is broken."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ def links_of(page: Path) -> set[Path]:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_no_link_leads_nowhere(page: Path) -> None:
+def test_no_link_is_broken(page: Path) -> None:
     assert [link for link in links_of(page) if not link.exists()] == []
 
 
-def test_the_index_names_every_page() -> None:
+def test_the_index_links_every_page() -> None:
     index = ROOT / "docs" / "README.md"
     decisions = set(DECISIONS.glob("0*.md"))  # in an index of their own
     pages = {page.resolve() for page in ROOT.glob("docs/**/*.md")} - decisions - {index}
     assert pages - links_of(index) == set()
 
 
-def test_every_decision_has_a_number_of_its_own_and_is_in_their_index() -> None:
+def test_decisions_are_numbered_consecutively_and_all_in_their_index() -> None:
     entry = re.compile(r"^(\d+)\. \[.+\]\((\d{4})-[\w-]+\.md\)", re.MULTILINE)
     listed = [
         (int(one), int(file)) for one, file in entry.findall((DECISIONS / "README.md").read_text("utf-8"))

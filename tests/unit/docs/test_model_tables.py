@@ -1,4 +1,4 @@
-"""The tables of records, options and files are made from the models alone."""
+"""The tables of records, options and files are generated from the models alone."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Check(BaseModel):
     worst: Sphere = Field(description="The least round one.")
 
 
-def test_each_step_has_its_fields_and_what_they_contain_stands_there_once() -> None:
+def test_each_step_lists_its_fields_and_a_shared_model_is_listed_once() -> None:
     page = model_tables({"localization": Spheres, "check": Check})
     assert "## localization\n\nWhat was found.\n" in page
     assert "| `spheres` | list of Sphere | required | Each of them. |" in page

@@ -1,4 +1,4 @@
-"""`docs/explanation/rooms.md` lists every room, and its safety limits are where it says."""
+"""`docs/explanation/rooms.md` lists every subpackage, and its safety limits are where it says."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ PAGE = (ROOT / "docs/explanation/rooms.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("package", ["ronna_hw", "drivers", "sim", "procedures", "console"])
-def test_every_room_of_a_package_is_listed_once(package: str) -> None:
+def test_every_subpackage_is_listed_once(package: str) -> None:
     section = PAGE.partition(f"\n## `{package}`\n")[2].partition("\n## ")[0]
     listed = re.findall(r"^\| `(\w+)` \|", section, re.MULTILINE)
     there = sorted(one.parent.name for one in (ROOT / package).glob("*/__init__.py"))
     assert sorted(listed) == there
 
 
-def test_every_safety_limit_is_in_its_module() -> None:
+def test_every_safety_limit_is_defined_in_the_module_named() -> None:
     table = PAGE.partition("\n## Safety limits\n")[2]
     places = re.findall(r"`([\w/]+\.py)`: ((?:`\w+`(?:, )?)+)", table)
     assert len(places) > 15

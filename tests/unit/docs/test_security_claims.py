@@ -1,4 +1,4 @@
-"""What `docs/explanation/security.md` claims is held by tests, and it names everything that listens."""
+"""Tests back the claims of `docs/explanation/security.md`, and it names every listening module."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ LISTENING = re.compile(
 )  # a source without it need not be parsed
 
 
-def test_every_claim_names_a_test_that_is_there() -> None:
+def test_every_claim_names_an_existing_test() -> None:
     claimed = TEST.findall(PAGE)
     assert claimed
     assert [f"{path}::{name}" for path, name in claimed if name not in _functions_of(path)] == []
 
 
-def test_every_bullet_names_a_test_or_says_what_is_not_covered() -> None:
+def test_every_bullet_names_a_test_or_states_what_is_not_covered() -> None:
     bullets = re.split(r"\n- ", PAGE)[1:]
     assert [one for one in bullets if not TEST.search(one) and not one.startswith("Not covered")] == []
 

@@ -1,4 +1,4 @@
-"""Whatever order of steps, repetitions and failures is drawn: no step works on what does not stand."""
+"""Under any order of steps, repetitions and failures, no step works on an invalid result."""
 
 import tempfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The arm as the bodies that are checked, for whoever draws it."""
+"""The arm as the bodies used for collision checks, for display."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ AROUND = Surroundings(
 POSE = Pose(arm="arm", joints_rad=HOME, age_s=0.0)
 
 
-def test_bodies_are_told_when_the_arm_is_told_other_surroundings_and_only_then(cell: RecordingCell) -> None:
+def test_bodies_are_published_only_when_the_surroundings_change(cell: RecordingCell) -> None:
     view, events = BodyView(cell.workcell), EventStream()
     reader = events.subscribe()
     for _ in range(3):
@@ -46,7 +46,7 @@ def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
     assert places[-1][3:] == pytest.approx(flange.apply([0.0, 0.0, 100.0]), abs=0.06)
 
 
-def test_the_cameras_of_a_head_that_counts_as_unchecked_after_a_fault_are_drawn_nowhere(
+def test_the_cameras_are_not_drawn_after_a_fault_while_the_mounted_head_is_unchecked(
     cell: RecordingCell,
 ) -> None:
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)

@@ -1,4 +1,4 @@
-"""The pyramids of the stereo head's cameras."""
+"""The viewing pyramids of the stereo head's cameras."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from procedures.engine.camera_view import camera_views
 from procedures.relocalization.camera import Camera
 
 
-def test_the_corners_of_a_pyramid_are_those_of_the_picture_and_the_tool_lies_inside(
+def test_the_corners_of_a_pyramid_match_the_picture_and_it_reaches_beyond_the_tool(
     cell: RecordingCell,
 ) -> None:
     head = cell.calibrations.stereo_head

@@ -1,4 +1,4 @@
-"""The last line of a run names the inputs that decided and lie outside its folder."""
+"""The closing line of a run records the input files outside its folder."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.strategies.catalogue import strategy_named
 
 
-def test_ct_plan_and_proposed_place_of_a_case_elsewhere_are_held_by_their_hashes(tmp_path: Path) -> None:
+def test_ct_plan_and_proposed_place_outside_the_run_are_recorded_by_hash(tmp_path: Path) -> None:
     case, run = tmp_path / "case", tmp_path / "run"
     (case / "ct").mkdir(parents=True)
     run.mkdir()

@@ -1,4 +1,4 @@
-"""What comes next in a case, and what stands, from its steps and results alone."""
+"""What comes next in a case, and which results are valid, from its steps and results alone."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +50,7 @@ def do(course: Course, *names: str, **results: StepResult) -> None:
         ((*REGISTERED, "localization:T1"), "fit:T1"),  # again: what was made from it is made again
     ],
 )
-def test_next_comes_what_must_follow_or_else_the_first_that_is_not_done(
+def test_the_mandatory_successor_comes_next_or_else_the_first_step_not_done(
     course: Course, done: tuple[str, ...], following: str | None
 ) -> None:
     do(course, *done)
@@ -59,7 +59,7 @@ def test_next_comes_what_must_follow_or_else_the_first_that_is_not_done(
 
 
 @pytest.mark.parametrize("left_before", ["held:T1", "back:T1"])
-def test_a_step_that_may_only_follow_another_begins_with_the_approach_when_something_came_between(
+def test_an_interrupted_sequence_at_a_target_restarts_with_its_approach(
     course: Course, left_before: str
 ) -> None:
     do(course, *REGISTERED, *AT_T1[: AT_T1.index(left_before)])
@@ -67,7 +67,7 @@ def test_a_step_that_may_only_follow_another_begins_with_the_approach_when_somet
     assert str(course.upcoming) == "approach:T1"
 
 
-def test_nothing_more_comes_for_a_trajectory_that_was_left_out(course: Course) -> None:
+def test_no_step_follows_for_a_trajectory_that_was_left_out(course: Course) -> None:
     do(course, "image", "localization:T1")
     do(course, "fit:T1", fit=Fit(not_for=("T1",)))
     do(course, *REGISTERED[3:])
@@ -77,7 +77,7 @@ def test_nothing_more_comes_for_a_trajectory_that_was_left_out(course: Course) -
     assert course.why_not_now(approach) == ("T1 was left out: the error is too large",)
 
 
-def test_what_is_superseded_and_not_next_is_shown_as_such(course: Course) -> None:
+def test_a_superseded_step_that_is_not_next_is_shown_as_superseded(course: Course) -> None:
     do(course, *REGISTERED[:5], "image")
     states = [course.status(key) for key in course.order.sequence[:6]]
     assert states == ["done", "next", "superseded", "superseded", "superseded", ""]
@@ -99,7 +99,7 @@ SUPERSEDING: dict[str, Callable[[Course, str], object]] = {
         ("void", "image", set()),  # another CT undoes also what was finished
     ],
 )
-def test_what_moves_later_does_not_undo_what_was_finished(
+def test_a_later_move_does_not_undo_finished_targets(
     course: Course, what: str, step: str, standing: set[str]
 ) -> None:
     do(course, *REGISTERED, *AT_T1, "approach:T2")
@@ -109,7 +109,7 @@ def test_what_moves_later_does_not_undo_what_was_finished(
     assert {key.trajectory for key in approaches if course.case.stands(key)} == standing
 
 
-def test_when_every_target_was_finished_before_a_move_no_step_comes_any_more(course: Course) -> None:
+def test_no_step_follows_a_move_when_every_target_is_finished(course: Course) -> None:
     do(course, *REGISTERED, *AT_T1, *AT_T2)
     tool_on = course.order.find("tool_on")
     course.void(tool_on)

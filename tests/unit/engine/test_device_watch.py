@@ -1,4 +1,4 @@
-"""What is published about the devices while they are only looked at."""
+"""What is published about devices while they are only observed."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -19,7 +19,7 @@ def watched(device: Any) -> tuple[DeviceWatch, Any]:
     return DeviceWatch({"arm": device}, stream, lambda: 5.0), stream.subscribe()
 
 
-def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_look() -> None:
+def test_a_state_is_published_on_change_and_age_and_pose_at_every_observation() -> None:
     watch, reader = watched(RecordingArm("arm"))
     watch.look()
     assert [event.what for event in reader.read(0).events] == [
@@ -31,7 +31,7 @@ def test_a_state_is_published_when_it_changes_and_an_age_and_a_pose_at_every_loo
     assert [event.what.kind for event in reader.read(0).events] == ["age", "pose"]
 
 
-def test_a_fault_is_published_with_its_words_and_once() -> None:
+def test_a_fault_is_published_once_with_its_message() -> None:
     seen = LastKnown[object](Lifecycle.FAULT, LinkTimeout("the cable is out"), None)
     watch, reader = watched(SimpleNamespace(observe=lambda: seen, notices=()))
     watch.look()
@@ -41,7 +41,7 @@ def test_a_fault_is_published_with_its_words_and_once() -> None:
     assert "the cable is out" in only.what.fault
 
 
-def test_the_last_look_is_made_when_the_watch_ends() -> None:
+def test_a_final_observation_is_published_when_the_watch_ends() -> None:
     device = RecordingArm("arm")
     watch, reader = watched(device)
     with watch:
@@ -50,7 +50,7 @@ def test_the_last_look_is_made_when_the_watch_ends() -> None:
     assert states[-1] == "hold"
 
 
-def test_a_watch_that_cannot_look_tells_it_once_and_looks_again() -> None:
+def test_a_watch_that_cannot_observe_reports_it_once_and_retries() -> None:
     looks: list[bool] = []
 
     def observe() -> LastKnown[object]:
@@ -69,7 +69,7 @@ def test_a_watch_that_cannot_look_tells_it_once_and_looks_again() -> None:
     assert kinds == ["fault", "device"]
 
 
-def test_where_a_tracker_measures_is_told_once_when_it_is_known() -> None:
+def test_the_measuring_volume_of_a_tracker_is_published_once_when_known() -> None:
     tracker = SimpleNamespace(
         observe=lambda: LastKnown[object](Lifecycle.CONNECTED, None, None), notices=(), volume_sections_mm=()
     )
@@ -83,7 +83,7 @@ def test_where_a_tracker_measures_is_told_once_when_it_is_known() -> None:
     assert kinds == ["device", "device", "volume"]
 
 
-def test_what_a_device_says_of_itself_is_published_when_it_changes() -> None:
+def test_facts_reported_by_a_device_are_published_on_change() -> None:
     says = [(Fact("operating mode", "EXT"),), (Fact("operating mode", "T1", ready=False),)]
     arm = SimpleNamespace(observe=lambda: LastKnown[object](Lifecycle.HOLD, None, None, says[0]), notices=())
     watch, reader = watched(arm)
@@ -95,7 +95,7 @@ def test_what_a_device_says_of_itself_is_published_when_it_changes() -> None:
     assert [[(one.found, one.ready) for one in facts] for facts in told] == [[("EXT", True)], [("T1", False)]]
 
 
-def test_a_last_look_that_fails_hides_nothing_of_how_the_case_ended() -> None:
+def test_a_failing_final_observation_raises_nothing() -> None:
     def cannot() -> LastKnown[object]:
         raise LinkTimeout("no such register")
 

@@ -31,7 +31,7 @@ def run(engine: Engine, *names: str) -> Engine:
     return engine
 
 
-def test_the_intent_is_in_the_journal_before_the_work_and_the_result_after_it(cell: RecordingCell) -> None:
+def test_the_intent_is_journalled_before_the_work_and_the_result_after_it(cell: RecordingCell) -> None:
     seen: list[list[tuple[str, str]]] = []
 
     def work(_context: StepContext) -> Outcome[StepResult]:
@@ -44,7 +44,7 @@ def test_the_intent_is_in_the_journal_before_the_work_and_the_result_after_it(ce
     assert cell.room.announced == ["image"]
 
 
-def test_the_parents_of_a_result_are_what_its_step_read(cell: RecordingCell) -> None:
+def test_the_parents_of_a_result_are_the_records_its_step_read(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     first = engine.run_step(engine.order.find("image"))
     second = engine.run_step(engine.order.find("localization:T1"))
@@ -52,19 +52,19 @@ def test_the_parents_of_a_result_are_what_its_step_read(cell: RecordingCell) -> 
     assert (second.identifier, second.trajectory) == ("02-localization-T1", "T1")
 
 
-def test_what_was_not_read_is_no_parent(cell: RecordingCell) -> None:
+def test_a_record_that_was_not_read_is_not_a_parent(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order(localization=leaves(Localization)))
     run(engine, "image")
     assert engine.run_step(engine.order.find("localization:T1")).parents == {}
 
 
-def test_a_step_may_not_read_what_it_does_not_declare(cell: RecordingCell) -> None:
+def test_a_step_cannot_read_a_result_it_does_not_declare(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order(tool_on=leaves(Image, Image))), "fit:T2")
     with pytest.raises(WrongResult, match="PRO-016: tool_on asks for image, which it does not declare"):
         run(engine, "tool_on")
 
 
-def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(cell: RecordingCell) -> None:
+def test_a_step_that_returns_the_wrong_model_fails_and_its_result_is_not_stored(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order(localization=leaves(Fit))), "image")
     with pytest.raises(WrongResult, match="expected Localization, got Fit"):
         run(engine, "localization:T1")
@@ -72,7 +72,7 @@ def test_a_step_that_leaves_another_model_fails_and_its_result_does_not_stand(ce
     assert [path.stem for path in (cell.folder / "records").iterdir()] == ["01-image"]
 
 
-def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCell) -> None:
+def test_a_refused_step_lists_its_unmet_conditions_and_is_journalled(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     with pytest.raises(StepRefused, match=r"fit:T1 cannot start: image comes first"):
         run(engine, "fit:T1")
@@ -80,7 +80,7 @@ def test_a_refused_step_lists_what_is_unmet_and_is_journalled(cell: RecordingCel
     assert cell.room.announced == []
 
 
-def test_a_step_that_fails_stops_the_arm_and_leaves_the_case_held(cell: RecordingCell) -> None:
+def test_a_failed_step_stops_the_arm_and_can_be_repeated(cell: RecordingCell) -> None:
     def fail(_context: StepContext) -> Outcome[StepResult]:
         cell.arm.activate()
         raise LinkTimeout("the tracker is silent")
@@ -93,7 +93,7 @@ def test_a_step_that_fails_stops_the_arm_and_leaves_the_case_held(cell: Recordin
     assert engine.why_refused(engine.order.find("image")) == ()
 
 
-def test_evidence_that_comes_with_an_error_is_kept_in_the_run_folder(cell: RecordingCell) -> None:
+def test_files_attached_to_an_error_are_kept_in_the_run_folder(cell: RecordingCell) -> None:
     def fail(_context: StepContext) -> Outcome[StepResult]:
         error = LinkTimeout("telegrams ceased")
         error.attachments["flight-record-robot.master.txt"] = "cycle  IPOC\n"
@@ -117,7 +117,9 @@ def test_an_interrupted_step_stops_the_arm_and_is_journalled(cell: RecordingCell
     assert cell.entries()[-1] == ("interrupted", "image")
 
 
-def test_without_a_yes_a_confirmed_value_goes_no_further_and_both_are_recorded(cell: RecordingCell) -> None:
+def test_a_rejected_confirmation_fails_the_step_and_is_recorded_with_value_and_answer(
+    cell: RecordingCell,
+) -> None:
     def ask(context: StepContext) -> Outcome[StepResult]:
         context.confirm(Topic.REGISTRATION, "accept the registration", "0.21 mm rms")
         return Outcome(Image())
@@ -131,7 +133,7 @@ def test_without_a_yes_a_confirmed_value_goes_no_further_and_both_are_recorded(c
     assert (confirmation["value"], confirmation["answer"]) == ("0.21 mm rms", "no")
 
 
-def test_closing_ends_the_sessions_and_the_journal(cell: RecordingCell) -> None:
+def test_closing_closes_the_devices_and_the_journal(cell: RecordingCell) -> None:
     cell.engine(plain_order()).close("done")
     assert cell.arm.state == "closed"
     assert cell.entries() == [("closed", "")]
@@ -139,7 +141,7 @@ def test_closing_ends_the_sessions_and_the_journal(cell: RecordingCell) -> None:
 
 
 @pytest.mark.hazard(33)
-def test_a_step_whose_intent_cannot_be_written_is_not_even_announced(cell: RecordingCell) -> None:
+def test_a_step_whose_intent_cannot_be_journalled_is_not_announced(cell: RecordingCell) -> None:
     os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
     os.close(full)
     with pytest.raises(JournalNotWritable, match=r"PRO-003.*No space left"):
@@ -148,7 +150,7 @@ def test_a_step_whose_intent_cannot_be_written_is_not_even_announced(cell: Recor
 
 
 @pytest.mark.hazard(33)
-def test_a_result_that_cannot_be_journalled_does_not_stand_and_nothing_follows(
+def test_a_result_that_cannot_be_journalled_is_not_valid_and_holds_the_case(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.engine(plain_order())
@@ -166,7 +168,7 @@ def test_a_result_that_cannot_be_journalled_does_not_stand_and_nothing_follows(
     assert engine.status(engine.order.find("image")) == "next"
 
 
-def test_an_interruption_while_the_intent_is_written_is_journalled(
+def test_an_interrupt_while_the_intent_is_written_is_journalled(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write = cell.journal.write
@@ -183,7 +185,7 @@ def test_an_interruption_while_the_intent_is_written_is_journalled(
 
 
 @pytest.mark.hazard(1)
-def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: RecordingCell) -> None:
+def test_a_repeated_step_supersedes_the_results_derived_from_its_former_one(cell: RecordingCell) -> None:
     engine = run_to(cell.engine(plain_order()), "fit:T2")
     run(engine, "localization:T1")
     last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
@@ -192,7 +194,7 @@ def test_a_repeated_step_supersedes_what_descends_from_its_former_result(cell: R
     assert engine.why_refused(engine.order.find("tool_on")) == ("fit:T1 comes first",)
 
 
-def test_repeating_steps_leaves_every_record_that_the_journal_names(cell: RecordingCell) -> None:
+def test_repeating_steps_keeps_every_record_named_in_the_journal(cell: RecordingCell) -> None:
     engine = run(run_to(cell.engine(plain_order()), "fit:T2"), *("localization:T1", "fit:T1") * 2)
     told = [line for line in read_journal(cell.folder / JOURNAL_FILE) if line["entry"] == Entry.RESULT]
     kept = {path.stem: read_record(path).sha256 for path in (cell.folder / "records").glob("*.json")}
@@ -202,7 +204,7 @@ def test_repeating_steps_leaves_every_record_that_the_journal_names(cell: Record
 
 
 @pytest.mark.hazard(1)
-def test_a_record_that_was_edited_during_the_run_is_not_read(cell: RecordingCell) -> None:
+def test_a_record_edited_during_the_run_is_refused(cell: RecordingCell) -> None:
     engine = run(cell.engine(plain_order()), "image")
     path = cell.folder / "records" / "01-image.json"
     content = json.loads(path.read_text())
@@ -212,7 +214,7 @@ def test_a_record_that_was_edited_during_the_run_is_not_read(cell: RecordingCell
         run(engine, "localization:T1")
 
 
-def test_what_records_beside_the_engine_is_closed_before_the_journal_says_so(cell: RecordingCell) -> None:
+def test_recorders_are_closed_before_the_journal_is_closed(cell: RecordingCell) -> None:
     lines_then: list[str] = []
 
     class Beside:
@@ -226,7 +228,7 @@ def test_what_records_beside_the_engine_is_closed_before_the_journal_says_so(cel
     assert cell.entries()[-1][0] == "closed"
 
 
-def test_what_a_result_stands_on_is_kept_before_the_result_stands(cell: RecordingCell) -> None:
+def test_recordings_are_saved_before_the_result_is_journalled(cell: RecordingCell) -> None:
     lines_then: list[str] = []
 
     def settle() -> dict[str, JournalValue]:

@@ -1,4 +1,4 @@
-"""The stream on disk, and whoever follows it from outside."""
+"""The event stream on disk, and readers that follow it from outside."""
 
 import os
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ def ended(stream: EventStream, file: EventFile) -> None:
     file.join()
 
 
-def test_every_fact_is_in_the_file_and_of_a_burst_of_poses_the_first_and_the_last(tmp_path: Path) -> None:
+def test_the_file_contains_every_fact_and_the_last_of_a_burst_of_poses(tmp_path: Path) -> None:
     stream = EventStream()
     file = EventFile(tmp_path, stream)
     stream.publish(pose(-1.0))
@@ -42,7 +42,7 @@ def test_every_fact_is_in_the_file_and_of_a_burst_of_poses_the_first_and_the_las
     assert poses[-1] == pose(299.0)
 
 
-def test_signals_are_bounded_and_facts_are_not(tmp_path: Path) -> None:
+def test_signals_are_limited_in_size_and_facts_are_not(tmp_path: Path) -> None:
     stream = EventStream()
     file = EventFile(tmp_path, stream, signals_bytes=0)
     stream.publish(pose(0.0))
@@ -51,7 +51,7 @@ def test_signals_are_bounded_and_facts_are_not(tmp_path: Path) -> None:
     assert [event.what.kind for event in written(tmp_path)] == ["case"]
 
 
-def test_a_file_that_cannot_be_written_holds_nothing_up(tmp_path: Path) -> None:
+def test_an_unwritable_event_file_blocks_nothing(tmp_path: Path) -> None:
     (tmp_path / EVENTS_FILE).mkdir()
     stream = EventStream()
     file = EventFile(tmp_path, stream)
@@ -59,7 +59,7 @@ def test_a_file_that_cannot_be_written_holds_nothing_up(tmp_path: Path) -> None:
     ended(stream, file)
 
 
-def test_a_line_that_a_kill_has_torn_is_cut_off_before_the_next_session_writes(tmp_path: Path) -> None:
+def test_a_line_torn_by_a_kill_is_cut_off_before_the_next_session_writes(tmp_path: Path) -> None:
     (tmp_path / EVENTS_FILE).write_bytes(b'{"version":1,"numb')
     stream = EventStream()
     file = EventFile(tmp_path, stream)
@@ -77,7 +77,7 @@ def _state(event: Event) -> str:
     return event.what.state
 
 
-def test_a_follower_gets_what_holds_and_then_what_changes_until_the_run_has_ended(tmp_path: Path) -> None:
+def test_a_follower_gets_the_current_state_and_then_the_changes_until_the_run_ends(tmp_path: Path) -> None:
     stream = EventStream()
     file = EventFile(tmp_path, stream)
     stream.publish(CaseState(state="idle"))
@@ -97,9 +97,7 @@ def _await_lines(folder: Path, count: int) -> None:
 
 
 @pytest.mark.parametrize(("entry", "closed"), [("closed", True), ("motion", False)])
-def test_a_follower_knows_whether_the_run_came_to_its_own_end(
-    tmp_path: Path, entry: str, closed: bool
-) -> None:
+def test_a_follower_knows_whether_the_run_was_closed(tmp_path: Path, entry: str, closed: bool) -> None:
     stream = EventStream()
     file = EventFile(tmp_path, stream)
     stream.publish(JournalLine(line={"entry": entry}))
@@ -109,7 +107,7 @@ def test_a_follower_knows_whether_the_run_came_to_its_own_end(
     assert run.closed is closed
 
 
-def test_a_file_of_holes_is_continued_without_reading_all_of_it(tmp_path: Path) -> None:
+def test_a_huge_sparse_event_file_is_continued_without_reading_all_of_it(tmp_path: Path) -> None:
     (tmp_path / EVENTS_FILE).touch()
     os.truncate(tmp_path / EVENTS_FILE, 1_000_000_000)
     stream = EventStream()
@@ -118,7 +116,7 @@ def test_a_file_of_holes_is_continued_without_reading_all_of_it(tmp_path: Path) 
     ended(stream, file)
 
 
-def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     for folder in (tmp_path / "nowhere", tmp_path):
         with pytest.raises(PathProblem):
             FollowedRun(folder)
@@ -133,7 +131,9 @@ def test_what_is_no_run_is_refused(tmp_path: Path) -> None:
         b'"what":{"kind":"case","state":"idle"}}',
     ],
 )
-def test_what_is_no_event_of_this_version_is_refused_with_its_line(tmp_path: Path, line: bytes) -> None:
+def test_a_line_that_is_not_an_event_of_this_version_is_refused_with_its_number(
+    tmp_path: Path, line: bytes
+) -> None:
     (tmp_path / EVENTS_FILE).write_bytes(line + b"\n")
     with pytest.raises(EventsUnreadable, match="line 1"):
         _all(FollowedRun(tmp_path))
@@ -143,7 +143,7 @@ def _all(run: FollowedRun) -> list[Sequence[Event]]:
     return list(run.batches())
 
 
-def test_a_run_that_was_taken_up_again_is_followed_session_by_session(tmp_path: Path) -> None:
+def test_the_sessions_of_a_resumed_run_are_followed_one_after_the_other(tmp_path: Path) -> None:
     for states in (("idle", "held"), ("recovery", "finished")):
         stream = EventStream()
         file = EventFile(tmp_path, stream)

@@ -26,7 +26,7 @@ def question(number: int) -> Questioned:
     )
 
 
-def test_events_are_numbered_from_one_in_the_order_in_which_they_happen() -> None:
+def test_events_are_numbered_from_one_in_order() -> None:
     stream = EventStream()
     reader = stream.subscribe()
     for state in ("idle", "paused", "idle"):
@@ -35,7 +35,7 @@ def test_events_are_numbered_from_one_in_the_order_in_which_they_happen() -> Non
 
 
 @pytest.mark.hazard(40)
-def test_a_slow_reader_loses_poses_and_no_fact_and_is_told_how_many() -> None:
+def test_a_slow_reader_loses_poses_but_no_fact_and_learns_how_many() -> None:
     stream = EventStream()
     reader = stream.subscribe()
     for joint in range(100):
@@ -56,7 +56,7 @@ def test_poses_of_two_arms_do_not_replace_each_other() -> None:
 
 
 @pytest.mark.hazard(40)
-def test_a_newcomer_is_shown_what_holds_at_present() -> None:
+def test_a_new_subscriber_gets_the_current_state() -> None:
     stream = EventStream()
     stream.publish(CaseState(state="idle"))
     stream.publish(question(1))
@@ -70,14 +70,14 @@ def test_a_newcomer_is_shown_what_holds_at_present() -> None:
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_reader_is_told_of_the_end(late: bool) -> None:
+def test_a_reader_learns_that_the_stream_has_ended(late: bool) -> None:
     stream = EventStream()
     reader = None if late else stream.subscribe()
     stream.end()
     assert (reader or stream.subscribe()).read().ended
 
 
-def test_a_newcomer_is_told_which_theatre_it_is_whenever_he_comes() -> None:
+def test_a_new_subscriber_always_gets_the_opening_line_of_the_journal() -> None:
     stream = EventStream()
     opened = JournalLine(line={"entry": "opened", "banner": "SIMULATED THEATRE"})
     for line in (opened, JournalLine(line={"entry": "intent"})):

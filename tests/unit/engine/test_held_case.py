@@ -1,4 +1,4 @@
-"""A case that is held: a fault is acknowledged by name, the arm leaves the head, steps go on."""
+"""A held case: a fault is acknowledged by name, the arm leaves the head, and steps continue."""
 
 import pytest
 from plain_steps import plain_order
@@ -37,7 +37,7 @@ def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
 
 @pytest.mark.hazard(32)
 @pytest.mark.branch("ARM_FAULT")
-def test_while_a_device_is_in_fault_no_step_begins_and_the_fault_is_named(cell: RecordingCell) -> None:
+def test_no_step_starts_while_a_device_is_in_fault_and_the_fault_is_named(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(StepRefused, match="the arm is in fault"):
@@ -49,7 +49,7 @@ STOP = Fact("emergency stop", "pressed", ready=False, advice="Release it.")
 MESSAGE = Fact("messages", "1 is not acknowledged", ready=False, advice="Remove its cause.")
 
 
-def test_a_fault_is_told_as_the_device_stands_now_with_what_is_to_be_done_in_order(
+def test_a_fault_is_reported_from_the_current_device_state_with_the_actions_in_order(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def told(*says: Fact) -> str:
@@ -66,7 +66,7 @@ def test_a_fault_is_told_as_the_device_stands_now_with_what_is_to_be_done_in_ord
     )
 
 
-def test_an_arm_in_fault_is_not_sent_home_and_why_is_said(cell: RecordingCell) -> None:
+def test_homing_an_arm_in_fault_is_refused_with_the_reason(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     cell.workcell.set_home()
     cell.arm.state = Lifecycle.FAULT
@@ -76,7 +76,7 @@ def test_an_arm_in_fault_is_not_sent_home_and_why_is_said(cell: RecordingCell) -
 
 
 @pytest.mark.parametrize("name", ["", " ", "123", "7 8"])
-def test_what_has_no_letters_is_nobody_and_recovers_nothing(cell: RecordingCell, name: str) -> None:
+def test_a_name_without_letters_is_refused_and_recovers_nothing(cell: RecordingCell, name: str) -> None:
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     with pytest.raises(PersonNotNamed, match="DEV-006"):
@@ -85,7 +85,7 @@ def test_what_has_no_letters_is_nobody_and_recovers_nothing(cell: RecordingCell,
 
 
 @pytest.mark.hazard(32)
-def test_acknowledging_recovers_the_device_by_name_and_moves_nothing(cell: RecordingCell) -> None:
+def test_acknowledging_recovers_the_device_and_moves_nothing(cell: RecordingCell) -> None:
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")
@@ -95,7 +95,7 @@ def test_acknowledging_recovers_the_device_by_name_and_moves_nothing(cell: Recor
     assert engine.why_refused(engine.order.find("image")) == ()
 
 
-def test_a_message_of_an_earlier_session_is_acknowledged_too(cell: RecordingCell) -> None:
+def test_a_message_left_from_an_earlier_session_is_acknowledged_too(cell: RecordingCell) -> None:
     def holds_none(*_: object) -> None:
         raise WrongState("recover is not allowed now")
 
@@ -107,7 +107,7 @@ def test_a_message_of_an_earlier_session_is_acknowledged_too(cell: RecordingCell
 
 
 @pytest.mark.hazard(37)
-def test_what_hangs_on_an_arm_that_was_recovered_counts_as_unchecked(cell: RecordingCell) -> None:
+def test_the_tool_on_a_recovered_arm_counts_as_unchecked(cell: RecordingCell) -> None:
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
@@ -116,7 +116,7 @@ def test_what_hangs_on_an_arm_that_was_recovered_counts_as_unchecked(cell: Recor
 
 
 @pytest.mark.hazard(24)
-def test_a_guide_before_an_entry_comes_back_along_its_axis_before_the_arm_parks(cell: RecordingCell) -> None:
+def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
@@ -127,7 +127,7 @@ def test_a_guide_before_an_entry_comes_back_along_its_axis_before_the_arm_parks(
 
 
 @pytest.mark.hazard(36)
-def test_without_a_yes_to_the_retreat_the_guide_stays_where_it_is(cell: RecordingCell) -> None:
+def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
@@ -135,7 +135,7 @@ def test_without_a_yes_to_the_retreat_the_guide_stays_where_it_is(cell: Recordin
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
-def test_a_retreat_that_fails_is_repeated_from_where_the_arm_stands(cell: RecordingCell) -> None:
+def test_a_failed_retreat_can_be_repeated(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
@@ -147,7 +147,7 @@ def test_a_retreat_that_fails_is_repeated_from_where_the_arm_stands(cell: Record
 
 
 @pytest.mark.branch("ABORTED")
-def test_after_an_abort_the_guide_still_comes_back_along_its_axis(cell: RecordingCell) -> None:
+def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
     engine.checkpoint.abort()
     with pytest.raises(OperatorAborted):
@@ -160,7 +160,7 @@ def test_after_an_abort_the_guide_still_comes_back_along_its_axis(cell: Recordin
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
-def test_on_the_way_home_an_instrument_is_taken_out_before_anything_moves(cell: RecordingCell) -> None:
+def test_homing_first_has_the_instrument_taken_out(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
     cell.workcell.instrument.goes_in("T1")
     engine.retreat_home()
@@ -172,7 +172,7 @@ def test_on_the_way_home_an_instrument_is_taken_out_before_anything_moves(cell: 
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
-def test_while_nobody_says_that_the_instrument_is_out_the_arm_stays(cell: RecordingCell) -> None:
+def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.INSTRUMENT_OUT)
     cell.workcell.instrument.goes_in("T1")
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):

@@ -1,4 +1,4 @@
-"""A trajectory that a result leaves out is not done any further; the others are, to the end."""
+"""A trajectory left out by a result is not continued; the others are completed."""
 
 import pytest
 from plain_steps import Back, Fit, plain_order
@@ -25,7 +25,7 @@ def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) 
     return cell.engine(plain_order("T1", "T2", "T3", fit=fit, back=back))
 
 
-def test_nothing_more_is_done_for_a_trajectory_that_was_left_out(cell: RecordingCell) -> None:
+def test_no_further_step_runs_for_a_trajectory_that_was_left_out(cell: RecordingCell) -> None:
     engine = fitted(cell, "T2")
     engine.run_to()
     done = [step for _, step in cell.entries("result")]
@@ -35,7 +35,7 @@ def test_nothing_more_is_done_for_a_trajectory_that_was_left_out(cell: Recording
     assert engine.machine.state == "finished"
 
 
-def test_that_a_trajectory_is_left_out_is_a_finding(cell: RecordingCell) -> None:
+def test_leaving_out_a_trajectory_is_reported_as_a_finding(cell: RecordingCell) -> None:
     engine = fitted(cell, "T2")
     reader = engine.events.subscribe()
     engine.run_to(engine.order.find("tool_on"))
@@ -45,7 +45,7 @@ def test_that_a_trajectory_is_left_out_is_a_finding(cell: RecordingCell) -> None
 
 
 @pytest.mark.parametrize(("left_out", "last"), [("T3", "T2"), ("T1", "T3")])
-def test_the_last_of_the_others_is_the_last_of_the_case(
+def test_the_last_remaining_trajectory_is_the_last_of_the_case(
     cell: RecordingCell, left_out: str, last: str
 ) -> None:
     lasts: list[str] = []
@@ -53,7 +53,7 @@ def test_the_last_of_the_others_is_the_last_of_the_case(
     assert lasts == [last]
 
 
-def test_the_step_that_left_it_out_takes_it_in_again(cell: RecordingCell) -> None:
+def test_repeating_the_step_that_left_a_trajectory_out_can_include_it_again(cell: RecordingCell) -> None:
     engine = fitted(cell, "T1")
     engine.run_to(engine.order.find("fit:T3"))
     again = fitted(cell)

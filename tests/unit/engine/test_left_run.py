@@ -1,4 +1,4 @@
-"""A run that broke off is read back as it stood, and goes on in the same journal."""
+"""A run that broke off is read back in its last state and continues in the same journal."""
 
 import json
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def lines_written(folder: Path, count: int) -> Path:
     [b'{"sequence":3,"prev', b"\0" * BLOCK_BYTES, b'{"sequence":3' + b"\0" * 40, b"\0\n\0\n"],
     ids=["torn", "zeroed block", "torn and zeroed", "zeros and line ends"],
 )
-def test_a_torn_end_is_kept_aside_and_the_chain_goes_on_before_it(tmp_path: Path, end: bytes) -> None:
+def test_a_torn_end_is_set_aside_and_the_chain_continues_before_it(tmp_path: Path, end: bytes) -> None:
     path = lines_written(tmp_path, 3)
     with path.open("ab") as file:
         file.write(end)
@@ -55,7 +55,7 @@ def test_a_torn_end_is_kept_aside_and_the_chain_goes_on_before_it(tmp_path: Path
 
 
 @pytest.mark.parametrize("lost", range(1, 300, 23))
-def test_whatever_a_zeroed_last_block_hits_the_lines_before_it_are_read(tmp_path: Path, lost: int) -> None:
+def test_the_lines_before_a_zeroed_last_block_are_read(tmp_path: Path, lost: int) -> None:
     path = lines_written(tmp_path, 8)
     content = path.read_bytes()
     path.write_bytes(content[:-lost] + b"\0" * lost)
@@ -64,7 +64,7 @@ def test_whatever_a_zeroed_last_block_hits_the_lines_before_it_are_read(tmp_path
 
 
 @pytest.mark.hazard(39)
-def test_what_is_whole_after_a_broken_line_is_no_torn_end(tmp_path: Path) -> None:
+def test_a_broken_line_followed_by_whole_lines_is_not_a_torn_end(tmp_path: Path) -> None:
     path = lines_written(tmp_path, 4)
     content = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(content[0] + b"\0" * len(content[1]) + b"".join(content[2:]))
@@ -72,7 +72,7 @@ def test_what_is_whole_after_a_broken_line_is_no_torn_end(tmp_path: Path) -> Non
         read_chain(path)
 
 
-def test_results_stand_as_they_stood_and_superseded_ones_do_not(cell: RecordingCell) -> None:
+def test_valid_results_stay_valid_and_superseded_ones_superseded(cell: RecordingCell) -> None:
     order = plain_order("T1")
     engine = cell.engine(order)
     engine.run_to(order.find("fit:T1"))
@@ -84,7 +84,7 @@ def test_results_stand_as_they_stood_and_superseded_ones_do_not(cell: RecordingC
     assert left.latest == StepKey("localization", "T1")
 
 
-def test_nothing_begins_before_it_was_accepted(cell: RecordingCell) -> None:
+def test_no_step_starts_before_the_recovery_is_accepted(cell: RecordingCell) -> None:
     order = plain_order("T1")
     cell.engine(order).run_to(order.find("fit:T1"))
     broken_off(cell)
@@ -97,7 +97,7 @@ def test_nothing_begins_before_it_was_accepted(cell: RecordingCell) -> None:
     assert engine.upcoming is None
 
 
-def test_what_must_follow_the_step_that_was_done_last_comes_next(cell: RecordingCell) -> None:
+def test_the_mandatory_successor_of_the_last_step_comes_next(cell: RecordingCell) -> None:
     order = plain_order("T1")
     cell.engine(order).run_to(order.find("approach:T1"))
     broken_off(cell)
@@ -134,7 +134,7 @@ def killed_while_it_is_acknowledged(cell: RecordingCell, engine: Engine) -> None
 @pytest.mark.hazard(2)
 @pytest.mark.hazard(12)
 @pytest.mark.parametrize("ended", [in_a_step, at_the_end, acknowledged, killed_while_it_is_acknowledged])
-def test_what_was_localized_before_a_fault_of_the_arm_is_in_doubt_after_a_restart_too(
+def test_a_localization_doubted_after_an_arm_fault_is_still_doubted_after_a_restart(
     cell: RecordingCell, ended: Callable[[RecordingCell, Engine], None]
 ) -> None:
     def fails(_context: object) -> Outcome[StepResult]:
@@ -153,7 +153,7 @@ def test_what_was_localized_before_a_fault_of_the_arm_is_in_doubt_after_a_restar
     assert len(again.entries("doubted")) == 1
 
 
-def test_a_record_that_never_came_into_the_journal_stands_for_nothing_and_is_kept(
+def test_a_record_missing_from_the_journal_is_not_used_but_kept(
     cell: RecordingCell,
 ) -> None:
     order = plain_order("T1")
@@ -168,7 +168,7 @@ def test_a_record_that_never_came_into_the_journal_stands_for_nothing_and_is_kep
     assert names == {"01-image", "02-localization-T1", "03-localization-T1"}
 
 
-def test_the_step_that_had_begun_is_known(cell: RecordingCell) -> None:
+def test_the_step_that_had_started_is_known(cell: RecordingCell) -> None:
     def killed(_context: object) -> Outcome[StepResult]:
         broken_off(cell)
         raise MemoryError
@@ -180,14 +180,14 @@ def test_the_step_that_had_begun_is_known(cell: RecordingCell) -> None:
 
 
 @pytest.mark.hazard(42)
-def test_a_run_is_open_to_one_program_at_a_time(tmp_path: Path) -> None:
+def test_only_one_program_at_a_time_can_hold_a_run(tmp_path: Path) -> None:
     with held_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), held_run(tmp_path):
         pass
     with held_run(tmp_path):
         pass
 
 
-def test_a_motion_that_does_not_say_where_the_instrument_went_is_refused() -> None:
+def test_a_motion_entry_without_the_instrument_position_is_refused() -> None:
     line = {"entry": "motion", "sequence": 4, "what": "insert", "trajectory": "T1", "to": [0, 0, 0]}
     with pytest.raises(JournalCorrupt, match="PRO-011"):
         arm_as_left([json.loads(json.dumps(line))])

@@ -8,7 +8,9 @@ from procedures.steps.catalogue import CLINICAL_STEPS
 
 
 @pytest.mark.parametrize("trajectories", [("T1",), ("T1", "T2", "T3")])
-def test_the_sequence_of_a_case_leads_through_the_chart_to_its_end(trajectories: tuple[str, ...]) -> None:
+def test_the_step_sequence_of_a_case_passes_through_the_chart_to_its_end(
+    trajectories: tuple[str, ...],
+) -> None:
     order = order_of(CLINICAL_STEPS, trajectories)
     machine = ProcedureMachine(order)
     for key in order.sequence:
@@ -25,13 +27,13 @@ def test_every_step_is_drawn_in_its_phase(step) -> None:
     assert f"    {step.name}\n" in phase[: phase.index("}")]
 
 
-def test_what_is_repeated_for_each_trajectory_leads_back_in_the_chart() -> None:
+def test_steps_repeated_for_each_trajectory_loop_back_in_the_chart() -> None:
     chart = mermaid(plain_steps())
     assert "fit --> localization : next trajectory" in chart
     assert "back --> approach : next trajectory" in chart
 
 
-def test_a_case_that_is_held_goes_on_with_a_step() -> None:
+def test_a_held_case_continues_with_a_step() -> None:
     machine = ProcedureMachine(plain_order())
     machine.begin("image")
     machine.hold()
@@ -41,7 +43,7 @@ def test_a_case_that_is_held_goes_on_with_a_step() -> None:
 
 
 @pytest.mark.parametrize("rest", ["paused", "suspended"])
-def test_a_rest_goes_back_to_where_the_case_was(rest: str) -> None:
+def test_a_pause_or_suspension_returns_to_the_former_state(rest: str) -> None:
     machine = ProcedureMachine(plain_order())
     machine.begin("image")
     machine.rest(rest)
@@ -50,7 +52,7 @@ def test_a_rest_goes_back_to_where_the_case_was(rest: str) -> None:
     assert machine.state == "operation.image"
 
 
-def test_in_recovery_no_step_begins_before_it_is_accepted() -> None:
+def test_no_step_starts_in_recovery_before_it_is_accepted() -> None:
     machine = ProcedureMachine(plain_order(), recovering=True)
     with pytest.raises(MachineError):
         machine.begin("image")

@@ -12,7 +12,7 @@ def names(order: CaseOrder) -> list[str]:
     return [str(key) for key in order.sequence]
 
 
-def test_what_is_done_for_each_trajectory_is_done_one_trajectory_at_a_time() -> None:
+def test_steps_for_each_trajectory_run_one_trajectory_at_a_time() -> None:
     assert names(plain_order()) == [
         "image",
         *("localization:T1", "fit:T1", "localization:T2", "fit:T2"),
@@ -21,20 +21,20 @@ def test_what_is_done_for_each_trajectory_is_done_one_trajectory_at_a_time() -> 
     ]
 
 
-def test_a_strategy_that_localizes_once_has_one_localization() -> None:
+def test_a_strategy_that_localizes_once_has_a_single_localization() -> None:
     once = names(plain_order(localizes_per_trajectory=False))
     assert once[:4] == ["image", "localization", "fit", "tool_on"]
     assert once[4:] == names(plain_order())[6:]
 
 
-def test_of_the_clinical_case_every_registration_comes_before_the_tool_change() -> None:
+def test_every_clinical_registration_precedes_the_tool_change() -> None:
     case = names(order_of(CLINICAL_STEPS, ("T1", "T2")))
     exchanged = case.index("tool_change")
     assert max(case.index(f"registration:{name}") for name in ("T1", "T2")) < exchanged
     assert min(case.index(f"positioning:{name}") for name in ("T1", "T2")) > exchanged
 
 
-def test_an_unknown_step_names_those_that_exist() -> None:
+def test_an_unknown_step_is_reported_with_the_existing_ones() -> None:
     with pytest.raises(UnknownStep, match="image, localization:T1"):
         plain_order().find("drilling")
 
@@ -43,7 +43,7 @@ def test_an_unknown_step_names_those_that_exist() -> None:
     ("typed", "meant"),
     [("approach", "approach:T1 or approach:T2"), ("localisation:T2", "localization:T2"), ("imgae", "image")],
 )
-def test_a_mistyped_step_is_answered_with_what_may_have_been_meant(typed: str, meant: str) -> None:
+def test_a_mistyped_step_is_reported_with_suggestions(typed: str, meant: str) -> None:
     with pytest.raises(UnknownStep, match=f"Did you mean {meant}"):
         plain_order("T1", "T2").find(typed)
 
@@ -70,7 +70,7 @@ INSIDE = (*BACK, "approach:T2", "held:T2")
         ("back:T1", "back:T1", BACK, "it must directly follow held:T1"),
     ],
 )
-def test_a_step_may_come_when_all_before_it_stands_and_no_instrument_is_elsewhere(
+def test_a_step_may_run_when_its_predecessors_are_done_and_no_other_sequence_is_unfinished(
     name: str, latest: str | None, standing: tuple[str, ...], reason: str | None
 ) -> None:
     order = plain_order()

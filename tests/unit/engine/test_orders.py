@@ -1,4 +1,4 @@
-"""Orders as they come over a socket or in a request, and the digest that an answer quotes."""
+"""Orders received over a socket or in a request, and the digest that an answer quotes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from procedures.operator.evidence import Evidence
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 
 
-def test_an_order_is_read_as_what_it_is() -> None:
+def test_a_valid_order_is_read() -> None:
     assert read_order(f'{{"kind":"stop",{GOOD}}}') == Stop(nonce="nonce-0001", session="session-1")
 
 
@@ -31,12 +31,12 @@ def test_an_order_is_read_as_what_it_is() -> None:
         "[" * 5000,
     ],
 )
-def test_anything_else_is_no_order(text: str) -> None:
+def test_anything_else_is_refused(text: str) -> None:
     with pytest.raises(ValueError):  # noqa: PT011
         read_order(text)
 
 
-def test_the_digest_changes_with_everything_that_is_decided_on_and_with_nothing_else() -> None:
+def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() -> None:
     table = Evidence(title="budget", head=("source", "mm"), rows=(("CT", "0.01"),))
     asked = Questioned(
         question=1, topic="park", subject="park", value="12 mm", answers=("yes", "no"), timeout_s=60.0

@@ -1,4 +1,4 @@
-"""A replay computes from what was recorded, sees every difference, and touches no device."""
+"""A replay recomputes from the recording, detects every difference and accesses no device."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def verdicts(results: list[ReplayedRecord]) -> dict[str, Verdict]:
 CASE = ("image", "localization:T1", "fit:T1", "tool_on", "approach:T1", "held:T1")
 
 
-def test_a_run_is_equal_to_itself_also_where_a_way_was_blocked(tmp_path: Path) -> None:
+def test_a_replay_equals_its_run_even_where_a_path_was_blocked(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     blocked = iter([True, False, False])
     recorded.cell.arm.blocked = lambda _start, _target: next(blocked)
@@ -128,7 +128,7 @@ def restarted(recorded: Recorded) -> None:
 
 
 @pytest.mark.hazard(2)
-def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> None:
+def test_a_replay_equals_a_resumed_run(tmp_path: Path) -> None:
     def rests_and_moves(context: StepContext) -> Outcome[Localization]:
         if context.done_before:
             context.workcell.rest()  # nothing streams in a new program
@@ -145,7 +145,7 @@ def test_a_run_that_was_taken_up_again_is_equal_to_itself(tmp_path: Path) -> Non
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
 
-def test_a_run_that_was_killed_before_its_devices_were_opened_is_equal_to_itself(tmp_path: Path) -> None:
+def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: Path) -> None:
     def asks_whether_it_is_open(context: StepContext) -> Outcome[Localization]:
         return Outcome(Localization(number=int(context.workcell.arm.state is Lifecycle.DISCONNECTED)))
 
@@ -158,7 +158,7 @@ def test_a_run_that_was_killed_before_its_devices_were_opened_is_equal_to_itself
 
 
 @pytest.mark.hazard(2)
-def test_a_run_that_was_killed_with_its_guide_before_an_entry_is_equal_to_itself(tmp_path: Path) -> None:
+def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
         context.workcell.check_mounted(MountedTool.GUIDE)
         moves(context)
@@ -184,7 +184,7 @@ def test_a_run_that_was_killed_with_its_guide_before_an_entry_is_equal_to_itself
 
 @pytest.mark.hazard(2)
 @pytest.mark.hazard(44)
-def test_a_run_that_was_killed_with_an_instrument_in_its_guide_is_equal_to_itself(tmp_path: Path) -> None:
+def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: Path) -> None:
     def goes_in(context: StepContext) -> Outcome[Localization]:
         moves(context)  # refused while it is inside
         if not context.done_before:
@@ -201,7 +201,7 @@ def test_a_run_that_was_killed_with_an_instrument_in_its_guide_is_equal_to_itsel
 
 
 @pytest.mark.hazard(50)
-def test_what_a_precondition_reads_uses_up_no_answer_of_its_step(tmp_path: Path) -> None:
+def test_reads_by_a_precondition_do_not_consume_recorded_answers_of_its_step(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
 
     def at_home(context: StepContext) -> tuple[str, ...]:
@@ -217,7 +217,7 @@ def test_what_a_precondition_reads_uses_up_no_answer_of_its_step(tmp_path: Path)
 
 @pytest.mark.hazard(44)
 @pytest.mark.hazard(50)
-def test_where_a_guard_ended_a_step_before_the_instrument_went_in_the_way_home_is_free_again(
+def test_a_replay_permits_homing_when_a_guard_ended_the_step_before_the_instrument_went_in(
     tmp_path: Path,
 ) -> None:
     def goes_in(context: StepContext) -> Outcome[Approach]:
@@ -248,7 +248,7 @@ def test_where_a_guard_ended_a_step_before_the_instrument_went_in_the_way_home_i
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:5], EQUAL)
 
 
-def test_an_edited_reading_shows_in_its_step_and_in_what_was_made_from_it(tmp_path: Path) -> None:
+def test_an_edited_reading_shows_up_in_its_step_and_in_derived_results(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE)
 
@@ -263,7 +263,7 @@ def test_an_edited_reading_shows_in_its_step_and_in_what_was_made_from_it(tmp_pa
     assert different[0].why == ("number: 0 recorded, 1000 computed",)
 
 
-def test_other_steps_than_those_of_the_run_give_other_results(tmp_path: Path) -> None:
+def test_different_step_code_gives_different_results(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE[:3])
 
@@ -274,7 +274,7 @@ def test_other_steps_than_those_of_the_run_give_other_results(tmp_path: Path) ->
     assert verdicts(recorded.replayed(newer))["fit:T1"] is DIFFERENT
 
 
-def test_what_needs_more_than_was_recorded_is_not_called_different(tmp_path: Path) -> None:
+def test_a_result_that_needs_missing_recordings_is_not_called_different(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE[:3])
 
@@ -286,7 +286,7 @@ def test_what_needs_more_than_was_recorded_is_not_called_different(tmp_path: Pat
     assert found == {"image": EQUAL, "localization:T1": NOT_RECORDED, "fit:T1": NOT_RECORDED}
 
 
-def test_a_step_that_failed_and_was_repeated_is_followed_through_both(tmp_path: Path) -> None:
+def test_a_step_that_failed_and_was_repeated_is_replayed_both_times(tmp_path: Path) -> None:
     def fails_at_first(context: StepContext) -> Outcome[Localization]:
         done = looks(context)
         if done.result.number == 0:
@@ -301,7 +301,7 @@ def test_a_step_that_failed_and_was_repeated_is_followed_through_both(tmp_path: 
     assert verdicts(recorded.replayed()) == dict.fromkeys(CASE[:3], EQUAL)
 
 
-def test_a_replay_opens_no_device_and_leaves_the_run_as_it_is(
+def test_a_replay_opens_no_connection_and_does_not_change_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recorded = Recorded(tmp_path)
@@ -320,7 +320,7 @@ def test_a_replay_opens_no_device_and_leaves_the_run_as_it_is(
     assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-def test_the_operators_word_is_that_of_the_journal(tmp_path: Path) -> None:
+def test_the_operators_answers_come_from_the_journal(tmp_path: Path) -> None:
     def asks(context: StepContext) -> Outcome[Held]:
         context.result(Approach)
         word = context.choose(Question(Topic.AT_TARGET, "hold", "?", ("one", "two"), context.trajectory))
@@ -333,13 +333,13 @@ def test_the_operators_word_is_that_of_the_journal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [RobotArm, ConfirmedStart, OpticalTracker, StereoPair])
-def test_everything_that_a_step_may_ask_of_a_device_is_recorded_or_known_without_it(kind: type) -> None:
+def test_every_device_call_open_to_a_step_is_recorded_or_needs_no_recording(kind: type) -> None:
     asked = {name for name in dir(kind) if not name.startswith("_")}
     without_it = {"state", "fault", "observe", "active", "stop", "recover", "close"}
     assert asked - without_it - KEPT == set()
 
 
-def test_damaged_readings_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_damaged_or_missing_readings_are_refused(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run("image")
     recorded.engine.close("left")
@@ -352,7 +352,7 @@ def test_damaged_readings_are_refused_in_one_line(tmp_path: Path) -> None:
         read_answers(tmp_path)
 
 
-def test_a_line_that_was_torn_by_a_kill_is_left_out_when_the_run_went_on(tmp_path: Path) -> None:
+def test_a_line_torn_by_a_kill_is_skipped_when_the_run_was_continued(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE[:3])
     recorded.engine.close("left")

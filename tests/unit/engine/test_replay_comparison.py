@@ -1,4 +1,4 @@
-"""A result computed on another kind of processor is told from one that was made otherwise."""
+"""Rounding differences between processors are distinguished from real differences."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
     return found.verdict, found.why
 
 
-def test_last_digits_are_rounded_and_named() -> None:
+def test_differences_in_the_last_digits_count_as_rounded_and_are_named() -> None:
     told = verdict(centre_mm=[812.186505, 0.25], covariance_mm2=[[1.0005e-5, 0.0]], joints_rad=[0.00900001])
     assert told[0] is Verdict.ROUNDED
     assert told[1][0] == "centre_mm[0]: 812.1865 recorded, 812.186505 computed"
@@ -34,9 +34,9 @@ def test_last_digits_are_rounded_and_named() -> None:
         {"joints_rad": [float("nan")]},
     ],
 )
-def test_what_rounding_does_not_explain_is_different(other: dict[str, Any]) -> None:
+def test_differences_beyond_rounding_count_as_different(other: dict[str, Any]) -> None:
     assert verdict(**other)[0] is Verdict.DIFFERENT
 
 
-def test_what_is_truly_different_is_named_alone() -> None:
+def test_only_real_differences_are_named_when_there_are_any() -> None:
     assert verdict(count=4, joints_rad=[0.00900001])[1] == ("count: 3 recorded, 4 computed",)

@@ -1,4 +1,4 @@
-"""A run that another program holds is left to it, and where that is operated is said."""
+"""A run held by another program is refused, with advice on where it is operated."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from procedures.engine.errors import RunInUse
 from procedures.engine.run_lock import held_run
 
 
-def test_who_holds_a_run_is_named_and_nobody_is_told_to_end_it(tmp_path: Path) -> None:
+def test_the_error_names_the_process_that_holds_the_run_and_does_not_advise_ending_it(tmp_path: Path) -> None:
     with (
         held_run(tmp_path),
         pytest.raises(RunInUse, match=f"pid {os.getpid()}") as refused,

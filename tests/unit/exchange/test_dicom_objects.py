@@ -1,4 +1,4 @@
-"""Registration and fiducials as DICOM: read back by programs that we did not write.
+"""Registration and fiducials as DICOM, read back by third-party programs.
 
 GDCM, which the tests need anyway, reads every object. `dciodvfy` (Debian's dicom3tools) judges it against
 the standard, `dcmdump` (dcmtk) reads it too; without these two programs their tests are left out and say so.
@@ -83,7 +83,7 @@ def dump(path: Path) -> str:
 
 @needs("dciodvfy")
 @pytest.mark.parametrize("kind", OBJECTS)
-def test_a_validator_of_the_standard_finds_no_error(kind: str, tmp_path: Path) -> None:
+def test_the_dicom_validator_finds_no_error(kind: str, tmp_path: Path) -> None:
     path = write(OBJECTS[kind](), tmp_path / "object.dcm")
     told = subprocess.run(["dciodvfy", "-new", str(path)], capture_output=True, text=True).stderr
     assert f"Spatial{kind.capitalize()}" in told
@@ -117,7 +117,7 @@ def test_gdcm_reads_the_same_spheres(tmp_path: Path) -> None:
 
 
 @needs("dcmdump")
-def test_another_toolkit_reads_the_same_matrix(tmp_path: Path) -> None:
+def test_dcmtk_reads_the_same_matrix(tmp_path: Path) -> None:
     told = dump(write(registration(), tmp_path / "reg.dcm"))
     matrices = re.findall(r"\(3006,00c6\) DS \[([^\]]*)\]", told)
     read = [np.array([float(x) for x in text.split("\\")]).reshape(4, 4) for text in matrices]
@@ -129,7 +129,7 @@ def test_another_toolkit_reads_the_same_matrix(tmp_path: Path) -> None:
 
 
 @needs("dcmdump")
-def test_another_toolkit_reads_the_same_spheres(tmp_path: Path) -> None:
+def test_dcmtk_reads_the_same_spheres(tmp_path: Path) -> None:
     told = dump(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
     centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", told)
     assert [tuple(float(x) for x in text.split("\\")) for text in centres] == [s.centre_mm for s in SPHERES]
@@ -138,13 +138,13 @@ def test_another_toolkit_reads_the_same_spheres(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(35)
-def test_no_object_carries_a_patient() -> None:
+def test_no_object_contains_patient_data() -> None:
     for make in OBJECTS.values():
         made = make()
         assert not any(str(made.get(name)) for name in ("PatientName", "PatientID", "PatientBirthDate"))
 
 
-def test_the_same_result_gives_the_same_object_and_another_one_another() -> None:
+def test_equal_results_give_equal_objects_and_different_ones_different_uids() -> None:
     again = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", ORIGIN.made, "another hash")
     assert registration() == registration()
     assert (
@@ -153,18 +153,18 @@ def test_the_same_result_gives_the_same_object_and_another_one_another() -> None
 
 
 @pytest.mark.parametrize("value", [0.1234567890123456789, -1e-17, 123456.78901234567, -1.0, 3e-300, 0.0])
-def test_a_number_keeps_what_sixteen_characters_hold(value: float) -> None:
+def test_a_number_is_written_as_precisely_as_sixteen_characters_allow(value: float) -> None:
     (text,) = decimals([value])
     assert len(text) <= 16
     assert float(text) == pytest.approx(value, rel=1e-9, abs=1e-12)
 
 
-def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
+def test_an_unwritable_path_is_reported(tmp_path: Path) -> None:
     with pytest.raises(NotWritable, match="EXC-002"):
         write(registration(), tmp_path / "no" / "such.dcm")
 
 
-def test_plain_files_hold_names_centres_and_uncertainty() -> None:
+def test_plain_files_contain_names_centres_and_uncertainties() -> None:
     assert table(SPHERES).splitlines()[1] == "M1,12.345678,-0.001,100.0,0.0123"
     assert '"coordinateSystem": "LPS"' in slicer_markups(SPHERES)
     assert "-80.0" in slicer_markups(SPHERES)

@@ -1,4 +1,4 @@
-"""Raw readings of a run as files: without loss, bounded, sealed with the run, and in no export."""
+"""Raw readings of a run as files: lossless, bounded, sealed with the run, and in no export."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def rows(folder: Path, name: str) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_pictures_come_back_bit_for_bit_with_their_place_on_the_sensor(run: Path, tmp_path: Path) -> None:
+def test_pictures_are_written_losslessly_with_their_sensor_offset(run: Path, tmp_path: Path) -> None:
     folder, whole = write_raw(run, tmp_path / "raw")
     assert whole
     told = rows(folder, "pictures.csv")
@@ -115,7 +115,9 @@ def test_pictures_come_back_bit_for_bit_with_their_place_on_the_sensor(run: Path
         np.testing.assert_array_equal(picture, side.pixels)
 
 
-def test_frames_have_a_row_for_each_tool_and_each_single_marker(run: Path, tmp_path: Path) -> None:
+def test_the_tables_have_a_row_for_each_tool_each_stray_marker_and_each_arm_reading(
+    run: Path, tmp_path: Path
+) -> None:
     folder, _ = write_raw(run, tmp_path / "raw")
     seen, missing, stray = rows(folder, "tracker.csv")
     assert (seen["what"], seen["name"], seen["x_mm"], seen["z_mm"], seen["qw"], seen["device_frame"]) == (
@@ -128,7 +130,7 @@ def test_frames_have_a_row_for_each_tool_and_each_single_marker(run: Path, tmp_p
     assert [arm[f"A{axis}_rad"] for axis in (1, 6)] == ["0.1", "0.6"]
 
 
-def test_in_python_they_are_the_readings_of_the_drivers(run: Path) -> None:
+def test_raw_readings_returns_the_drivers_own_types(run: Path) -> None:
     frame, pair, arm = (one.value for one in raw_readings(str(run)))
     assert (frame, arm) == (FRAME, ARM)
     assert isinstance(pair, StereoReading)
@@ -138,12 +140,12 @@ def test_in_python_they_are_the_readings_of_the_drivers(run: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [Path, str])
-def test_a_folder_of_runs_is_not_taken_for_a_run(kind: type[Path | str], run: Path) -> None:
+def test_a_folder_of_runs_is_not_accepted_as_a_run(kind: type[Path | str], run: Path) -> None:
     with pytest.raises(NotRecorded, match=f"PRO-024: {run.parent} is not a run with readings; .* list shows"):
         next(raw_readings(kind(run.parent)))
 
 
-def test_the_disk_is_bounded_and_the_end_is_told(tmp_path: Path) -> None:
+def test_the_disk_use_is_bounded_and_truncation_is_reported(tmp_path: Path) -> None:
     many = run_of(tmp_path / "many", *(("stereo", "grab_pair", PAIR) for _ in range(20)))
     folder, whole = write_raw(many, tmp_path / "raw", most_bytes=10_000)
     assert not whole
@@ -151,7 +153,7 @@ def test_the_disk_is_bounded_and_the_end_is_told(tmp_path: Path) -> None:
     assert len(rows(folder, "pictures.csv")) == len(list(folder.rglob("*.png")))
 
 
-def test_they_are_sealed_with_the_run_that_keeps_them(run: Path) -> None:
+def test_raw_readings_kept_in_a_run_are_sealed_with_it(run: Path) -> None:
     write_raw(run, run / RAW_FOLDER)
     closed = json.loads((run / "journal.jsonl").read_text().splitlines()[-1])["files"]
     seal(run, closed)
@@ -162,7 +164,7 @@ def test_they_are_sealed_with_the_run_that_keeps_them(run: Path) -> None:
 
 
 @pytest.mark.parametrize("keep_raw", [True, False])
-def test_a_run_that_was_asked_for_them_has_them_in_its_folder_and_is_whole(
+def test_sealing_writes_raw_readings_only_when_requested_and_the_run_stays_intact(
     keep_raw: bool, tmp_path: Path
 ) -> None:
     run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=keep_raw)
@@ -172,7 +174,7 @@ def test_a_run_that_was_asked_for_them_has_them_in_its_folder_and_is_whole(
         assert inspected(run).problems == ()
 
 
-def test_what_a_run_has_is_kept_where_it_cannot_be_written_anew(tmp_path: Path) -> None:
+def test_existing_raw_readings_are_kept_when_they_cannot_be_rewritten(tmp_path: Path) -> None:
     run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
     seal_run(run)
     (run / READINGS_FOLDER / READINGS_FILE).unlink()
@@ -181,7 +183,7 @@ def test_what_a_run_has_is_kept_where_it_cannot_be_written_anew(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("at_once", [True, False])
-def test_an_interruption_does_not_wait_for_them(
+def test_sealing_at_once_or_interrupted_keeps_the_existing_raw_readings(
     at_once: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def endless(*_: object) -> bool:
@@ -201,7 +203,7 @@ def test_an_interruption_does_not_wait_for_them(
     assert inspected(run).problems == ()
 
 
-def test_what_a_later_session_did_not_write_is_told(tmp_path: Path) -> None:
+def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Path) -> None:
     run = run_of(tmp_path / "20261121T000000-0001", ("tracker", "read_frame", FRAME), keep_raw=True)
     seal_run(run)
     told = [in_this_process(app, command, run) for command in ("show", "verify")]
@@ -221,7 +223,7 @@ def test_what_a_later_session_did_not_write_is_told(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "{}", "[]", '{"schema": 2, "journal_lines": 9, "whole": true}'])
-def test_raw_readings_that_do_not_say_how_far_they_go_are_told(text: str, run: Path) -> None:
+def test_raw_readings_without_a_valid_extent_are_reported(text: str, run: Path) -> None:
     folder, _ = write_raw(run, run / RAW_FOLDER)
     lines = read_chain(run / "journal.jsonl").lines
     assert missing_in_raw(run, lines) is None
@@ -229,12 +231,12 @@ def test_raw_readings_that_do_not_say_how_far_they_go_are_told(text: str, run: P
     assert missing_in_raw(run, lines) == "raw/ does not state how far its readings extend"
 
 
-def test_raw_readings_that_found_no_more_place_are_told(run: Path) -> None:
+def test_raw_readings_truncated_for_lack_of_space_are_reported(run: Path) -> None:
     write_raw(run, run / RAW_FOLDER, most_bytes=100)
     assert "full" in str(missing_in_raw(run, read_chain(run / "journal.jsonl").lines))
 
 
-def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path: Path) -> None:
+def test_the_raw_command_refuses_a_changed_run(run: Path, tmp_path: Path) -> None:
     tape = run / READINGS_FOLDER / READINGS_FILE
     tape.write_bytes(tape.read_bytes().replace(b"-1000.0", b"-1001.0"))
     with pytest.raises(RunChanged, match=r"PRO-033.*readings\.jsonl: changed"):
@@ -242,13 +244,13 @@ def test_of_a_run_that_was_changed_the_command_takes_nothing(run: Path, tmp_path
     assert not (tmp_path / "raw").exists()
 
 
-def test_a_folder_that_is_there_is_left_alone(run: Path, tmp_path: Path) -> None:
+def test_an_existing_output_folder_is_refused(run: Path, tmp_path: Path) -> None:
     with pytest.raises(NotWritable, match=r"EXC-002: .* already exists"):
         write_raw(run, tmp_path)
 
 
 @pytest.mark.parametrize("spoilt", ["none", "empty", "pixels"])
-def test_readings_that_cannot_be_read_leave_nothing(spoilt: str, run: Path, tmp_path: Path) -> None:
+def test_unreadable_readings_leave_no_output(spoilt: str, run: Path, tmp_path: Path) -> None:
     tape = run / READINGS_FOLDER
     if spoilt == "none":
         (tape / READINGS_FILE).unlink()
@@ -263,7 +265,7 @@ def test_readings_that_cannot_be_read_leave_nothing(spoilt: str, run: Path, tmp_
     assert list(out.parent.iterdir()) == []
 
 
-def test_every_row_is_as_wide_as_its_head(run: Path, tmp_path: Path) -> None:
+def test_every_row_is_as_wide_as_its_header(run: Path, tmp_path: Path) -> None:
     folder, _ = write_raw(run, tmp_path / "raw")
     for name, columns in TABLES.items():
         for line in (folder / name).read_text().splitlines():

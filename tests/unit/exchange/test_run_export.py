@@ -1,4 +1,4 @@
-"""The export of a run: spheres once, one registration per trajectory, the last where there were several."""
+"""The export of a run: its spheres once, and the last registration of each trajectory."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def finished(tmp_path: Path) -> Path:
     )
 
 
-def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(finished: Path) -> None:
+def test_an_export_has_the_spheres_and_the_last_registration_of_each_trajectory(finished: Path) -> None:
     out = finished / "export"
     names = {path.name for path in export_run(finished, out)}
     assert names == {
@@ -80,7 +80,7 @@ def test_a_run_gives_its_spheres_and_the_last_registration_of_each_trajectory(fi
     ]
 
 
-def test_the_tables_hold_the_same_as_the_objects(finished: Path) -> None:
+def test_the_tables_agree_with_the_dicom_objects(finished: Path) -> None:
     out = finished / "export"
     export_run(finished, out)
     spheres = json.loads((out / "spheres.json").read_text())
@@ -98,7 +98,7 @@ def test_the_tables_hold_the_same_as_the_objects(finished: Path) -> None:
         assert float(row["predicted_tre_mm"]) == 0.2
 
 
-def test_the_registrations_name_the_spheres_that_are_beside_them(finished: Path) -> None:
+def test_the_registrations_reference_the_exported_spheres(finished: Path) -> None:
     out = finished / "export"
     export_run(finished, out)
     spheres = dcmread(out / "spheres.dcm")
@@ -136,18 +136,18 @@ def test_a_record_of_another_version_is_not_exported(finished: Path, monkeypatch
         export_run(finished, finished / "export")
 
 
-def test_a_place_that_is_a_file_is_refused(finished: Path) -> None:
+def test_an_export_path_that_is_a_file_is_refused(finished: Path) -> None:
     (finished.parent / "export").touch()
     with pytest.raises(NotWritable, match="EXC-002"):
         export_run(finished, finished.parent / "export")
 
 
-def test_an_unknown_form_is_refused_before_the_work() -> None:
+def test_an_unknown_file_format_is_refused() -> None:
     with pytest.raises(UnknownForm, match=r"EXC-001: cannot tell the format of spheres.xls"):
         check_names([Path("a.csv"), Path("spheres.xls")])
 
 
-def test_pictures_that_a_run_keeps_are_in_no_export(finished: Path, tmp_path: Path) -> None:
+def test_pictures_kept_in_a_run_are_not_exported(finished: Path, tmp_path: Path) -> None:
     pictures = finished / RAW_FOLDER / "pictures"
     pictures.mkdir(parents=True)
     (pictures / "00001-left.png").write_bytes(b"a picture")

@@ -1,4 +1,4 @@
-"""The spheres frame by frame: a head that is half hidden has not moved."""
+"""The spheres frame by frame: a half-hidden head does not count as moved."""
 
 import numpy as np
 import pytest
@@ -22,13 +22,13 @@ def watched(places_mm: NDArray[np.float64]) -> HeadFrames:
 
 
 @pytest.mark.hazard(12)
-def test_a_head_that_went_far_is_noticed_by_its_layout() -> None:
+def test_a_head_that_moved_far_is_recognised_by_its_sphere_layout() -> None:
     head = watched(SPHERES_MM[:3] + np.array([0.0, 25.0, 5.0]))
     assert head.moved_mm == pytest.approx(np.hypot(25.0, 5.0))
 
 
 @pytest.mark.hazard(14)
-def test_two_spheres_in_their_places_and_a_phantom_are_no_head_elsewhere() -> None:
+def test_two_spheres_in_place_and_a_phantom_do_not_count_as_a_moved_head() -> None:
     first, second, third, _ = SPHERES_MM
     along = (second - first) / np.linalg.norm(second - first)
     away = third - first - ((third - first) @ along) * along

@@ -1,4 +1,4 @@
-"""What suspends a running step, and that the reason says what to do. Each guard alone, in this process."""
+"""What suspends a running step, with a reason that says what to do; each guard alone, in this process."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def cell(tmp_path: Path) -> RecordingCell:
 
 
 @pytest.mark.hazard(33)
-def test_a_disk_that_runs_full_suspends_the_case_before_the_journal_breaks(tmp_path: Path) -> None:
+def test_low_disk_space_suspends_the_case(tmp_path: Path) -> None:
     assert DiskSpace(tmp_path, least_bytes=1).unmet() is None
     reason = DiskSpace(tmp_path, least_bytes=10**18).unmet()
     assert reason is not None
@@ -47,13 +47,13 @@ def test_a_disk_that_runs_full_suspends_the_case_before_the_journal_breaks(tmp_p
 
 
 @pytest.mark.hazard(33)
-def test_a_run_folder_that_is_gone_suspends_the_case(tmp_path: Path) -> None:
+def test_a_missing_run_folder_suspends_the_case(tmp_path: Path) -> None:
     assert "cannot be read" in (DiskSpace(tmp_path / "gone").unmet() or "")
 
 
 @pytest.mark.hazard(29)
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
-def test_a_step_of_the_wall_clock_is_one_finding_and_stops_nothing(step_s: float) -> None:
+def test_a_jump_of_the_wall_clock_gives_one_finding_and_stops_nothing(step_s: float) -> None:
     found: list[str] = []
     wall, monotonic = [1e9], [0.0]
     guard = WallClock(found.append, lambda: wall[0], lambda: monotonic[0])
@@ -67,7 +67,7 @@ def test_a_step_of_the_wall_clock_is_one_finding_and_stops_nothing(step_s: float
 
 
 @pytest.mark.hazard(4)
-def test_an_old_pose_of_the_arm_suspends_the_case(cell: RecordingCell) -> None:
+def test_a_stale_arm_pose_suspends_the_case(cell: RecordingCell) -> None:
     guard = ArmLink(cell.workcell)
     assert guard.unmet() is None
     stale = replace(cell.arm.read_state(), validity=Validity.STALE)
@@ -76,7 +76,7 @@ def test_an_old_pose_of_the_arm_suspends_the_case(cell: RecordingCell) -> None:
 
 
 @pytest.mark.hazard(18)
-def test_a_link_that_loses_a_tenth_of_its_cycles_suspends_the_case_until_it_is_better(
+def test_a_link_that_loses_a_tenth_of_its_cycles_suspends_the_case_until_it_recovers(
     cell: RecordingCell,
 ) -> None:
     guard = ArmLink(cell.workcell)
@@ -97,9 +97,7 @@ def test_a_link_that_loses_a_tenth_of_its_cycles_suspends_the_case_until_it_is_b
 
 @pytest.mark.hazard(3)
 @pytest.mark.parametrize(("mounted", "said"), [(0, "no tool"), (GUIDE, f"tool {GUIDE}")])
-def test_a_tool_that_is_exchanged_meanwhile_suspends_the_case(
-    cell: RecordingCell, mounted: int, said: str
-) -> None:
+def test_a_tool_exchanged_meanwhile_suspends_the_case(cell: RecordingCell, mounted: int, said: str) -> None:
     guard = ToolStillMounted(cell.workcell)
     assert guard.unmet() is None
     cell.arm.mounted = mounted
@@ -149,14 +147,14 @@ def test_a_lost_line_of_sight_suspends_the_case_until_the_tracker_sees_the_frame
     assert guard.unmet() is None
 
 
-def test_a_script_leaves_the_second_time_a_guard_asks_for_the_same() -> None:
+def test_a_scripted_operator_leaves_when_a_guard_asks_the_same_question_twice() -> None:
     question = Question(Topic.GUARD, "disk space: 1 MB", "before the motion", ("wait", "leave"))
     script = ScriptedOperator()
     assert [script.ask(question), script.ask(question)] == ["wait", "leave"]
 
 
 @pytest.mark.hazard(33)
-def test_what_is_not_restored_ends_the_step_before_its_motion(cell: RecordingCell) -> None:
+def test_a_guard_condition_that_is_not_restored_ends_the_step_before_its_motion(cell: RecordingCell) -> None:
     cell.clock = PassingClock()
     engine = cell.engine(order_of([set_up.STEP], ()))
     engine.checkpoint.guards.append(DiskSpace(cell.folder / "gone"))

@@ -1,4 +1,4 @@
-"""The ring between real-time process and driver: nothing is mixed up, and what is missed is counted."""
+"""The ring buffer between real-time process and driver: entries stay intact, lost ones are counted."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def ring() -> tuple[ByteRing, bytearray]:
     return made, bytearray(layout.size_bytes)
 
 
-def test_what_is_written_is_read_once_and_in_order_across_the_end(ring: tuple[ByteRing, bytearray]) -> None:
+def test_entries_are_read_once_and_in_order_across_the_wrap_around(ring: tuple[ByteRing, bytearray]) -> None:
     entries, memory = ring
     at, heard = 0, b""
     told = b"".join(b"%03d;" % number for number in range(100))
@@ -29,7 +29,7 @@ def test_what_is_written_is_read_once_and_in_order_across_the_end(ring: tuple[By
     assert heard == told
 
 
-def test_a_reader_that_was_overtaken_goes_on_with_the_newest_and_knows_what_it_missed(
+def test_an_overtaken_reader_continues_with_the_newest_entry_and_knows_how_much_it_lost(
     ring: tuple[ByteRing, bytearray],
 ) -> None:
     entries, memory = ring

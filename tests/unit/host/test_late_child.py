@@ -1,4 +1,4 @@
-"""A child that does not become ready: its limit is reported, and whether it did anything at all."""
+"""A child that does not become ready: the error gives its limit and whether it did any work."""
 
 import sys
 import time
@@ -8,7 +8,7 @@ import pytest
 from ronna_hw.host.child_process import READY_TIMEOUT_S, ChildNotReady, ChildProcess
 
 
-def test_of_a_limit_shared_with_others_the_whole_is_told_not_the_rest() -> None:
+def test_a_limit_shared_with_other_children_is_reported_in_full() -> None:
     child = ChildProcess("late", [sys.executable, "-c", "import time; time.sleep(60)"], timeout_s=None)
     with pytest.raises(ChildNotReady, match="late did not become ready; limit 8 s") as caught:
         child.await_ready(8.0, 0.1, since=time.monotonic() - 9.0)
@@ -22,12 +22,12 @@ IN_ITS_CHILD = f"import subprocess, sys, time; subprocess.run([sys.executable, '
 
 
 @pytest.mark.parametrize("work", [WORK, IN_ITS_CHILD], ids=["itself", "its child"])
-def test_a_child_is_waited_for_while_it_works(work: str) -> None:
+def test_a_child_is_waited_for_while_it_uses_the_processor(work: str) -> None:
     with ChildProcess("slow", [sys.executable, "-c", work + READY], timeout_s=None) as child:
         assert child.await_ready(150.0, idle_s=1.0) == {}
 
 
-def test_a_child_that_does_nothing_is_given_up_long_before_the_limit() -> None:
+def test_an_idle_child_is_given_up_long_before_the_limit() -> None:
     child = ChildProcess("halted", [sys.executable, "-c", "import time; time.sleep(60)"], timeout_s=None)
     began_s = time.monotonic()
     with pytest.raises(ChildNotReady, match="limit 1 s without using the processor"):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from ronna_hw.host.network_interfaces import interface_of, interfaces
 
 
-def test_the_loopback_interface_is_found_by_its_address() -> None:
+def test_the_loopback_interface_is_found_and_flagged_as_loopback() -> None:
     own = interface_of("127.0.0.1")
     assert own in interfaces()
     assert own is not None
@@ -13,7 +13,7 @@ def test_the_loopback_interface_is_found_by_its_address() -> None:
     assert own.mtu_bytes > 1500
 
 
-def test_an_interface_reaches_the_addresses_of_its_subnet_only() -> None:
+def test_an_interface_reaches_only_addresses_of_its_subnet() -> None:
     own = interface_of("127.0.0.1")
     assert own is not None
     assert own.reaches("127.9.9.9")

@@ -1,4 +1,4 @@
-"""Too few file descriptors are told at the start, with the number that is needed."""
+"""Too few file descriptors are reported at the start, with the number required."""
 
 import resource
 
@@ -16,14 +16,16 @@ def limits(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
     return kept
 
 
-def test_a_soft_limit_is_raised_as_far_as_is_needed(limits: list[tuple[int, int]]) -> None:
+def test_a_soft_limit_is_raised_as_far_as_required(limits: list[tuple[int, int]]) -> None:
     require_open_files(50)
     assert limits[1:] == []
     require_open_files(96)
     assert limits[1:] == [(96, 4096)]
 
 
-def test_a_hard_limit_is_told_with_the_number_that_is_needed(limits: list[tuple[int, int]]) -> None:
+def test_a_hard_limit_that_is_too_low_is_reported_with_the_number_required(
+    limits: list[tuple[int, int]],
+) -> None:
     limits.append((64, 64))
     with pytest.raises(TooFewOpenFiles, match=r"PRC-002: the limit of open files .* expected 96, got 64"):
         require_open_files(96)

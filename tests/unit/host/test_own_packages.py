@@ -18,12 +18,12 @@ except ForeignPackage as error:
 """
 
 
-def test_our_own_packages_are_ours() -> None:
+def test_our_own_packages_are_accepted() -> None:
     require_own_packages()
     assert foreign_packages() == ()
 
 
-def test_foreign_packages_that_come_first_on_the_path_are_refused_by_name(tmp_path: Path) -> None:
+def test_foreign_packages_ahead_on_the_path_are_refused_by_name(tmp_path: Path) -> None:
     for name in OWN_PACKAGES:
         (tmp_path / name).mkdir()
         (tmp_path / name / "__init__.py").touch()

@@ -45,7 +45,9 @@ def terminal() -> Iterator[str]:
     os.close(slave)
 
 
-def test_another_process_is_named_with_its_command_line(start: Start, terminal: str) -> None:
+def test_another_process_using_a_serial_port_is_reported_with_its_command_line(
+    start: Start, terminal: str
+) -> None:
     assert users_of_serial_port(terminal) == ()
     pid, _ = start(OPENS_OURS, terminal)
     (user,) = users_of_serial_port(terminal)
@@ -54,7 +56,7 @@ def test_another_process_is_named_with_its_command_line(start: Start, terminal: 
     assert f"(pid {pid})" in str(user)
 
 
-def test_the_process_on_the_master_side_does_not_count(start: Start) -> None:
+def test_the_process_on_the_master_side_of_a_terminal_is_not_reported(start: Start) -> None:
     _, path = start(MAKES_ITS_OWN)
     assert users_of_serial_port(path) == ()
 
@@ -64,7 +66,7 @@ def test_a_port_that_does_not_exist_has_no_users() -> None:
 
 
 @pytest.mark.parametrize("bound", ["127.0.0.1", "0.0.0.0"])
-def test_the_process_bound_to_a_udp_port_is_found(bound: str) -> None:
+def test_the_process_bound_to_a_udp_port_is_reported(bound: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((bound, 0))
         port = ours.getsockname()[1]

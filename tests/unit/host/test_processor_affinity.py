@@ -1,4 +1,4 @@
-"""The link follows its telegrams to the processor that takes them in, and is tied to none otherwise."""
+"""The link follows its telegrams to the processor that receives them, and is otherwise not pinned."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def system(monkeypatch: pytest.MonkeyPatch) -> System:
         pytest.param(False, [1] * 10, [], id="process without real-time priority"),
     ],
 )
-def test_it_follows_consecutive_telegrams_to_their_processor(
+def test_the_link_moves_to_the_processor_of_consecutive_telegrams(
     system: System, follows: bool, telegrams_on: list[int], granted: list[set[int]]
 ) -> None:
     processor = ProcessorAffinity(follows=follows)
@@ -50,7 +50,7 @@ def test_it_follows_consecutive_telegrams_to_their_processor(
     assert system.granted == granted
 
 
-def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(system: System) -> None:
+def test_freeing_moves_the_link_elsewhere_and_then_restores_its_original_affinity(system: System) -> None:
     processor = ProcessorAffinity(follows=True)
     processor.free()
     processor.follow(1)
@@ -60,7 +60,7 @@ def test_set_free_it_goes_elsewhere_and_may_then_run_anywhere_it_might_before(sy
     assert system.granted == [{1}, EVERYWHERE - {1}, EVERYWHERE]
 
 
-def test_a_refusal_is_accepted_and_nothing_more_is_asked(system: System) -> None:
+def test_a_refused_affinity_is_not_requested_again(system: System) -> None:
     processor = ProcessorAffinity(follows=True)
     system.refuses = True
     processor.follow(1)

@@ -1,4 +1,4 @@
-"""Who may use a serial port is said with the command that helps."""
+"""Permissions of a serial port are reported with the command that fixes them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from ronna_hw.host.serial_ports import permission_advice, permissions
 
 
-def test_the_group_that_may_use_a_port_is_named(tmp_path: Path) -> None:
+def test_permission_advice_depends_on_the_group_access_to_the_port(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()
     port.chmod(stat.S_IRUSR | stat.S_IWUSR | stat.S_IRGRP | stat.S_IWGRP)

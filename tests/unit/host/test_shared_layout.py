@@ -1,4 +1,4 @@
-"""Rows in shared memory: what is written is read, and what is half-written is noticed."""
+"""Rows in shared memory: what was written is read back, and half-written rows are detected."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ samples = st.builds(
 
 
 @given(samples)
-def test_a_row_is_read_as_it_was_written(sample: Sample) -> None:
+def test_a_row_is_read_back_as_written(sample: Sample) -> None:
     codec = RowCodec(Sample)
     read = codec.unpack(codec.pack(sample))
     assert read == sample
@@ -58,7 +58,7 @@ def test_a_field_without_a_struct_code_is_named() -> None:
         RowCodec(Forgotten)
 
 
-def test_places_of_one_map_do_not_touch_each_other() -> None:
+def test_the_places_of_a_memory_map_do_not_overlap() -> None:
     places = MemoryMap(b"TESTMARK")
     word, counters, rows = places.word(), places.counters(3), places.rows(Sample, 2)
     content, row, last = places.checked_bytes(5), places.checked(Sample), places.word("I")
@@ -100,7 +100,7 @@ def test_more_bytes_than_fit_are_refused() -> None:
         content.write(bytearray(places.size_bytes), b"12345")
 
 
-def test_memory_of_another_program_has_another_mark() -> None:
+def test_memory_of_another_program_is_recognised_by_its_mark() -> None:
     places = MemoryMap(b"TESTMARK")
     assert places.is_marked(b"TESTMARK....")
     assert not places.is_marked(b"RONNARSI....")

@@ -1,4 +1,4 @@
-"""The page of a CT stands alone, and a click on it means the same place as the series does."""
+"""The page of a CT is self-contained, and its voxels are at the same place as those of the series."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def ramp_volume() -> Volume:
     return Volume(voxels.astype(np.int16), geometry, "1.2.3", "1.2.4")
 
 
-def test_a_voxel_of_the_page_is_where_the_voxels_are_that_it_stands_for() -> None:
+def test_a_voxel_of_the_page_is_at_the_position_of_the_voxels_it_represents() -> None:
     volume = ramp_volume()
     view = view_volume(volume)
     assert max(view.grey.shape) <= 256
@@ -43,7 +43,7 @@ def content_of(page: str) -> dict[str, Any]:
     return dict(json.loads(found))
 
 
-def test_the_page_holds_every_slice_and_what_was_found(make_scan: Callable[..., Any]) -> None:
+def test_the_page_contains_every_slice_and_the_markers_found(make_scan: Callable[..., Any]) -> None:
     scan = make_scan(shape=(40, 80, 140))
     scan.ball(np.array([20.0, 20.0, 20.0]))
     geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
@@ -61,7 +61,7 @@ def test_the_page_holds_every_slice_and_what_was_found(make_scan: Callable[..., 
         assert np.abs(tile.astype(int) - grey[number]).mean() < 2.0
 
 
-def test_nothing_is_fetched_and_names_are_no_markup(make_scan: Callable[..., Any]) -> None:
+def test_the_page_fetches_nothing_and_escapes_names(make_scan: Callable[..., Any]) -> None:
     page = ct_page(ramp_volume(), "<b>x</b>", (), (), "</script><script>alert(1)")
     assert not re.search(r"(src|href)\s*=\s*[\"'](?!data:)|url\(|https?:|@import", page)
     assert "<b>x" not in page

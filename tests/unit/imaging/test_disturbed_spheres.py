@@ -1,4 +1,4 @@
-"""A covered, touching or streaked sphere is found in its place; what only resembles one is told apart."""
+"""A covered, touching or streaked sphere is found in its place; look-alikes are rejected."""
 
 from __future__ import annotations
 
@@ -18,7 +18,9 @@ RADIUS_MM = 5.75
 
 
 @pytest.mark.parametrize("covering_hu", [40.0, -50.0])
-def test_a_ball_half_under_skin_or_bandage_is_found_and_flagged(make_scan: Make, covering_hu: float) -> None:
+def test_a_ball_half_covered_by_skin_or_bandage_is_found_and_flagged(
+    make_scan: Make, covering_hu: float
+) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.1])
     scan.half_space(centre + np.array([0.0, 0.5, 0.0]), np.array([0.1, -1.0, 0.2]), covering_hu)
@@ -29,7 +31,7 @@ def test_a_ball_half_under_skin_or_bandage_is_found_and_flagged(make_scan: Make,
     assert marker.quality < 0.6
 
 
-def test_the_round_end_of_a_rod_is_no_half_covered_ball(make_scan: Make) -> None:
+def test_the_round_end_of_a_rod_is_not_taken_for_a_half_covered_ball(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 100, 80))
     centre = np.array([20.0, 18.0, 20.0])
     scan.ball(centre)
@@ -38,7 +40,7 @@ def test_the_round_end_of_a_rod_is_no_half_covered_ball(make_scan: Make) -> None
         localize(as_volume(scan))
 
 
-def test_a_ball_that_touches_metal_is_flagged_and_still_in_its_place(make_scan: Make) -> None:
+def test_a_ball_touching_metal_is_flagged_and_still_accurately_located(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.2, 19.7, 20.3])
     scan.rod(centre + np.array([0.0, RADIUS_MM, 0.0]), np.array([0.0, 1.0, 0.0]), 4.0, 9.0, 3000.0)
@@ -48,7 +50,7 @@ def test_a_ball_that_touches_metal_is_flagged_and_still_in_its_place(make_scan: 
     assert np.linalg.norm(marker.centre_mm - centre) < 0.05
 
 
-def test_two_balls_that_touch_are_told_apart_and_flagged(make_scan: Make) -> None:
+def test_two_touching_balls_are_separated_and_flagged(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 100))
     centres = np.array([[20.2, 19.7, 19.4], [20.2, 19.7, 31.0]])
     for centre in centres:
@@ -59,7 +61,7 @@ def test_two_balls_that_touch_are_told_apart_and_flagged(make_scan: Make) -> Non
     assert all("near_another" in marker.flags for marker in result.markers)
 
 
-def test_balls_that_overlap_are_no_markers(make_scan: Make) -> None:
+def test_overlapping_balls_are_rejected(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 100))
     scan.ball(np.array([20.0, 19.7, 22.0]))
     scan.ball(np.array([20.0, 19.7, 30.0]))
@@ -79,7 +81,7 @@ def with_band(scan: Any, centre: Array, hu: float) -> Volume:
 
 
 @pytest.mark.parametrize("hu", [350.0, -350.0], ids=["bright", "dark, cut off in air"])
-def test_a_band_of_a_streak_across_a_ball_does_not_carry_it_away(make_scan: Make, hu: float) -> None:
+def test_a_streak_band_across_a_ball_does_not_pull_its_centre(make_scan: Make, hu: float) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.3, 19.6, 20.2])
     scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
@@ -90,7 +92,7 @@ def test_a_band_of_a_streak_across_a_ball_does_not_carry_it_away(make_scan: Make
     assert "streaked" in marker.flags
 
 
-def test_a_band_does_not_make_a_marker_of_the_round_end_of_a_rod(make_scan: Make) -> None:
+def test_a_streak_band_does_not_turn_the_round_end_of_a_rod_into_a_marker(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.3, 16.0, 20.2])
     scan.ball(centre)
@@ -157,7 +159,7 @@ def beads(scan: Any, at: Array) -> None:
     ],
     ids=lambda value: value.__name__ if callable(value) else "",
 )
-def test_what_is_no_whole_sphere_is_told_apart_with_its_reason_and_odds(
+def test_a_look_alike_of_a_sphere_is_reported_as_doubtful_with_its_reason_and_low_odds(
     make_scan: Make, look_alike: LookAlike, reason: str
 ) -> None:
     scan = make_scan(shape=(40, 100, 170))
@@ -171,7 +173,7 @@ def test_what_is_no_whole_sphere_is_told_apart_with_its_reason_and_odds(
     assert next(one.odds for one in found.candidates if one.accepted) > 0.9
 
 
-def test_a_ball_unlike_the_others_of_the_scan_is_doubtful(make_scan: Make) -> None:
+def test_a_ball_unlike_the_others_in_the_scan_is_doubtful(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 200))
     for place in (15.0, 40.0, 65.0):
         scan.ball(np.array([20.0, 20.0, place]))

@@ -1,4 +1,4 @@
-"""Spheres are found where they are, to a few micrometres, and the localizer knows how well it knows."""
+"""Spheres are located to a few micrometres, with an honest covariance."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def pairs_of_markers(make_scan: Make, protocol: dict[str, Any], kind: str, scans
     [(GOOD, "post", 0.010), (POOR, "post", 0.025), (GOOD, "streaks", 0.035), (POOR, "streaks", 0.050)],
     ids=["good", "poor", "good with streaks", "poor with streaks"],
 )
-def test_markers_on_posts_are_localized_and_the_covariance_is_honest(
+def test_markers_on_posts_are_located_accurately_and_the_covariance_is_honest(
     make_scan: Make, protocol: dict[str, Any], kind: str, limit_mm: float
 ) -> None:
     error, covariance = pairs_of_markers(make_scan, protocol, kind, scans=5)
@@ -64,7 +64,7 @@ def test_markers_on_posts_are_localized_and_the_covariance_is_honest(
     assert np.linalg.eigvalsh(covariance).min() > 0.0
 
 
-def test_plain_balls_come_near_the_cramer_rao_bound(make_scan: Make) -> None:
+def test_plain_balls_come_close_to_the_cramer_rao_bound(make_scan: Make) -> None:
     error, _ = pairs_of_markers(make_scan, GOOD, "clean", scans=5)
     voxel_mm3 = float(np.prod(GOOD["spacing_mm"]))
     information = voxel_mm3 * 2.0 * np.sqrt(np.pi) * BLUR_MM * 3.0 / (4.0 * np.pi * RADIUS_MM**2)
@@ -72,7 +72,7 @@ def test_plain_balls_come_near_the_cramer_rao_bound(make_scan: Make) -> None:
     assert rms(error) <= 2.5 * bound_mm  # the noise is correlated: the bound for white noise is out of reach
 
 
-def test_a_ball_at_a_voxel_centre_is_not_half_a_voxel_off(
+def test_a_ball_at_a_voxel_centre_is_located_without_a_half_voxel_offset(
     make_scan: Make, dicom_series: Callable[..., Path]
 ) -> None:
     scan = make_scan(spacing_mm=(1.25, 0.7, 0.5), shape=(32, 58, 80))
@@ -107,7 +107,7 @@ def test_an_oblique_or_reversed_series_gives_the_same_patient_points(
     np.testing.assert_array_equal(straight.centres_mm, reversed_order.centres_mm)
 
 
-def test_markers_run_from_superior_to_inferior_and_repeat_bit_for_bit(make_scan: Make) -> None:
+def test_markers_are_ordered_from_superior_to_inferior_and_repeat_bit_for_bit(make_scan: Make) -> None:
     scan = make_scan(shape=(60, 80, 100))
     scan.ball(np.array([14.0, 20.0, 14.0]))
     scan.ball(np.array([44.0, 20.0, 34.0]))
@@ -119,7 +119,7 @@ def test_markers_run_from_superior_to_inferior_and_repeat_bit_for_bit(make_scan:
     np.testing.assert_array_equal(first.covariances_mm2, second.covariances_mm2)
 
 
-def test_cylinder_large_ball_and_metal_ball_are_rejected_with_reasons(make_scan: Make) -> None:
+def test_a_cylinder_a_large_ball_and_a_metal_ball_are_rejected_with_reasons(make_scan: Make) -> None:
     scan = make_scan(shape=(56, 100, 200))
     scan.rod(np.array([2.0, 12.0, 12.0]), np.array([1.0, 0.1, 0.1]), 52.0, 6.0, 150.0)
     scan.ball(np.array([28.0, 25.0, 40.0]), radius_mm=8.0)
@@ -133,7 +133,7 @@ def test_cylinder_large_ball_and_metal_ball_are_rejected_with_reasons(make_scan:
     assert "no surface of a polymer sphere" in reasons
 
 
-def test_a_close_pair_is_told_apart_and_flagged(make_scan: Make) -> None:
+def test_a_close_pair_is_separated_and_flagged(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 100))
     centres = np.array([[20.2, 19.7, 17.4], [20.2, 19.7, 31.4]])
     for centre in centres:
@@ -153,7 +153,7 @@ def test_a_marker_over_skin_is_localized(make_scan: Make) -> None:
 
 
 @pytest.mark.parametrize(("depth_mm", "accepted"), [(3.0, True), (-3.0, False)])
-def test_a_ball_cut_by_the_field_is_flagged_or_rejected(
+def test_a_ball_cut_off_by_the_scan_field_is_flagged_or_rejected(
     make_scan: Make, depth_mm: float, accepted: bool
 ) -> None:
     scan = make_scan(shape=(40, 80, 80))
@@ -168,7 +168,7 @@ def test_a_ball_cut_by_the_field_is_flagged_or_rejected(
         assert all(not candidate.accepted for candidate in caught.value.candidates)
 
 
-def test_a_whole_ball_beside_the_end_of_the_field_is_not_called_cut(make_scan: Make) -> None:
+def test_a_whole_ball_near_the_edge_of_the_field_is_not_flagged_as_cut(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.0, 7.0, 20.0])
     scan.ball(centre)
@@ -190,7 +190,7 @@ def test_padding_outside_the_round_field_counts_as_not_scanned(make_scan: Make) 
 
 
 @pytest.mark.branch("CT_DISAGREEMENT")
-def test_a_misshapen_ball_is_flagged_and_made_uncertain(make_scan: Make) -> None:
+def test_a_misshapen_ball_is_flagged_and_gets_a_larger_uncertainty(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     centre = np.array([20.0, 20.0, 20.0])
     scan.ball(centre)
@@ -215,7 +215,7 @@ def test_a_dent_and_a_bubble_do_not_pull_the_centre(make_scan: Make) -> None:
     assert np.abs(error).max() < 0.03
 
 
-def test_another_diameter_can_be_asked_for(make_scan: Make) -> None:
+def test_another_diameter_can_be_requested(make_scan: Make) -> None:
     scan = make_scan(shape=(40, 80, 80))
     scan.ball(np.array([20.3, 19.6, 20.2]), radius_mm=4.0)
     with pytest.raises(errors.MarkerCountWrong):
@@ -225,7 +225,7 @@ def test_another_diameter_can_be_asked_for(make_scan: Make) -> None:
     assert marker.radius_mm == pytest.approx(4.0, abs=0.05)
 
 
-def test_another_count_than_expected_is_refused_with_all_candidates(make_scan: Make) -> None:
+def test_a_wrong_marker_count_is_refused_with_all_candidates(make_scan: Make) -> None:
     scan = make_scan()
     scan.ball(np.array([20.0, 20.0, 20.0]))
     with pytest.raises(errors.MarkerCountWrong, match="1 marker found, 3 expected") as caught:
@@ -255,7 +255,7 @@ def test_spheres_larger_than_the_scan_are_refused(make_scan: Make) -> None:
         localize(as_volume(make_scan(shape=(20, 40, 40))), diameter_mm=30.0)
 
 
-def test_progress_runs_from_nothing_to_one(make_scan: Make) -> None:
+def test_progress_runs_from_zero_to_one(make_scan: Make) -> None:
     scan = make_scan()
     scan.ball(np.array([20.0, 20.0, 20.0]))
     shares: list[float] = []

@@ -1,4 +1,4 @@
-"""A person's rough clicks are refined where a sphere is, and refused where none is."""
+"""A person's rough picks are refined to the nearby sphere, and refused where there is none."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def truth(volume: Volume) -> Array:
 
 
 @pytest.mark.parametrize("error_mm", [(0.0, 0.0, 0.0), (2.0, -2.0, 2.0), (-4.0, 0.0, 2.0)])
-def test_a_rough_pick_is_refined_as_if_it_had_been_detected(
-    volume: Volume, error_mm: tuple[float, ...]
-) -> None:
+def test_a_rough_pick_is_refined_to_the_detected_centre(volume: Volume, error_mm: tuple[float, ...]) -> None:
     picked = localize_picks(volume, truth(volume)[:1] + error_mm, expected=1)
     detected = localize(volume, expected=2)
     (marker,) = picked.markers
@@ -58,7 +56,7 @@ def test_a_rough_pick_is_refined_as_if_it_had_been_detected(
     ],
     ids=["beside the sphere", "outside", "twice", "not a number"],
 )
-def test_a_pick_without_a_sphere_is_refused_with_the_reason(
+def test_an_invalid_pick_is_refused_with_the_reason(
     volume: Volume, shifts: list[tuple[float, ...]], words: str
 ) -> None:
     with pytest.raises(errors.PickRefused, match=words) as caught:
@@ -66,17 +64,17 @@ def test_a_pick_without_a_sphere_is_refused_with_the_reason(
     assert caught.value.exit_code == 3
 
 
-def test_picks_in_RAS_are_refused_with_that_hint(volume: Volume) -> None:
+def test_picks_in_ras_are_refused_with_a_hint(volume: Volume) -> None:
     with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in RAS"):
         localize_picks(volume, truth(volume)[:1] * (-1.0, -1.0, 1.0))
 
 
-def test_picks_in_metres_are_refused_with_that_hint(volume: Volume) -> None:
+def test_picks_in_metres_are_refused_with_a_hint(volume: Volume) -> None:
     with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in metres"):
         localize_picks(volume, truth(volume)[:1] / 1000.0)
 
 
-def test_what_is_no_volume_is_refused_with_what_makes_one() -> None:
+def test_an_array_instead_of_a_volume_is_refused_with_advice() -> None:
     with pytest.raises(
         errors.LocalizationMisused, match=r"CT-017: .* in mm: ndarray\. Read one with .*read_series"
     ):
@@ -112,13 +110,13 @@ def test_fewer_picks_than_expected_are_refused(volume: Volume) -> None:
         ),
     ],
 )
-def test_picks_are_read_from_the_files_people_have(tmp_path: Path, name: str, text: str) -> None:
+def test_picks_are_read_from_common_file_formats(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     np.testing.assert_allclose(read_picks(tmp_path / name), [[1.0, 2.0, 3.0], [-4.0, 5.5, 6.0]])
 
 
 @pytest.mark.parametrize("text", ["x,y,z\n1,2,3\n", "# a\n1 2 3\n", "1,2,3\n4,5\n", "1,5;2,5;3,5\n"])
-def test_a_line_that_is_no_pick_is_named_with_what_may_stand_there(tmp_path: Path, text: str) -> None:
+def test_a_line_that_is_not_a_pick_is_reported_with_the_expected_format(tmp_path: Path, text: str) -> None:
     (tmp_path / "picks.csv").write_text(text)
     line = 2 if text.startswith(("#", "1,2,3")) else 1
     with pytest.raises(errors.PicksUnreadable, match=f"picks.csv, line {line} .* header L_mm,P_mm,S_mm"):
@@ -141,7 +139,7 @@ def test_a_line_that_is_no_pick_is_named_with_what_may_stand_there(tmp_path: Pat
         ("frame.json", '{"markups": [{"coordinateSystem": "ABC", "controlPoints": []}]}'),
     ],
 )
-def test_a_file_that_holds_no_picks_is_refused(tmp_path: Path, name: str, text: str) -> None:
+def test_a_file_without_picks_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
     with pytest.raises(errors.PicksUnreadable, match=name):
         read_picks(tmp_path / name)

@@ -1,4 +1,4 @@
-"""Pictures of markers show the planes the right way round."""
+"""Pictures of markers show their planes in the right orientation."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -
         assert pixels.std() > 30  # black air, bright balls
 
 
-def test_each_plane_has_the_sphere_in_its_middle(make_scan: Callable[..., Any]) -> None:
+def test_each_plane_is_centred_on_the_sphere(make_scan: Callable[..., Any]) -> None:
     planes = _planes_through(volume_with_balls(make_scan), np.array([20.0, 20.0, 20.0]))
     for plane in planes:
         bright = np.argwhere(plane > -400)
@@ -42,7 +42,7 @@ def test_each_plane_has_the_sphere_in_its_middle(make_scan: Callable[..., Any]) 
         np.testing.assert_allclose(len(bright) * step_mm**2, np.pi * 5.75**2, rtol=0.03)
 
 
-def test_what_was_not_scanned_is_not_shown_as_air(make_scan: Callable[..., Any]) -> None:
+def test_unscanned_regions_are_not_shown_as_air(make_scan: Callable[..., Any]) -> None:
     volume = volume_with_balls(make_scan)
     _, _, along_columns = _planes_through(volume, np.array([20.0, 2.0, 20.0]))
     across = np.linspace(-HALF_WIDTH_MM, HALF_WIDTH_MM, len(along_columns))
@@ -64,6 +64,6 @@ def turned(degrees: float) -> np.ndarray:
         (90.0, ["coronal", "axial", "sagittal"]),
     ],
 )
-def test_planes_have_the_names_that_a_surgeon_gives_them(degrees: float, names: list[str]) -> None:
+def test_planes_have_their_clinical_names(degrees: float, names: list[str]) -> None:
     geometry = VoxelGeometry((4, 4, 4), np.zeros(3), turned(degrees), np.ones(3))
     assert [_plane_name(geometry, through) for _, _, through in _PLANES] == names

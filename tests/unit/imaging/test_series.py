@@ -1,4 +1,4 @@
-"""A series is read as it is or refused with the reason; its geometry is never guessed."""
+"""A series is read faithfully or refused with the reason; its geometry is never guessed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Write = Callable[..., Path]
 HU = np.arange(5 * 6 * 7, dtype=np.int16).reshape(5, 6, 7) - 1000  # what the fixture writes by default
 
 
-def test_values_and_places_come_through(dicom_series: Write) -> None:
+def test_voxel_values_and_geometry_are_read_unchanged(dicom_series: Write) -> None:
     volume = read_series(dicom_series())
     np.testing.assert_array_equal(volume.voxels, HU)
     assert volume.voxels.dtype == np.int16
@@ -36,7 +36,7 @@ def test_values_and_places_come_through(dicom_series: Write) -> None:
         volume.voxels[0, 0, 0] = 1
 
 
-def test_coordinates_name_voxel_centres_and_row_spacing_comes_first(dicom_series: Write) -> None:
+def test_coordinates_refer_to_voxel_centres_and_row_spacing_comes_first(dicom_series: Write) -> None:
     geometry = read_series(dicom_series(HU, (1.25, 0.9, 0.4))).geometry
     # slice 2, row 3, column 4 of a series whose first voxel is centred on (-20, -30, 40)
     expected = [-20 + 4 * 0.4, -30 + 3 * 0.9, 40 + 2 * 1.25]
@@ -44,7 +44,7 @@ def test_coordinates_name_voxel_centres_and_row_spacing_comes_first(dicom_series
     np.testing.assert_allclose(geometry.to_index(expected), [2, 3, 4], atol=1e-9)
 
 
-def test_file_names_and_instance_numbers_do_not_order_the_slices(dicom_series: Write) -> None:
+def test_slices_are_ordered_by_position_and_not_by_file_name_or_instance_number(dicom_series: Write) -> None:
     volume = read_series(dicom_series(HU, reverse=True))
     np.testing.assert_array_equal(volume.voxels, HU)
     np.testing.assert_allclose(volume.geometry.origin_mm, [-20, -30, 40])
@@ -68,7 +68,7 @@ def test_an_oblique_series_maps_every_voxel_to_its_patient_position(dicom_series
     np.testing.assert_allclose(volume.geometry.to_index(expected), index, atol=1e-5)
 
 
-def test_a_sagittal_series_says_where_its_axes_point(dicom_series: Write) -> None:
+def test_a_sagittal_series_reports_the_directions_of_its_axes(dicom_series: Write) -> None:
     path = dicom_series(HU, row_direction=(0.0, 1.0, 0.0), column_direction=(0.0, 0.0, -1.0))
     assert read_series(path).geometry.orientation == "PIR"
 
@@ -76,7 +76,7 @@ def test_a_sagittal_series_says_where_its_axes_point(dicom_series: Write) -> Non
 @pytest.mark.parametrize(
     "syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian, ExplicitVRBigEndian, RLELossless]
 )
-def test_every_lossless_syntax_that_needs_no_plug_in_is_read(dicom_series: Write, syntax: str) -> None:
+def test_every_lossless_syntax_without_a_plug_in_is_read(dicom_series: Write, syntax: str) -> None:
     def change(data: Dataset) -> None:
         if syntax == RLELossless:
             data.compress(RLELossless, generate_instance_uid=False)
@@ -124,7 +124,7 @@ def test_a_slope_is_applied_per_slice(dicom_series: Write) -> None:
     np.testing.assert_array_equal(volume.voxels[2], np.rint((HU[2] + 1024.0) * 0.5 - 1000.25))
 
 
-def test_other_files_and_objects_without_pixels_are_left_out(dicom_series: Write) -> None:
+def test_other_files_and_objects_without_pixels_are_ignored(dicom_series: Write) -> None:
     folder = dicom_series()
     (folder / "plan.toml").write_text("text")
     (folder / "README").write_text("text" * 50)
@@ -140,7 +140,7 @@ def test_other_files_and_objects_without_pixels_are_left_out(dicom_series: Write
 
 
 @pytest.mark.hazard(8)
-def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write) -> None:
+def test_thick_slices_gaps_and_large_pixels_give_warnings(dicom_series: Write) -> None:
     path = dicom_series(HU, (3.0, 1.2, 1.2), edit=every(setting(SliceThickness="2.5")))
     thick, gaps, pixels = read_series(path).warnings
     assert "3.00 mm" in thick
@@ -159,7 +159,7 @@ def test_thick_slices_gaps_and_large_pixels_are_warned_about(dicom_series: Write
     ],
     ids=["derived", "lossy", "unit", "no air"],
 )
-def test_a_series_of_doubtful_origin_is_warned_about(
+def test_a_series_of_doubtful_origin_gives_a_warning(
     dicom_series: Write, attributes: dict[str, object], words: str
 ) -> None:
     (warning,) = read_series(dicom_series(HU, edit=every(setting(**attributes)))).warnings
@@ -174,5 +174,5 @@ def test_progress_reaches_one(dicom_series: Write) -> None:
 
 
 @pytest.mark.hazard(35)
-def test_the_patient_is_not_in_the_volume(dicom_series: Write) -> None:
+def test_patient_data_is_not_in_the_repr_of_the_volume(dicom_series: Write) -> None:
     assert "secret" not in repr(read_series(dicom_series())).lower()

@@ -1,4 +1,4 @@
-"""A series with a defect is refused, each defect with its own code and the file's name."""
+"""Every defect of a series is refused with its own error code and the name of the file."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ EDITED = {
 
 @pytest.mark.parametrize("defect", EDITED)
 @pytest.mark.hazard(8)
-def test_a_defect_in_the_headers_is_refused(dicom_series: Write, defect: str) -> None:
+def test_a_defective_header_is_refused(dicom_series: Write, defect: str) -> None:
     edit, error, named = EDITED[defect]
     with pytest.raises(error, match=named) as caught:
         read_series(dicom_series(HU, edit=edit))
@@ -207,7 +207,7 @@ SPOILED = {
 
 @pytest.mark.parametrize("defect", SPOILED)
 @pytest.mark.hazard(8)
-def test_a_spoiled_folder_is_refused(dicom_series: Write, defect: str) -> None:
+def test_a_defective_folder_is_refused(dicom_series: Write, defect: str) -> None:
     folder = dicom_series()
     spoil, error, named = SPOILED[defect]
     spoil(folder)
@@ -215,7 +215,7 @@ def test_a_spoiled_folder_is_refused(dicom_series: Write, defect: str) -> None:
         read_series(folder)
 
 
-def test_of_a_series_that_is_still_being_copied_every_gap_is_named(dicom_series: Write) -> None:
+def test_every_gap_in_a_series_still_being_copied_is_named(dicom_series: Write) -> None:
     folder = dicom_series(np.zeros((8, 6, 7), dtype=np.int16))
     for name in ("0001.dcm", "0005.dcm"):
         (folder / name).unlink()
@@ -232,7 +232,7 @@ def test_different_matrix_sizes_are_refused(dicom_series: Write) -> None:
         read_series(dicom_series(HU, edit=only(1, smaller)))
 
 
-def test_a_truncated_file_at_any_length_is_named(dicom_series: Write) -> None:
+def test_a_file_truncated_at_any_length_is_named(dicom_series: Write) -> None:
     folder = dicom_series()
     whole = (folder / "0002.dcm").read_bytes()
     for size in range(0, len(whole), 7):
@@ -260,7 +260,7 @@ def test_compressed_pixels_that_cannot_be_decoded_are_refused(
 
 
 @pytest.mark.parametrize("name", ["missing", "file"])
-def test_a_folder_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_path_that_is_not_a_folder_is_refused(tmp_path: Path, name: str) -> None:
     (tmp_path / "file").write_text("x")
     with pytest.raises(errors.SeriesNotFound, match=name):
         read_series(tmp_path / name)
@@ -289,7 +289,7 @@ def test_a_folder_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
         "no columns",
     ],
 )
-def test_a_volume_made_by_hand_is_checked_too(spoiled: dict[str, object]) -> None:
+def test_a_volume_built_by_hand_is_validated_too(spoiled: dict[str, object]) -> None:
     sound = {"shape": (5, 6, 7), "origin_mm": np.zeros(3), "axes": np.eye(3), "spacing_mm": np.ones(3)}
     voxels = spoiled.get("voxels", HU)
     geometry = sound | {name: value for name, value in spoiled.items() if name != "voxels"}
@@ -306,7 +306,7 @@ ENCODERS = {
 
 @pytest.mark.parametrize("syntax", ENCODERS)
 @pytest.mark.parametrize("decoder", ["installed", "missing"])
-def test_slices_that_another_toolkit_compressed_are_read_or_refused_with_the_extra_named(
+def test_slices_compressed_by_dcmtk_are_read_or_refused_naming_the_missing_extra(
     dicom_series: Write, monkeypatch: pytest.MonkeyPatch, syntax: str, decoder: str
 ) -> None:
     program, lossless = ENCODERS[syntax]

@@ -1,4 +1,4 @@
-"""A patient who moves while the scan runs is noticed; one who lies still is not suspected."""
+"""A patient who moves during the scan is detected; one who lies still raises no warning."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def head(moved_mm: float, slice_mm: float = 1.0, seed: int = 0) -> tuple[NDArray
 
 
 @pytest.mark.parametrize("moved_mm", [1.0, 3.0])
-def test_a_move_is_told_with_its_size_and_place(moved_mm: float) -> None:
+def test_a_movement_is_reported_with_its_size_and_location(moved_mm: float) -> None:
     (warning,) = motion_warnings(*head(moved_mm))
     told_mm = float(warning.split("moved by ")[1].split(" mm")[0])
     assert told_mm == pytest.approx(moved_mm, rel=0.3)
@@ -41,9 +41,9 @@ def test_a_move_is_told_with_its_size_and_place(moved_mm: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_a_patient_who_lies_still_is_not_suspected(seed: int) -> None:
+def test_a_patient_who_lies_still_gives_no_warning(seed: int) -> None:
     assert motion_warnings(*head(0.0, seed=seed)) == ()
 
 
-def test_between_thick_slices_nothing_can_be_said() -> None:
+def test_thick_slices_give_no_motion_warning() -> None:
     assert motion_warnings(*head(3.0, slice_mm=4.0)) == ()

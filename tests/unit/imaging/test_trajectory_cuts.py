@@ -1,4 +1,4 @@
-"""Three cuts through a target: the patient's sides stand where radiologists look for them."""
+"""Three cuts through a target, with the patient's sides where radiologists expect them."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def planes(mark_mm: tuple[float, float, float]) -> list[np.ndarray]:
         ((0.0, 0.0, OFF_MM), 2, 0, -1),
     ],
 )
-def test_a_mark_stands_on_its_side_of_the_target(
+def test_a_mark_appears_on_its_own_side_of_the_target(
     mark_mm: tuple[float, float, float], plane: int, right: int, down: int
 ) -> None:
     off = round(OFF_MM / STEP_MM)
@@ -56,7 +56,7 @@ def test_a_mark_stands_on_its_side_of_the_target(
     assert picture[MIDDLE - down * off, MIDDLE - right * off].max() == 0
 
 
-def test_a_way_is_drawn_full_in_its_plane_and_fades_where_it_leaves_it() -> None:
+def test_a_trajectory_is_drawn_in_its_plane_and_at_the_target() -> None:
     axial, coronal, _ = planes((OFF_MM, OFF_MM, OFF_MM))
     up = MIDDLE - round(25.0 / STEP_MM)
     assert coronal[up, MIDDLE].max() > 200  # the way runs upwards in this plane

@@ -19,14 +19,14 @@ def _written(folder: Path) -> Path:
     return folder / JOURNAL_FILE
 
 
-def test_what_was_written_is_read_back_in_order(tmp_path: Path) -> None:
+def test_entries_are_read_back_in_order(tmp_path: Path) -> None:
     lines = list(read_journal(_written(tmp_path)))
     assert [(line["sequence"], line["entry"]) for line in lines] == [(0, "intent"), (1, "result")]
 
 
 @pytest.mark.hazard(39)
 @pytest.mark.hazard(1)
-def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
+def test_an_altered_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().replace('"theatre_time_s":1.0', '"theatre_time_s":9.0'))
     with pytest.raises(JournalCorrupt, match="PRO-011"):
@@ -34,27 +34,27 @@ def test_a_changed_line_breaks_the_chain(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(39)
-def test_a_lost_line_breaks_the_chain(tmp_path: Path) -> None:
+def test_a_missing_line_breaks_the_chain(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text().splitlines(keepends=True)[1])
     with pytest.raises(JournalCorrupt):
         list(read_journal(path))
 
 
-def test_one_torn_last_line_is_what_a_crash_leaves_and_is_left_out(tmp_path: Path) -> None:
+def test_a_torn_last_line_is_ignored(tmp_path: Path) -> None:
     path = _written(tmp_path)
     path.write_text(path.read_text() + json.dumps({"sequence": 2})[:7])
     assert len(list(read_journal(path))) == 2
 
 
-def test_a_journal_is_never_written_over(tmp_path: Path) -> None:
+def test_a_journal_is_never_overwritten(tmp_path: Path) -> None:
     _written(tmp_path)
     with pytest.raises(JournalNotWritable, match="PRO-003"):
         Journal(tmp_path)
 
 
 @pytest.mark.hazard(33)
-def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_when_writing_an_entry(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     os.dup2(full := os.open("/dev/full", os.O_WRONLY), journal._file)
     os.close(full)
@@ -64,7 +64,7 @@ def test_a_journal_on_a_full_disk_says_so(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("moment", ["write", "fdatasync", "fstat"])
 @pytest.mark.parametrize("done", [False, True], ids=["before", "after"])
-def test_a_signal_at_any_moment_of_a_write_leaves_a_chain_that_goes_on(
+def test_a_signal_at_any_moment_of_a_write_leaves_a_continuable_chain(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str, done: bool
 ) -> None:
     journal = Journal(tmp_path)
@@ -92,7 +92,7 @@ def test_a_signal_at_any_moment_of_a_write_leaves_a_chain_that_goes_on(
     ]
 
 
-def test_of_a_line_that_was_cut_nothing_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_partially_written_line_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     journal = Journal(tmp_path)
     original = os.write
     monkeypatch.setattr(os, "write", lambda file, line: original(file, line[:9]))
@@ -106,7 +106,7 @@ def test_of_a_line_that_was_cut_nothing_stays(tmp_path: Path, monkeypatch: pytes
 
 @pytest.mark.hazard(33)
 @pytest.mark.parametrize("call", ["write", "fdatasync"])
-def test_how_a_run_ended_is_told_also_on_a_full_disk(
+def test_the_end_of_a_run_can_be_journalled_even_on_a_full_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str
 ) -> None:
     journal = Journal(tmp_path)
@@ -130,7 +130,9 @@ def test_how_a_run_ended_is_told_also_on_a_full_disk(
 
 
 @pytest.mark.hazard(33)
-def test_no_step_begins_without_room_to_tell_its_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_intent_is_refused_without_disk_space_for_the_end_of_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(*_: int) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -141,13 +143,13 @@ def test_no_step_begins_without_room_to_tell_its_end(tmp_path: Path, monkeypatch
 
 
 @pytest.mark.hazard(33)
-def test_a_folder_that_cannot_be_written_gives_no_journal(tmp_path: Path) -> None:
+def test_a_journal_cannot_be_opened_in_a_missing_folder(tmp_path: Path) -> None:
     with pytest.raises(JournalNotWritable, match="PRO-003"):
         Journal(tmp_path / "missing")
 
 
 @pytest.mark.hazard(33)
-def test_a_closed_journal_takes_nothing_more(tmp_path: Path) -> None:
+def test_a_closed_journal_accepts_no_further_entries(tmp_path: Path) -> None:
     journal = Journal(tmp_path)
     journal.close()
     with pytest.raises(JournalNotWritable, match="it is closed"):

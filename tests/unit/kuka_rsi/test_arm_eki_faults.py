@@ -1,4 +1,4 @@
-"""What goes wrong on the EKI channel, and what the controller does not allow, is named."""
+"""Faults on the EKI channel, and conditions in which the controller must not start, are reported by name."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 
 
-def test_nobody_at_the_address_is_told(controller: Any, make_arm: Any) -> None:
+def test_connect_reports_that_nothing_listens_at_the_address(controller: Any, make_arm: Any) -> None:
     arm = make_arm(eki_port=1)
     with pytest.raises(ControllerNotFound, match="refused") as caught:
         arm.connect(timeout_s=1.0)
@@ -30,7 +30,7 @@ def test_nobody_at_the_address_is_told(controller: Any, make_arm: Any) -> None:
     assert state_of(arm) is Lifecycle.DISCONNECTED
 
 
-def test_somebody_who_does_not_answer_is_no_controller(controller: Any, make_arm: Any) -> None:
+def test_connect_reports_that_no_controller_answers_at_the_address(controller: Any, make_arm: Any) -> None:
     controller.mute_commands.add("STATUS")
     with pytest.raises(ControllerNotFound, match="no KR C4 answers"):
         make_arm().connect(timeout_s=0.2)
@@ -47,7 +47,7 @@ def test_somebody_who_does_not_answer_is_no_controller(controller: Any, make_arm
     ],
 )
 @pytest.mark.hazard(20)
-def test_a_controller_set_up_otherwise_is_refused_at_connect(
+def test_a_controller_with_another_configuration_is_refused_at_connect(
     controller: Any, make_arm: Any, fact: str, value: str, said: str
 ) -> None:
     controller.facts[fact] = value
@@ -59,7 +59,9 @@ def test_a_controller_set_up_otherwise_is_refused_at_connect(
 
 
 @pytest.mark.hazard(20)
-def test_a_controller_that_cannot_say_is_unverified(controller: Any, make_arm: Any) -> None:
+def test_a_controller_that_does_not_report_its_context_hash_is_unverified(
+    controller: Any, make_arm: Any
+) -> None:
     del controller.facts["CtxHash"]
     with pytest.raises(Unverified, match="context hash") as caught:
         make_arm().connect()
@@ -81,7 +83,7 @@ def test_a_controller_that_is_not_ready_is_not_started(controller: Any, make_arm
     arm.activate()
 
 
-def test_drives_that_are_off_are_switched_on(controller: Any, make_arm: Any) -> None:
+def test_activate_switches_on_drives_that_are_off(controller: Any, make_arm: Any) -> None:
     controller.facts["Drives"] = "0"
     arm = make_arm()
     arm.connect()
@@ -90,7 +92,7 @@ def test_drives_that_are_off_are_switched_on(controller: Any, make_arm: Any) -> 
     assert controller.facts["Drives"] == "1"
 
 
-def test_a_refused_start_is_told_with_the_controllers_code(controller: Any, make_arm: Any) -> None:
+def test_a_refused_start_is_reported_with_the_controllers_code(controller: Any, make_arm: Any) -> None:
     controller.ack_codes["RSI_START"] = 5
     arm = make_arm()
     arm.connect()
@@ -115,7 +117,7 @@ def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
     active_arm.move_joints(THERE)
 
 
-def test_an_unanswered_question_has_a_time_limit(controller: Any, make_arm: Any) -> None:
+def test_an_unanswered_request_times_out(controller: Any, make_arm: Any) -> None:
     arm = make_arm()
     arm.connect()
     controller.mute_commands.add("STATUS")
@@ -125,14 +127,18 @@ def test_an_unanswered_question_has_a_time_limit(controller: Any, make_arm: Any)
 
 
 @pytest.mark.slow
-def test_a_controller_that_ignores_the_stop_object_is_ended_by_eki(controller: Any, active_arm: Any) -> None:
+def test_rsi_is_stopped_over_eki_when_the_controller_ignores_the_stop_object(
+    controller: Any, active_arm: Any
+) -> None:
     controller.stop_honoured = False
     active_arm.deactivate(timeout_s=2.0)
     assert "RSI_STOP" in controller.commands
     assert controller.facts["RSI"] == "0"
 
 
-def test_a_message_of_an_earlier_run_is_acknowledged_only_by_name(controller: Any, make_arm: Any) -> None:
+def test_a_message_from_an_earlier_run_is_acknowledged_only_by_a_named_person(
+    controller: Any, make_arm: Any
+) -> None:
     controller.facts["Err"] = "29002"
     arm = make_arm()
     arm.connect()

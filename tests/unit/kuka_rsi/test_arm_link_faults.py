@@ -1,4 +1,4 @@
-"""What goes wrong on the real-time link is worked through, or latched and named."""
+"""Faults on the real-time link are ridden through, or latched and named."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from ronna_hw.devices import Lifecycle
 
 
 @pytest.mark.hazard(38)
-def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_cycles_are_kept(
+def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_last_cycles_are_kept(
     controller: Any, active_arm: Any
 ) -> None:
     thread, caught = moving(active_arm, controller)
@@ -45,7 +45,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_cycles_are_kept(
 
 
 @pytest.mark.hazard(4)
-def test_silence_is_noticed_and_latched(controller: Any, active_arm: Any) -> None:
+def test_link_silence_is_detected_and_latched(controller: Any, active_arm: Any) -> None:
     thread, caught = moving(active_arm, controller)
     controller.silent.set()
     thread.join()
@@ -62,7 +62,7 @@ def test_silence_is_noticed_and_latched(controller: Any, active_arm: Any) -> Non
     active_arm.move_joints(THERE)
 
 
-def test_a_taken_port_is_said_at_configure(controller: Any, make_arm: Any) -> None:
+def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None:
     arm = make_arm()
     arm.connect()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
@@ -74,7 +74,7 @@ def test_a_taken_port_is_said_at_configure(controller: Any, make_arm: Any) -> No
     arm.configure()
 
 
-def test_no_telegram_after_the_start_is_said_and_latched(controller: Any, make_arm: Any) -> None:
+def test_activate_reports_and_latches_a_missing_first_telegram(controller: Any, make_arm: Any) -> None:
     controller.silent.set()
     arm = make_arm()
     arm.connect()
@@ -89,7 +89,7 @@ def test_no_telegram_after_the_start_is_said_and_latched(controller: Any, make_a
 
 
 @pytest.mark.hazard(20)
-def test_axes_that_disagree_between_the_two_channels_are_refused(controller: Any, make_arm: Any) -> None:
+def test_axes_that_disagree_between_eki_and_rsi_are_refused(controller: Any, make_arm: Any) -> None:
     controller.eki_axes_deg = (5.0, -90.0, 90.0, 0.0, 60.0, 0.0)
     arm = make_arm()
     arm.connect()
@@ -128,7 +128,7 @@ def _elsewhere(controller: Any) -> bytes:
 
 
 @pytest.mark.hazard(20)
-def test_datagrams_of_strangers_before_the_controllers_first_are_not_answered_and_end_nothing(
+def test_foreign_datagrams_before_the_controllers_first_telegram_get_no_reply_and_end_nothing(
     controller: Any, waiting_arm: Any
 ) -> None:
     arm, activated = waiting_arm
@@ -139,7 +139,7 @@ def test_datagrams_of_strangers_before_the_controllers_first_are_not_answered_an
     assert arm.read_state().joints_rad == radians6(*controller.axes_deg)
 
 
-def test_strangers_are_counted_and_named_when_the_controllers_telegram_does_not_come(
+def test_foreign_datagrams_are_counted_and_named_when_the_controllers_telegram_does_not_come(
     controller: Any, waiting_arm: Any
 ) -> None:
     arm, activated = waiting_arm

@@ -1,4 +1,4 @@
-"""The driver against a controller of bytes: sessions from connect to close."""
+"""The driver against a fake controller: sessions from connect to close."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from ronna_hw.frames import Frame, Transform
 CYCLES_AFTERWARDS = 5  # in which a motion that was not refused would show
 
 
-def test_it_is_a_robot_arm(make_arm: Any) -> None:
+def test_the_driver_is_a_robot_arm(make_arm: Any) -> None:
     assert isinstance(make_arm(), RobotArm)
 
 
-def test_a_session_from_connect_to_close(controller: Any, make_arm: Any) -> None:
+def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) -> None:
     arm = make_arm()
     identity = arm.connect()
     assert (identity.vendor, identity.model) == ("KUKA", "kr6_r900_sixx")
@@ -66,7 +66,7 @@ def test_a_session_from_connect_to_close(controller: Any, make_arm: Any) -> None
     arm.close()
 
 
-def test_the_arm_can_be_observed_in_every_state_from_any_thread_without_looking_for_faults(
+def test_observe_works_in_every_state_from_any_thread_without_checking_for_faults(
     controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked_in: list[str] = []  # names of threads; the reader of the EKI channel looks by itself
@@ -91,9 +91,7 @@ def test_the_arm_can_be_observed_in_every_state_from_any_thread_without_looking_
     assert arm.observe().reading.commanded_rad == THERE
 
 
-def test_a_block_that_is_left_by_an_error_while_the_arm_moves_leaves_it_at_rest(
-    controller: Any, make_arm: Any
-) -> None:
+def test_an_error_inside_the_active_block_brings_a_moving_arm_to_rest(controller: Any, make_arm: Any) -> None:
     def break_off() -> None:
         with arm.active():
             motions.append(moving(arm, controller))
@@ -119,7 +117,7 @@ def test_motion_is_refused_outside_active(make_arm: Any) -> None:
         arm.read_state()
 
 
-def test_going_nowhere_returns_the_settled_reading(active_arm: Any) -> None:
+def test_a_move_to_the_current_position_returns_the_settled_reading(active_arm: Any) -> None:
     here = active_arm.read_state().commanded_rad
     assert active_arm.move_joints(here).commanded_rad == here
 
@@ -134,7 +132,7 @@ def test_close_is_bounded_when_the_controller_is_gone(controller: Any, active_ar
 
 
 @pytest.mark.slow
-def test_close_in_motion_brings_the_arm_to_rest_and_ends_the_program(
+def test_close_during_motion_brings_the_arm_to_rest_and_ends_the_program(
     controller: Any, active_arm: Any
 ) -> None:
     thread, caught = moving(active_arm, controller)

@@ -22,7 +22,7 @@ from ronna_hw.errors import RonnaError
 
 
 @pytest.mark.hazard(32)
-def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, active_arm: Any) -> None:
+def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any, active_arm: Any) -> None:
     thread, caught = moving(active_arm, controller)
     active_arm.stop(StopKind.HOLD)
     thread.join()
@@ -47,7 +47,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_moves_nothing(controller: Any, a
     ],
 )
 @pytest.mark.hazard(32)
-def test_a_stop_that_is_no_hold_is_latched_until_recovered(
+def test_every_stop_except_hold_is_latched_until_recovered(
     controller: Any, active_arm: Any, kind: StopKind, error: type[RonnaError]
 ) -> None:
     thread, caught = moving(active_arm, controller)
@@ -68,7 +68,9 @@ def test_a_stop_that_is_no_hold_is_latched_until_recovered(
     active_arm.move_joints(THERE)
 
 
-def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: Any, controller: Any) -> None:
+def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
+    make_arm: Any, controller: Any
+) -> None:
     arm = make_arm()
     arm.connect()
     arm.configure()
@@ -79,7 +81,7 @@ def test_an_arm_that_does_not_settle_is_told_after_its_time_in_cycles(make_arm: 
     assert caught.value.code == "RSI-011"
 
 
-def test_an_arm_that_rests_beside_its_end_is_not_given_the_time_of_its_motion(
+def test_an_arm_at_rest_off_its_goal_is_reported_after_the_settle_limit_not_the_motion_timeout(
     active_arm: Any, controller: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("drivers.kuka_rsi.motion_following.SETTLE_LIMIT_S", 0.5)

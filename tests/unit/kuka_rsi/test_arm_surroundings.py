@@ -1,4 +1,4 @@
-"""The driver checks every motion against what is around: before it begins, and in the real-time process."""
+"""The driver checks every motion against its surroundings, before the start and in the real-time process."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _post_beside(angle_deg: float) -> Surroundings:
 
 
 @pytest.mark.hazard(24)
-def test_a_goal_with_something_in_the_way_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
+def test_an_obstructed_goal_is_refused_before_motion(controller: Any, active_arm: Any) -> None:
     active_arm.surround(_post_beside(15.0))
     sent = controller.replies[-1][1]
     with pytest.raises(NotClear, match=r"ARM-007: .*hand would come too close to the drip stand") as caught:
@@ -52,7 +52,9 @@ def test_a_goal_with_something_in_the_way_is_refused_before_motion(controller: A
 
 
 @pytest.mark.hazard(24)
-def test_a_motion_is_previewed_before_it_is_run_and_nothing_moves(controller: Any, active_arm: Any) -> None:
+def test_a_preview_shows_whether_a_motion_is_clear_and_nothing_moves(
+    controller: Any, active_arm: Any
+) -> None:
     sent = controller.replies[-1][1]
     active_arm.surround(_post_beside(15.0))
     seen = active_arm.preview(JointMove(ASIDE))
@@ -88,7 +90,7 @@ def test_unreachable_and_singular_goals_are_refused_before_motion(controller: An
 
 
 @pytest.mark.hazard(24)
-def test_the_real_time_process_watches_what_planning_passed() -> None:
+def test_the_real_time_process_trips_on_an_obstacle_that_planning_missed() -> None:
     """Planned without the post, driven with it: as if planning were wrong."""
     limits = working_limits(MODEL)
     points = SetPoints(MODEL, limits, CYCLE_S, START)
@@ -141,7 +143,7 @@ def mailboxes() -> Any:
     os.close(fd)
 
 
-def test_speed_steps_and_surroundings_reach_the_other_side(mailboxes: Any) -> None:
+def test_speed_steps_and_surroundings_arrive_through_the_mailbox(mailboxes: Any) -> None:
     ours, theirs = mailboxes
     plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
     for steps in ((), (SpeedStep(0.0, 0.5), SpeedStep(0.25, 0.1)), (SpeedStep(0.5, 0.2),) * MOST_STEPS):
@@ -155,7 +157,7 @@ def test_speed_steps_and_surroundings_reach_the_other_side(mailboxes: Any) -> No
     assert theirs.read_command().surroundings is theirs.read_command().surroundings  # read once
 
 
-def test_more_bodies_than_fit_are_told(mailboxes: Any) -> None:
+def test_surroundings_too_large_for_the_mailbox_are_refused(mailboxes: Any) -> None:
     plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
     ball = Obstacle("x" * 100, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0))
     many = Surroundings(obstacles=(ball,) * (LONGEST_SURROUNDINGS_BYTES // 100))

@@ -1,4 +1,4 @@
-"""What is set up wrongly is refused before motion, with a code, a reason and an action."""
+"""A wrong configuration is refused before motion, with a code, a reason and an action."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def _configured(arm: Any) -> Any:
     ("host", "reason"),
     [("203.0.113.7", "Cannot assign requested address"), ("nowhere.invalid", "no such address")],
 )
-def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(
+def test_configure_reports_a_stream_address_that_is_not_this_computers(
     controller: Any, host: str, reason: str
 ) -> None:
     endpoints = {"rsi": f"udp://{host}:59152", "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
@@ -54,7 +54,9 @@ def test_an_address_that_is_not_this_computers_is_told_when_the_port_is_taken(
 
 
 @pytest.mark.hazard(34)
-def test_telegrams_of_another_host_than_the_named_one_open_no_session(controller: Any, make_arm: Any) -> None:
+def test_telegrams_from_another_host_than_the_configured_one_open_no_session(
+    controller: Any, make_arm: Any
+) -> None:
     arm = _configured(make_arm(controller_host="127.0.0.9"))
     with pytest.raises(
         NoTelegram, match=r"came from elsewhere, the last from 127.0.0.1; expected telegrams of 127.0.0.9"
@@ -64,14 +66,14 @@ def test_telegrams_of_another_host_than_the_named_one_open_no_session(controller
     assert not controller.replies
 
 
-def test_the_named_host_is_answered(controller: Any, make_arm: Any) -> None:
+def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_arm: Any) -> None:
     arm = _configured(make_arm(controller_host="127.0.0.1"))
     arm.activate()
     arm.move_joints(THERE)
     assert controller.replies
 
 
-def test_telegrams_of_another_type_get_no_reply_and_are_named(controller: Any, make_arm: Any) -> None:
+def test_telegrams_of_another_type_are_reported_and_get_no_reply(controller: Any, make_arm: Any) -> None:
     controller.root_type = "OTHER"
     arm = _configured(make_arm())
     with pytest.raises(NoTelegram, match="were malformed or of another Type"):
@@ -80,7 +82,7 @@ def test_telegrams_of_another_type_get_no_reply_and_are_named(controller: Any, m
 
 
 @pytest.mark.hazard(20)
-def test_twelve_milliseconds_are_driven_when_both_sides_say_so(controller: Any, make_arm: Any) -> None:
+def test_a_12_ms_cycle_runs_when_driver_and_controller_agree_on_it(controller: Any, make_arm: Any) -> None:
     with pytest.raises(WrongController, match="cycle in ms is 4, not 12"):
         make_arm(cycle_ms=12).connect()
     context = load_context()
@@ -101,12 +103,12 @@ def test_twelve_milliseconds_are_driven_when_both_sides_say_so(controller: Any, 
         {"context": "/nowhere/context.toml"},
     ],
 )
-def test_options_that_do_not_go_with_the_context_are_refused_at_once(make_arm: Any, options: Any) -> None:
+def test_options_that_do_not_fit_the_context_are_refused_at_once(make_arm: Any, options: Any) -> None:
     with pytest.raises((ContextUnusable, ContextInvalid)):
         make_arm(**options)
 
 
-def test_a_second_client_of_the_controller_is_told_that_nobody_answers_it(
+def test_a_second_client_of_the_controller_gets_no_answer(
     controller: Any, active_arm: Any, make_arm: Any
 ) -> None:
     with pytest.raises(ControllerNotFound):
@@ -115,9 +117,7 @@ def test_a_second_client_of_the_controller_is_told_that_nobody_answers_it(
 
 
 @pytest.mark.hazard(4)
-def test_a_real_time_process_that_stands_still_is_latched_though_nobody_asks(
-    controller: Any, make_arm: Any
-) -> None:
+def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any, make_arm: Any) -> None:
     arm = _configured(make_arm(heartbeat_limit_s=0.5))
     arm.activate()
     os.kill(arm._connections.link._process.pid, signal.SIGSTOP)
@@ -137,7 +137,7 @@ def test_a_real_time_process_that_stands_still_is_latched_though_nobody_asks(
 # Everything that is no motion
 
 
-def test_tool_and_base_are_set_at_rest_only(controller: Any, make_arm: Any) -> None:
+def test_tool_and_base_can_be_set_only_at_rest(controller: Any, make_arm: Any) -> None:
     arm = _configured(make_arm())
     arm.controller.set_tool(2, Pose.from_kuka(0, 0, 150, 0, 0, 0), mass_kg=1.2)
     arm.controller.set_base(1, Pose())

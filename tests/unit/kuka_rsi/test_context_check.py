@@ -1,4 +1,4 @@
-"""Contexts that are unsafe, or blind, are refused before anything is opened."""
+"""Contexts that are unsafe, or lack feedback, are refused before anything is opened."""
 
 from __future__ import annotations
 
@@ -68,14 +68,14 @@ def test_an_unsafe_context_is_refused_with_the_reason(
     assert str(path) in str(refused.value)
 
 
-def test_every_reason_is_told_at_once(tmp_path: Path) -> None:
+def test_all_reasons_are_reported_at_once(tmp_path: Path) -> None:
     path = tmp_path / "context.toml"
     path.write_text(tomli_w.dumps(_with(axis_correction=None, stop=None)))
     with pytest.raises(ContextUnusable, match=r"no STOP object.*AXISCORR are missing"):
         usable_context("robot.master", KukaOptions(context=path))
 
 
-def test_our_own_context_is_usable_in_both_cycles() -> None:
+def test_the_shipped_context_is_usable_with_both_cycle_times() -> None:
     assert usable_context("robot.master", KukaOptions()).program.cycle_ms == 4
     options = read_options("robot.master", {"cycle_ms": 12})
     assert usable_context("robot.master", options).program.cycle_ms == 12

@@ -1,4 +1,4 @@
-"""The controller's files: what is committed is what the description makes, and others can read it."""
+"""The controller's files: the committed ones match the generator, and third-party software can read them."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ CONTEXT = load_context()
 MADE = render(CONTEXT)
 
 
-def test_the_committed_files_are_the_generated_ones() -> None:
+def test_the_committed_files_match_the_generated_ones() -> None:
     assert {path.name for path in FILES.iterdir()} == set(MADE)
     for name, text in MADE.items():
         assert (FILES / name).read_bytes() == text.replace("\n", "\r\n").encode("ascii"), name
 
 
 @pytest.mark.parametrize("name", sorted(MADE))
-def test_every_file_names_its_description_and_that_it_is_untested(name: str) -> None:
+def test_every_file_carries_its_context_hash_and_all_but_dat_files_are_marked_untested(name: str) -> None:
     assert context_hash(CONTEXT) in MADE[name]
     if not name.endswith(".dat"):
         assert "UNTESTED ON HARDWARE" in MADE[name]
@@ -52,7 +52,7 @@ def test_the_ethernet_file_declares_the_agreed_elements_in_order() -> None:
     assert received == [(e.tag, str(e.indx), str(e.holdon)) for e in CONTEXT.receive]
 
 
-def test_a_client_that_we_did_not_write_reads_the_ethernet_file(tmp_path: Path) -> None:
+def test_a_third_party_client_reads_the_ethernet_file(tmp_path: Path) -> None:
     path = tmp_path / "eth.xml"
     path.write_text(MADE["ronna_rsi_eth.xml"], "ascii")
     code = (
@@ -91,7 +91,7 @@ def test_the_context_wires_each_channel_to_its_object() -> None:
     assert parameters["Mode"] == "4"
 
 
-def test_the_context_wires_what_is_told_back_to_its_channel() -> None:
+def test_the_context_wires_feedback_to_its_channel() -> None:
     told = CONTEXT.model_copy(
         update={
             "send": (*CONTEXT.send, SendElement(tag="Stat", type="LONG", indx=5)),
@@ -115,12 +115,12 @@ def test_the_context_wires_what_is_told_back_to_its_channel() -> None:
         ({"wiring": tuple(w for w in CONTEXT.wiring if w.input != "A4")}, "not complete"),
     ],
 )
-def test_a_context_that_the_files_cannot_carry_is_refused(changes: dict[str, Any], words: str) -> None:
+def test_a_context_that_the_files_cannot_express_is_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(ContextInvalid, match=words):
         render(CONTEXT.model_copy(update=changes))
 
 
-def test_the_program_asks_for_the_agreed_mode_and_widens_every_limit() -> None:
+def test_the_program_requests_the_agreed_mode_and_sets_every_limit() -> None:
     program = MADE["ronna_rsi.src"]
     assert "RSI_ON(#ABSOLUTE, #IPO_FAST)" in program
     for axis in range(1, 7):
@@ -129,7 +129,7 @@ def test_the_program_asks_for_the_agreed_mode_and_widens_every_limit() -> None:
     assert program.count(" IF ") == program.count("ENDIF")
 
 
-def test_the_eki_program_tells_every_attribute_of_the_state() -> None:
+def test_the_eki_program_sends_every_state_attribute() -> None:
     program, layout = MADE["ronna_eki.sub"], MADE["ronna_eki.xml"]
     for attribute in StateAttribute:
         assert f'"State/@{attribute.value}"' in program

@@ -1,4 +1,4 @@
-"""What only EKI tells at rest and before the stream runs: the cause is named, and nothing moves."""
+"""Conditions that only EKI reports, at rest and before the stream: the cause is named, nothing moves."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
 
 @pytest.mark.parametrize("change", [{"EStop": "1"}, {"Guard": "1"}, {"Mode": "AUT"}])
-def test_recovery_is_refused_while_the_cause_stands(
+def test_recovery_is_refused_while_the_cause_persists(
     controller: Any, active_arm: Any, change: dict[str, str]
 ) -> None:
     controller.tell(**change)
@@ -37,9 +37,7 @@ def test_recovery_is_refused_while_the_cause_stands(
 
 
 @pytest.mark.hazard(4)
-def test_a_channel_that_says_nothing_any_more_is_latched_though_nobody_asks(
-    controller: Any, active_arm: Any
-) -> None:
+def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, active_arm: Any) -> None:
     controller.tells = False
     eventually(lambda: active_arm._guard.state is Lifecycle.FAULT)
     assert isinstance(active_arm.fault, NoAnswer)
@@ -52,7 +50,7 @@ def test_a_channel_that_says_nothing_any_more_is_latched_though_nobody_asks(
 # Operating mode T1
 
 
-def test_T1_needs_a_persons_confirmation_each_time(controller: Any, make_arm: Any) -> None:
+def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_arm: Any) -> None:
     controller.facts["Mode"] = "T1"
     arm = make_arm()
     arm.connect()
@@ -69,7 +67,7 @@ def test_T1_needs_a_persons_confirmation_each_time(controller: Any, make_arm: An
         arm.activate()
 
 
-def test_in_T1_the_pendant_may_start_the_program_and_no_axis_goes_beyond_a_tenth_of_full_speed(
+def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth(
     controller: Any, make_arm: Any
 ) -> None:
     controller.facts["Mode"] = "T1"
@@ -114,7 +112,7 @@ def _configured(make_arm: Any) -> Any:
 
 
 @pytest.mark.hazard(20)
-def test_an_unverified_controller_is_activated_only_by_a_micro_move_that_a_person_confirmed(
+def test_an_unverified_controller_is_activated_only_by_a_micro_move_a_person_confirmed(
     silent_controller: Any, make_arm: Any
 ) -> None:
     arm = _configured(make_arm)
@@ -131,7 +129,7 @@ def test_an_unverified_controller_is_activated_only_by_a_micro_move_that_a_perso
 
 
 @pytest.mark.hazard(20)
-def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_holds_for_one_start(
+def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_is_valid_once(
     silent_controller: Any, make_arm: Any
 ) -> None:
     arm = _configured(make_arm)
@@ -146,7 +144,9 @@ def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_holds
 
 
 @pytest.mark.hazard(20)
-def test_a_start_that_was_confirmed_for_nothing_lets_nothing_pass(controller: Any, make_arm: Any) -> None:
+def test_a_confirmation_given_when_none_was_due_does_not_permit_a_start_in_t1(
+    controller: Any, make_arm: Any
+) -> None:
     arm = make_arm()
     arm.connect()
     arm.configure()
@@ -157,7 +157,7 @@ def test_a_start_that_was_confirmed_for_nothing_lets_nothing_pass(controller: An
         arm.activate()
 
 
-def test_in_T1_a_start_is_confirmed_by_who_stands_beside_the_arm(controller: Any, make_arm: Any) -> None:
+def test_in_t1_a_start_is_confirmed_by_the_person_next_to_the_arm(controller: Any, make_arm: Any) -> None:
     controller.facts["Mode"] = "T1"
     arm = make_arm()
     arm.connect()
@@ -170,7 +170,7 @@ def test_in_T1_a_start_is_confirmed_by_who_stands_beside_the_arm(controller: Any
 
 @pytest.mark.hazard(20)
 @pytest.mark.parametrize("how", ["axes exchanged", "corrections add up", "nothing follows"])
-def test_a_controller_that_does_anything_else_in_the_micro_move_is_refused(
+def test_a_controller_that_follows_the_micro_move_wrongly_is_refused(
     silent_controller: Any, make_arm: Any, how: str
 ) -> None:
     before = silent_controller.axes_deg
@@ -189,14 +189,14 @@ def test_a_controller_that_does_anything_else_in_the_micro_move_is_refused(
 
 
 @pytest.mark.hazard(20)
-def test_what_an_unverified_controller_does_say_must_be_right(controller: Any, make_arm: Any) -> None:
+def test_a_wrong_fact_reported_by_an_unverified_controller_is_refused(controller: Any, make_arm: Any) -> None:
     del controller.facts["CtxHash"]
     controller.facts["Variant"] = "kr6_r900_2"
     with pytest.raises(RonnaError, match="arm is kr6_r900_2"):
         make_arm(accept_unverified=True).connect()
 
 
-def test_at_the_end_nobody_hears_the_controller_when_the_links_memory_is_closed(
+def test_close_stops_the_eki_reader_before_closing_the_links_memory(
     active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader, link = active_arm._connections.eki._reader, active_arm._connections.link

@@ -1,4 +1,4 @@
-"""When what EKI tells, or ceases to tell, becomes a fault and a stop: to the limit, without any clock."""
+"""When a report or silence on EKI becomes a fault and a stop: exact limits, without any clock."""
 
 from __future__ import annotations
 
@@ -107,7 +107,9 @@ class Watched:
 @pytest.mark.parametrize(
     ("options", "limit_s"), [({}, EKI_SILENCE_S), ({"silence_limit_s": 5.0}, 5.0)], ids=["usual", "patient"]
 )
-def test_eki_may_say_nothing_up_to_its_limit_and_no_longer(options: dict[str, float], limit_s: float) -> None:
+def test_eki_silence_is_tolerated_up_to_its_limit_and_no_longer(
+    options: dict[str, float], limit_s: float
+) -> None:
     watched = Watched(**options)
     watched.eki.silent_s = limit_s
     watched.watch.controller_quiet()
@@ -123,7 +125,7 @@ def test_eki_may_say_nothing_up_to_its_limit_and_no_longer(options: dict[str, fl
     [({}, HEARTBEAT_LIMIT_S), ({"heartbeat_limit_s": 0.2}, 0.25), ({"silence_limit_s": 3.0}, 3.0)],
     ids=["the heartbeat's", "the silence's", "the silence's, when patient"],
 )
-def test_the_real_time_process_may_stand_still_up_to_its_limit(
+def test_a_stalled_real_time_process_is_tolerated_up_to_its_limit(
     options: dict[str, float], limit_s: float
 ) -> None:
     watched = Watched(**options)
@@ -148,7 +150,7 @@ def test_the_real_time_process_may_stand_still_up_to_its_limit(
     ],
     ids=lambda change: next(iter(change)),
 )
-def test_the_stop_is_ordered_before_the_next_state_is_read(change: dict[str, Any]) -> None:
+def test_a_state_that_forbids_motion_latches_a_fault_and_orders_the_stop_once(change: dict[str, Any]) -> None:
     watched = Watched()
     watched.watch.controller_said(STREAMING_WELL)
     assert watched.outcome == ("", [])
@@ -158,7 +160,7 @@ def test_the_stop_is_ordered_before_the_next_state_is_read(change: dict[str, Any
     assert watched.outcome == ("EKI-010", [StopOrder.PROTECTIVE])  # latched, and ordered once
 
 
-def test_a_stop_names_another_sender_of_telegrams() -> None:
+def test_a_stop_names_a_foreign_sender_of_telegrams() -> None:
     watched = Watched()
     watched.link.state = MOVING._replace(foreign=101, foreign_host="192.168.1.7")
     watched.watch.controller_said(_changed(error=29002))
@@ -169,7 +171,7 @@ def test_a_stop_names_another_sender_of_telegrams() -> None:
 
 
 @pytest.mark.hazard(4)
-def test_a_lost_channel_orders_the_stop_itself() -> None:
+def test_a_lost_eki_channel_orders_the_stop() -> None:
     watched = Watched()
     watched.watch.controller_lost(ControllerLost("tcp://127.0.0.1:54602 closed the connection"))
     assert watched.outcome == ("EKI-002", [StopOrder.PROTECTIVE])
@@ -199,7 +201,7 @@ NO_LONGER_FOLLOWS = MOVING._replace(phase=Phase.FAULT, fault=Fault.MONITOR, viol
     [({}, "RSI-005"), ({"emergency_stop": True}, "EKI-010"), ({"drives": False}, "EKI-010")],
     ids=["none", "emergency stop", "drives off"],
 )
-def test_axes_that_no_longer_follow_are_put_down_to_what_the_controller_says_after_it(
+def test_a_following_error_is_attributed_to_the_controllers_next_state(
     change: dict[str, Any], code: str
 ) -> None:
     watched = Watched()
@@ -214,7 +216,7 @@ def test_axes_that_no_longer_follow_are_put_down_to_what_the_controller_says_aft
 
 
 @pytest.mark.hazard(38)
-def test_a_call_waits_for_the_reason_that_the_axes_do_not_follow() -> None:
+def test_a_call_waits_for_the_cause_of_a_following_error() -> None:
     watched = Watched()
     watched.link.state = NO_LONGER_FOLLOWS
     watched.watch.notice()
@@ -224,7 +226,7 @@ def test_a_call_waits_for_the_reason_that_the_axes_do_not_follow() -> None:
 
 
 @pytest.mark.hazard(38)
-def test_a_controller_that_gives_no_reason_is_not_waited_for_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_wait_for_the_cause_of_a_following_error_is_limited(monkeypatch: pytest.MonkeyPatch) -> None:
     watched, now_s = Watched(), [100.0]
     monkeypatch.setattr("drivers.kuka_rsi.fault_watch.time.monotonic", lambda: now_s[0])
     watched.link.state = NO_LONGER_FOLLOWS

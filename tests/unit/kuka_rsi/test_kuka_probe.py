@@ -1,4 +1,4 @@
-"""The probe of the arm: whether the driver could listen for the stream, and what the controller says."""
+"""The probe of the arm: whether the driver can bind the stream port, and what the controller reports."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def taken() -> Iterator[Endpoint]:
         yield Endpoint("udp", "127.0.0.1", other.getsockname()[1])
 
 
-def test_a_free_port_is_well_and_left_free(taken: Endpoint) -> None:
+def test_a_free_port_passes_and_stays_free(taken: Endpoint) -> None:
     free = Endpoint("udp", "127.77.0.1", taken.port)
     assert stream_port_diagnostic(free).well
     assert stream_port_diagnostic(free).well
@@ -41,7 +41,7 @@ def test_a_port_in_use_names_the_program(taken: Endpoint) -> None:
     assert "Stop that program" in diagnostic.advice
 
 
-def test_a_port_in_use_by_an_unseen_program_names_the_command_that_finds_it(
+def test_a_port_in_use_by_an_invisible_program_names_the_command_that_finds_it(
     taken: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(kuka_probe, "user_of_udp_port", lambda _address, _port: None)
@@ -50,14 +50,14 @@ def test_a_port_in_use_by_an_unseen_program_names_the_command_that_finds_it(
     assert f"ss -ulnp 'sport = {taken.port}'" in diagnostic.advice
 
 
-def test_an_address_of_another_subnet_is_not_one_of_this_computer() -> None:
+def test_an_address_of_another_subnet_is_reported_as_not_local() -> None:
     diagnostic = stream_port_diagnostic(Endpoint("udp", "192.0.2.1", 59152))  # for documents: RFC 5737
     assert not diagnostic.well
     assert "192.0.2.1 is not an address of this computer" in diagnostic.seen
     assert "Ethernet file" in diagnostic.advice
 
 
-def test_the_arm_of_a_theatre_file_and_the_cause(taken: Endpoint) -> None:
+def test_the_probe_reports_the_stream_port_and_why_the_arm_is_unreachable(taken: Endpoint) -> None:
     endpoints = {"rsi": str(taken), "eki_project": "tcp://127.0.0.1:1"}
     stream, arm = kuka_probe.probe(
         "robot.master", DeviceConfig(driver="kuka_rsi", endpoints=endpoints), lambda share: None
@@ -67,7 +67,7 @@ def test_the_arm_of_a_theatre_file_and_the_cause(taken: Endpoint) -> None:
     assert "Nothing listens at tcp://127.0.0.1:1" in arm.advice
 
 
-def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeController) -> None:
+def test_a_pressed_emergency_stop_is_named_with_its_remedy(controller: FakeController) -> None:
     endpoints = {"rsi": own_udp_endpoint(), "eki_project": f"tcp://127.0.0.1:{controller.eki_port}"}
     controller.facts["EStop"] = "1"
     facts = {}
@@ -87,7 +87,7 @@ def test_a_pressed_emergency_stop_is_named_with_what_to_do(controller: FakeContr
     assert facts["operating mode"].found == "EXT"
 
 
-def test_a_controller_that_hangs_up_at_once_serves_another_and_is_not_to_be_recovered() -> None:
+def test_a_controller_that_hangs_up_at_once_is_reported_as_serving_another_client() -> None:
     with socket.create_server(("127.0.0.1", 0)) as busy:
         endpoints = {"rsi": own_udp_endpoint(), "eki_project": f"tcp://127.0.0.1:{busy.getsockname()[1]}"}
 

@@ -1,4 +1,4 @@
-"""The bytes of both links of the arm, as the controller has them at its end."""
+"""The bytes of both links of the arm are recorded as the controller sends and receives them."""
 
 import re
 
@@ -10,9 +10,7 @@ from drivers.kuka_rsi.errors import NoTelegram
 from ronna_hw.devices.byte_sink import Direction, RecordsBytes
 
 
-def test_every_telegram_and_every_reply_is_handed_over_and_so_is_the_eki_session(
-    make_arm, controller: FakeController
-) -> None:
+def test_telegrams_replies_and_the_eki_session_are_recorded(make_arm, controller: FakeController) -> None:
     arm, sink = make_arm(), RecordedBytes()
     assert isinstance(arm, RecordsBytes)
     arm.record_bytes(sink)
@@ -29,13 +27,13 @@ def test_every_telegram_and_every_reply_is_handed_over_and_so_is_the_eki_session
     assert b"<State" in sink.received("robot.master.eki")
 
 
-def test_without_anybody_who_records_the_real_time_process_keeps_nothing(make_arm) -> None:
+def test_the_real_time_process_keeps_no_bytes_without_a_recorder(make_arm) -> None:
     arm = make_arm()
     with arm.active():
         assert arm._connections.link._mailbox.fetch_kept() == ([], 0)
 
 
-def test_a_telegram_without_a_reply_is_kept_too(make_arm, controller: FakeController) -> None:
+def test_a_telegram_without_a_reply_is_recorded_too(make_arm, controller: FakeController) -> None:
     arm, sink = make_arm(), RecordedBytes()
     arm.record_bytes(sink)
     controller.root_type = "OTHER"

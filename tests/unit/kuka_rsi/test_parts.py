@@ -54,14 +54,14 @@ def mailbox() -> Iterator[Mailbox]:
 # Mailbox
 
 
-def test_a_fresh_mailbox_says_starting(mailbox: Mailbox) -> None:
+def test_a_fresh_mailbox_holds_no_state_and_no_command(mailbox: Mailbox) -> None:
     assert mailbox.read_state() == NO_STATE
     assert mailbox.read_command() is None
     assert mailbox.orders() == Orders(0, 0, 0)
 
 
 @pytest.mark.parametrize("target", [None, Pose.from_kuka(1, 2, 3, 40, 50, 60)])
-def test_a_command_arrives_as_it_was_given(mailbox: Mailbox, target: Pose | None) -> None:
+def test_a_command_arrives_unchanged(mailbox: Mailbox, target: Pose | None) -> None:
     plan = MotionPlan(SIX, SIX[::-1], PathLimits(0.1, 0.2, 0.3), target, (7.0, 8.0, 9.0))
     command = Command(5, CommandKind.MOVE, plan, 3)
     mailbox.write_command(command)
@@ -69,7 +69,7 @@ def test_a_command_arrives_as_it_was_given(mailbox: Mailbox, target: Pose | None
     assert mailbox.read_command() == command
 
 
-def test_a_state_arrives_as_it_was_given(mailbox: Mailbox) -> None:
+def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
     state = NO_STATE._replace(
         cycles=7,
         IPOC=2**40,
@@ -91,13 +91,13 @@ def test_a_state_arrives_as_it_was_given(mailbox: Mailbox) -> None:
     assert mailbox.read_state() == state
 
 
-def test_stop_and_heartbeat_are_single_words(mailbox: Mailbox) -> None:
+def test_stop_and_heartbeat_are_read_back_as_orders(mailbox: Mailbox) -> None:
     mailbox.beat(9)
     mailbox.order_stop(2, StopOrder.LINK)
     assert mailbox.orders() == Orders(9, 2 * 8 + 3, 0)
 
 
-def test_a_torn_block_is_never_taken_for_a_state(mailbox: Mailbox) -> None:
+def test_a_torn_block_is_never_read_as_a_state(mailbox: Mailbox) -> None:
     mailbox.write_state(NO_STATE._replace(cycles=0xABCDEF))
     torn = mailbox._memory.find((0xABCDEF).to_bytes(8, "little"))
     mailbox._memory[torn] ^= 0xFF
@@ -113,7 +113,7 @@ def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
     assert kept[-1] == Record(300, 1200, 300, 10.0, SIX, SIX, 0)
 
 
-def test_settings_survive_their_line_of_json() -> None:
+def test_link_settings_survive_a_json_round_trip() -> None:
     settings_given = LinkSettings(
         "h", 1, 2, 3, 4, "v", 4, "S", ("a",), ("b", "c"), ("d",), "s", 0.1, 0.2, 0.3, 0.4, 5
     )
@@ -143,7 +143,7 @@ def test_percentiles_lie_in_the_right_bin() -> None:
 # Options
 
 
-def test_options_have_defaults_and_every_mistake_is_told() -> None:
+def test_options_have_defaults_and_all_mistakes_are_reported() -> None:
     assert read_options("arm", {}).silence_limit_s == 0.25
     assert read_options("arm", {"variant": "kr6_r900_2"}).variant.value == "kr6_r900_2"
     with pytest.raises(BadOptions, match="options have 3 mistakes") as caught:
@@ -176,13 +176,13 @@ def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[Exception],
     assert getattr(caught.value, "code", "") == code
 
 
-def test_silence_names_the_message_that_the_controller_shows() -> None:
+def test_the_silence_error_names_the_message_that_the_controller_shows() -> None:
     silent = NO_STATE._replace(fault=Fault.SILENCE)
     assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), message=29002))
     assert "message" not in str(error_of_fault("arm", silent, KukaOptions())).split(";")[0]
 
 
-def test_every_fault_and_every_refusal_has_words() -> None:
+def test_every_fault_and_every_refusal_has_a_message() -> None:
     for fault in Fault:
         made = error_of_fault("arm", NO_STATE._replace(fault=fault), KukaOptions())
         assert (made is None) == (fault is Fault.NONE)

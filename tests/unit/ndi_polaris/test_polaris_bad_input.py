@@ -1,4 +1,4 @@
-"""What an operator may get wrong, or meet: each case has its code, says what happened and what to do."""
+"""Operator mistakes and mishaps: each has its code and says what happened and what to do."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def tracker_at(endpoint: str, **options: Any) -> PolarisTracker:
 # --- the port -------------------------------------------------------------------------------------------
 
 
-def test_a_wrong_port(tmp_path: Path) -> None:
+def test_a_wrong_port_is_refused_with_the_reason(tmp_path: Path) -> None:
     with raises_on_one_line("NDI-001", "no such file", "name of the port.*doctor"):
         tracker_at(f"serial://{tmp_path}/ttyUSB7").connect(1.0)
     with raises_on_one_line("NDI-001", "not a serial port", "not a serial port.*doctor"):
@@ -62,12 +62,12 @@ def test_a_wrong_port(tmp_path: Path) -> None:
     assert device.state is Lifecycle.CLOSED
 
 
-def test_a_name_that_no_computer_has() -> None:
+def test_an_unknown_host_name_is_reported() -> None:
     with raises_on_one_line("NDI-001", "cannot open tcp://no.such.host.invalid", "address"):
         tracker_at("tcp://no.such.host.invalid:8765").connect(1.0)
 
 
-def test_no_permission(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_permission_is_reported_with_its_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:  # the administrator may open everything, so the port is told to
         raise serial.SerialException(errno.EACCES, "could not open port /dev/ttyUSB0")
 
@@ -77,7 +77,7 @@ def test_no_permission(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.hazard(34)
-def test_a_port_that_another_program_holds() -> None:
+def test_a_port_held_by_another_program_is_reported() -> None:
     unit, terminal = pty.openpty()
     path = os.ttyname(terminal)
     with (
@@ -92,7 +92,7 @@ def test_a_port_that_another_program_holds() -> None:
 # --- who answers ----------------------------------------------------------------------------------------
 
 
-def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
+def test_a_silent_unit_is_reported_with_the_rates_tried(make_tracker: Make, unit: Any) -> None:
     unit.silent, unit.breaks_work = True, False
     device = make_tracker()
     with raises_on_one_line(
@@ -103,13 +103,13 @@ def test_nothing_answers(make_tracker: Make, unit: Any) -> None:
     assert device.state is Lifecycle.DISCONNECTED
 
 
-def test_a_time_limit_too_short_for_every_rate_says_what_was_tried(make_tracker: Make, unit: Any) -> None:
+def test_a_time_limit_too_short_for_every_rate_names_the_rates_tried(make_tracker: Make, unit: Any) -> None:
     unit.silent = True
     with raises_on_one_line("NDI-002", "tried 9600 baud, 115200 baud, 921600 baud$", "powered"):
         make_tracker().connect(1.0)
 
 
-def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
+def test_another_device_on_the_serial_port_is_reported(make_tracker: Make, unit: Any) -> None:
     unit.breaks_work = False
     unit.deliver = lambda name, reply: [(0.01, b"login: ")]
     with raises_on_one_line("NDI-003", "bytes without", "another device or program") as caught:
@@ -127,7 +127,7 @@ def test_another_program_on_the_port(make_tracker: Make, unit: Any) -> None:
     ],
     ids=["http", "mail", "telnet", "bytes"],
 )
-def test_another_program_behind_the_address(talk: bytes) -> None:
+def test_another_program_at_the_tcp_address_is_reported(talk: bytes) -> None:
     with (
         a_server(partial(answer_everything, talk)) as endpoint,
         raises_on_one_line("NDI-003", "CRC", "another device or program"),
@@ -135,7 +135,7 @@ def test_another_program_behind_the_address(talk: bytes) -> None:
         tracker_at(endpoint).connect(20.0)
 
 
-def test_a_program_that_never_stops_talking() -> None:
+def test_a_program_that_never_stops_sending_is_reported() -> None:
     with (
         a_server(talk_for_ever) as endpoint,
         raises_on_one_line("NDI-003", "sends unsolicited data", "another device or program"),
@@ -143,7 +143,7 @@ def test_a_program_that_never_stops_talking() -> None:
         tracker_at(endpoint).connect(30.0)
 
 
-def test_a_program_that_hangs_up() -> None:
+def test_a_program_that_hangs_up_is_reported() -> None:
     with (
         a_server(socket.socket.close) as endpoint,
         raises_on_one_line("NDI-008", "closed|broke", "power and cable"),
@@ -154,14 +154,14 @@ def test_a_program_that_hangs_up() -> None:
 # --- the mode of the unit -------------------------------------------------------------------------------
 
 
-def test_a_unit_that_an_earlier_program_left_tracking_is_taken_over(make_tracker: Make, unit: Any) -> None:
+def test_a_unit_left_tracking_by_an_earlier_program_is_taken_over(make_tracker: Make, unit: Any) -> None:
     unit.initialised = unit.tracking = True
     unit.handles[1] = {"occupied", "initialised", "enabled"}
     device = bring_up(make_tracker())
     assert [reading.tool for reading in device.read_frame().tools] == ["robot_frame"]
 
 
-def test_a_unit_in_a_mode_that_cannot_track(make_tracker: Make, unit: Any) -> None:
+def test_a_unit_in_a_mode_that_cannot_track_refuses_activation(make_tracker: Make, unit: Any) -> None:
     device = make_tracker()
     device.connect()
     device.configure()
@@ -189,14 +189,18 @@ def test_a_corrupt_definition_is_refused_before_the_line_is_opened(
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\3\4" + bytes(748), b"NDI\0" + bytes(100)])
-def test_a_file_that_is_no_definition(make_tracker: Make, tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_is_not_a_tool_definition_is_refused(
+    make_tracker: Make, tmp_path: Path, content: bytes
+) -> None:
     (tmp_path / "other.rom").write_bytes(content)
     with raises_on_one_line("NDI-011", "other.rom (has|is not)", "of the tool"):
         make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "other.rom")}])
 
 
 @pytest.mark.hazard(17)
-def test_a_sound_definition_of_another_tool(make_tracker: Make, tmp_path: Path, pointer: Any) -> None:
+def test_a_valid_definition_of_another_tool_is_refused(
+    make_tracker: Make, tmp_path: Path, pointer: Any
+) -> None:
     (tmp_path / "tool.rom").write_bytes(encode_definition(pointer))
     meant = {"name": "M", "rom": str(tmp_path / "tool.rom"), "sha256": definition_hash(robot_frame())}
     with raises_on_one_line(
@@ -212,7 +216,7 @@ def described(part_number: str, serial_number: str) -> str:
 
 
 @pytest.mark.hazard(17)
-def test_a_unit_that_holds_another_tool_than_was_sent(make_tracker: Make, unit: Any) -> None:
+def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: Make, unit: Any) -> None:
     unit._do_phinf = lambda argument: described("8700339", "34801403")
     device = make_tracker()
     device.connect()
@@ -221,9 +225,7 @@ def test_a_unit_that_holds_another_tool_than_was_sent(make_tracker: Make, unit: 
 
 
 @pytest.mark.parametrize("step", [1, -1])
-def test_a_unit_may_tell_the_serial_number_in_either_byte_order(
-    make_tracker: Make, unit: Any, step: int
-) -> None:
+def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, unit: Any, step: int) -> None:
     number = encode_definition(robot_frame())[20:24][::step].hex().upper()
     unit._do_phinf = lambda argument: described("RONNA-M", number)
     device = make_tracker()
@@ -232,7 +234,7 @@ def test_a_unit_may_tell_the_serial_number_in_either_byte_order(
     assert device.notices == ()
 
 
-def test_a_tool_that_is_told_differently_in_part_is_noted(make_tracker: Make, unit: Any) -> None:
+def test_a_tool_reported_with_another_serial_number_is_noted(make_tracker: Make, unit: Any) -> None:
     unit._do_phinf = lambda argument: described("RONNA-M", "00000000")
     device = make_tracker()
     device.connect()
@@ -241,7 +243,7 @@ def test_a_tool_that_is_told_differently_in_part_is_noted(make_tracker: Make, un
 
 
 @pytest.mark.hazard(17)
-def test_two_tools_with_the_same_geometry(make_tracker: Make, tmp_path: Path) -> None:
+def test_two_tools_with_the_same_geometry_are_refused(make_tracker: Make, tmp_path: Path) -> None:
     (tmp_path / "twin.rom").write_bytes(encode_definition(robot_frame()))
     tools = [{"name": "M", "rom": "robot_frame.rom"}, {"name": "twin", "rom": str(tmp_path / "twin.rom")}]
     with raises_on_one_line("NDI-012", "tools M and twin", "distances differ"):
@@ -253,7 +255,9 @@ def test_two_tools_with_the_same_geometry(make_tracker: Make, tmp_path: Path) ->
 
 @pytest.mark.hazard(4)
 @pytest.mark.parametrize("sent", [0, 1, 5, 6, 20, 52])
-def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit: Any, sent: int) -> None:
+def test_a_link_that_dies_mid_reply_latches_a_fault_and_can_be_recovered(
+    tracker: PolarisTracker, unit: Any, sent: int
+) -> None:
     def dying(name: str, reply: bytes) -> list[tuple[float, bytes]]:
         unit.silent = True
         return [(0.001, reply[:sent])]
@@ -277,7 +281,9 @@ def test_a_link_that_dies_in_the_middle_of_a_reply(tracker: PolarisTracker, unit
 
 
 @pytest.mark.hazard(4)
-def test_a_unit_that_restarts(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_restarted_unit_is_reported_and_tracks_again_after_recovery(
+    tracker: PolarisTracker, unit: Any
+) -> None:
     unit.restart()
     unit._arrivals.append((unit.now_s, b"RESETBE6F\r"))
     with raises_on_one_line("NDI-009", "sent RESET", "recover.*void"):
@@ -288,7 +294,7 @@ def test_a_unit_that_restarts(tracker: PolarisTracker, unit: Any) -> None:
 
 
 @pytest.mark.hazard(15)
-def test_a_bump_from_before_the_session_is_told_and_cleared_by_who_acknowledges_it(
+def test_a_bump_from_before_the_session_is_reported_and_cleared_by_a_named_recovery(
     make_tracker: Make, unit: Any
 ) -> None:
     unit.parameters["Param.Bump Detector.Bumped"] = "1"
@@ -303,7 +309,9 @@ def test_a_bump_from_before_the_session_is_told_and_cleared_by_who_acknowledges_
 
 
 @pytest.mark.hazard(15)
-def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_bump_found_while_recovering_from_another_fault_is_not_cleared_with_it(
+    tracker: PolarisTracker, unit: Any
+) -> None:
     unit.restart()
     unit.unit_baud = unit.baud
     with pytest.raises(errors.UnitRestarted):
@@ -319,7 +327,7 @@ def test_a_bump_behind_another_fault_is_not_cleared_with_it(tracker: PolarisTrac
 
 
 @pytest.mark.hazard(15)
-def test_a_hardware_fault_that_stays_refuses_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_persistent_hardware_fault_blocks_recovery(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0010
     with raises_on_one_line("NDI-020", "hardware fault", "Power-cycle") as caught:
         tracker.read_frame()

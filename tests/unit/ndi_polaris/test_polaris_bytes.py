@@ -1,11 +1,11 @@
-"""What passes on the tracker's line, as the unit has it at its end."""
+"""The bytes on the tracker's line are recorded as the unit sends and receives them."""
 
 from recorded_bytes import RecordedBytes
 
 from ronna_hw.devices.byte_sink import RecordsBytes
 
 
-def test_all_bytes_of_the_line_are_handed_over_with_changes_of_rate(make_tracker) -> None:
+def test_all_bytes_on_the_line_and_changes_of_rate_are_recorded(make_tracker) -> None:
     tracker, sink = make_tracker(), RecordedBytes()
     assert isinstance(tracker, RecordsBytes)
     tracker.record_bytes(sink)

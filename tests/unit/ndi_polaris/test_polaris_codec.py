@@ -1,4 +1,4 @@
-"""Frames and replies against the examples of the protocol's reference."""
+"""Frames and replies, checked against the examples in the protocol reference."""
 
 import math
 
@@ -66,7 +66,7 @@ def test_an_ascii_reply_with_a_wrong_crc_is_refused(line: bytes) -> None:
         open_ascii(line)
 
 
-def test_errors_and_warnings_are_told_from_other_texts() -> None:
+def test_error_and_warning_replies_are_recognised() -> None:
     error = unit_error("ERROR0C", "PHSR")
     assert error is not None
     assert error.vendor_code == 0x0C
@@ -100,13 +100,13 @@ def test_a_tx_reply_keeps_status_and_frame_of_a_missing_tool() -> None:
 
 
 @pytest.mark.parametrize("word", ["DISABLED", "UNOCCUPIED", "DISABLED0000000100000001"])
-def test_a_tx_reply_may_give_an_absent_handle_with_or_without_status(word: str) -> None:
+def test_a_tx_reply_with_an_absent_handle_is_decoded_with_or_without_status(word: str) -> None:
     (report,) = decode_tx(f"0102{word}\n0000", strays=False).handles
     assert report.state.value == word.split("0")[0].lower()
     assert report.frame is None
 
 
-def test_tx_strays_carry_positions_and_bits_padded_at_the_front() -> None:
+def test_tx_strays_are_decoded_with_front_padded_outside_bits() -> None:
     strays = "+001000+002000-150000" + "-001000-002000-250000" + "+000000+000000-100000"
     reply = decode_tx(f"0101MISSING000000310000012D\n033{strays}0002")
     assert reply.strays_mm == ((10, 20, -1500), (-10, -20, -2500), (0, 0, -1000))
@@ -114,13 +114,13 @@ def test_tx_strays_carry_positions_and_bits_padded_at_the_front() -> None:
     assert reply.system_status == SystemStatus.TOO_MUCH_INFRARED
 
 
-def test_tx_strays_outside_may_be_left_out_by_the_unit() -> None:
+def test_tx_strays_are_decoded_without_outside_bits() -> None:
     reply = decode_tx("0101MISSING000000310000012D\n024+001000+002000-1500000000".replace("024", "022"))
     assert reply.strays_mm == ((10, 20, -1500),)
     assert reply.stray_outside is None
 
 
-def test_a_bx_reply_gives_the_same_as_the_tx_reply_of_that_frame() -> None:
+def test_a_bx_reply_decodes_to_the_same_as_the_tx_reply_of_the_same_frame() -> None:
     body = body_of(BX_VALID)
     assert binary_reply_bytes(BX_VALID) == len(BX_VALID) == 53
     assert decode_bx(body, strays=False) == decode_tx(TX_VALID, strays=False)
@@ -128,7 +128,7 @@ def test_a_bx_reply_gives_the_same_as_the_tx_reply_of_that_frame() -> None:
 
 
 @pytest.mark.hazard(16)
-def test_every_single_bit_error_in_a_binary_reply_is_noticed() -> None:
+def test_every_single_bit_error_in_a_binary_reply_is_detected() -> None:
     for position in range(len(BX_VALID)):
         for bit in range(8):
             broken = bytearray(BX_VALID)
@@ -137,7 +137,7 @@ def test_every_single_bit_error_in_a_binary_reply_is_noticed() -> None:
                 split_binary(bytes(broken))
 
 
-def test_a_binary_reply_is_taken_when_it_is_whole_and_what_follows_is_left() -> None:
+def test_a_binary_reply_is_split_off_only_once_it_is_complete() -> None:
     for length in range(len(BX_VALID)):
         assert split_binary(BX_VALID[:length]) is None
     assert split_binary(BX_VALID + b"more") == (body_of(BX_VALID), b"more")
@@ -153,13 +153,13 @@ def bit_by_bit(data: bytes, crc: int) -> int:
 
 
 @given(st.binary(max_size=70), st.integers(0, 0xFFFF))
-def test_the_crc_is_that_of_its_definition(data: bytes, start: int) -> None:
+def test_the_crc_matches_its_bit_by_bit_definition(data: bytes, start: int) -> None:
     assert crc16(data, start) == bit_by_bit(data, start)
 
 
 @settings(max_examples=500, deadline=None)
 @given(st.binary(max_size=120), st.booleans())
-def test_any_body_is_decoded_or_refused_with_an_error_of_ours(body: bytes, strays: bool) -> None:
+def test_any_bx_body_is_decoded_or_refused_with_a_ronna_error(body: bytes, strays: bool) -> None:
     try:
         reply = decode_bx(body, strays=strays)
     except RonnaError:
@@ -175,7 +175,7 @@ def test_any_body_is_decoded_or_refused_with_an_error_of_ours(body: bytes, stray
     ),
     st.booleans(),
 )
-def test_any_text_is_decoded_or_refused_with_an_error_of_ours(text: str, strays: bool) -> None:
+def test_any_tx_text_is_decoded_or_refused_with_a_ronna_error(text: str, strays: bool) -> None:
     try:
         reply = decode_tx(text, strays=strays)
     except RonnaError:

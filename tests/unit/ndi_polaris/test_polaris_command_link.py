@@ -1,4 +1,4 @@
-"""The session keeps command and reply together whatever the line does."""
+"""The command link keeps commands and replies in step, whatever the line does."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def link(unit: Any) -> CommandLink:
     return link
 
 
-def test_a_reply_with_a_wrong_crc_is_asked_for_once_more(link: CommandLink, unit: Any) -> None:
+def test_a_reply_with_a_wrong_crc_is_requested_again(link: CommandLink, unit: Any) -> None:
     once(unit, lambda reply: [(0.001, b"X" + reply[1:])])
     assert link.ask("APIREV") == "G.001.005"
     assert link.statistics.retries == 1
     assert [line for line in unit.commands if line.startswith("ECHO")]
 
 
-def test_a_reply_that_stays_wrong_is_an_error(link: CommandLink, unit: Any) -> None:
+def test_a_reply_that_stays_corrupt_is_an_error(link: CommandLink, unit: Any) -> None:
     unit.deliver = lambda name, reply: [(0.001, reply if name == "ECHO" else b"X" + reply[1:])]
     with pytest.raises(BadReplyCrc):
         link.ask("APIREV")
@@ -61,7 +61,7 @@ def test_a_command_that_must_not_be_repeated_is_sent_once(link: CommandLink, uni
 
 
 @pytest.mark.parametrize("refusal", [b"ERROR046802\r", b"ERROR016BC2\r"], ids=["CRC", "colon"])
-def test_a_command_garbled_on_its_way_is_repeated(link: CommandLink, unit: Any, refusal: bytes) -> None:
+def test_a_command_garbled_in_transit_is_repeated(link: CommandLink, unit: Any, refusal: bytes) -> None:
     once(unit, lambda reply: [(0.001, refusal)])
     assert link.ask("APIREV") == "G.001.005"
     unit.answers_to["APIREV"] = "ERROR04"
@@ -70,7 +70,7 @@ def test_a_command_garbled_on_its_way_is_repeated(link: CommandLink, unit: Any, 
 
 
 @pytest.mark.hazard(16)
-def test_a_late_reply_is_never_taken_for_the_next_one(link: CommandLink, unit: Any) -> None:
+def test_a_late_reply_is_never_taken_for_the_reply_to_the_next_command(link: CommandLink, unit: Any) -> None:
     once(unit, lambda reply: [(0.6, reply)])
     with pytest.raises(NoReply):
         link.ask("APIREV", deadline_s=unit.now_s + 0.5)
@@ -79,7 +79,7 @@ def test_a_late_reply_is_never_taken_for_the_next_one(link: CommandLink, unit: A
     assert link.ask("GET", "Features.Firmware.Version").startswith("Features.Firmware.Version=")
 
 
-def test_a_reply_that_comes_twice_does_not_put_the_session_out_of_step(link: CommandLink, unit: Any) -> None:
+def test_a_duplicated_reply_does_not_put_the_session_out_of_step(link: CommandLink, unit: Any) -> None:
     for delay_s in (0.001, 0.002, 0.09):
         once(unit, lambda reply, delay_s=delay_s: [(0.001, reply), (delay_s, reply)])
         assert link.ask("APIREV") == "G.001.005"
@@ -88,31 +88,31 @@ def test_a_reply_that_comes_twice_does_not_put_the_session_out_of_step(link: Com
         unit.now_s += 1.0
 
 
-def test_a_late_copy_is_not_taken_for_the_value_of_a_parameter(link: CommandLink, unit: Any) -> None:
+def test_a_late_duplicate_is_not_taken_for_a_parameter_value(link: CommandLink, unit: Any) -> None:
     once(unit, lambda reply: [(0.001, reply), (0.3, reply)])
     assert link.ask("APIREV") == "G.001.005"
     assert read_parameter(link, "Features.Firmware.Version", None) == "007.000.012"
 
 
-def test_a_parameter_that_the_unit_does_not_name_is_refused(link: CommandLink, unit: Any) -> None:
+def test_a_parameter_reply_that_does_not_name_the_parameter_is_refused(link: CommandLink, unit: Any) -> None:
     unit.answers_to["GET"] = "OKAY"
     with pytest.raises(MalformedReply):
         read_parameter(link, "Features.Firmware.Version", None)
 
 
-def test_the_time_limit_is_the_units_own_plus_the_transfer(unit: Any) -> None:
+def test_the_time_limit_is_the_units_own_plus_the_transfer_time(unit: Any) -> None:
     link = CommandLink(unit, monotonic=lambda: unit.now_s)
     assert link.limit_s("BX", 12, 948) == pytest.approx(4.0 + 9600 / 9600)
     unit.set_baud(115200)
     assert link.limit_s("TSTOP", 10, 0) == pytest.approx(2.0 + 100 / 115200)
 
 
-def test_a_unit_that_answers_just_within_its_limit_is_not_given_up(link: CommandLink, unit: Any) -> None:
+def test_a_reply_just_within_the_units_time_limit_is_accepted(link: CommandLink, unit: Any) -> None:
     once(unit, lambda reply: [(3.9, reply)])
     assert link.ask("INIT") == "OKAY"
 
 
-def test_silence_within_the_units_limits_is_a_time_out_and_beyond_them_a_lost_link(
+def test_silence_within_the_units_limits_is_a_timeout_and_beyond_them_a_lost_link(
     link: CommandLink, unit: Any
 ) -> None:
     unit.silent = True
@@ -127,9 +127,7 @@ def test_silence_within_the_units_limits_is_a_time_out_and_beyond_them_a_lost_li
     assert link.ask("APIREV") == "G.001.005"
 
 
-def test_a_reply_that_stops_in_the_middle_is_noticed_before_the_time_limit(
-    link: CommandLink, unit: Any
-) -> None:
+def test_a_truncated_reply_is_detected_before_the_time_limit(link: CommandLink, unit: Any) -> None:
     unit.deliver = lambda name, reply: [(0.001, reply if name == "ECHO" else reply[:5])]
     began_s = unit.now_s
     with pytest.raises(MalformedReply):
@@ -146,13 +144,13 @@ def test_an_announced_reset_ends_the_session(link: CommandLink, unit: Any) -> No
         link.ask("GET", "Features.Firmware.Version")
 
 
-def test_a_unit_without_echo_is_brought_back_in_step_by_its_refusals(link: CommandLink, unit: Any) -> None:
+def test_a_unit_without_echo_is_resynchronised_by_its_refusals(link: CommandLink, unit: Any) -> None:
     unit.answers_to["ECHO"] = "ERROR01"
     once(unit, lambda reply: [(0.001, reply[:-3])])
     assert link.ask("APIREV") == "G.001.005"
 
 
-def test_a_line_that_never_stops_talking_is_an_error(link: CommandLink, unit: Any) -> None:
+def test_a_line_that_never_stops_sending_is_an_error(link: CommandLink, unit: Any) -> None:
     class Babble:
         baud = None
 
@@ -166,7 +164,7 @@ def test_a_line_that_never_stops_talking_is_an_error(link: CommandLink, unit: An
         babbling.ask("APIREV")
 
 
-def test_an_error_reply_is_not_repeated(link: CommandLink, unit: Any) -> None:
+def test_a_command_answered_by_an_error_is_not_repeated(link: CommandLink, unit: Any) -> None:
     with pytest.raises(WrongMode) as caught:
         link.ask("TSTOP")
     assert caught.value.vendor_code == 0x0C

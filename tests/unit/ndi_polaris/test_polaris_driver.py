@@ -1,4 +1,4 @@
-"""The driver as an optical tracker: its calls, their order, and its end."""
+"""The driver as an optical tracker: its calls, their order, and closing."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_the_tracker_can_be_observed_in_every_state(make_tracker: Make) -> None:
     assert device.observe() == LastKnown(Lifecycle.CLOSED, None, frame)
 
 
-def test_tracking_stops_and_starts_again_at_frame_0(tracker: PolarisTracker) -> None:
+def test_tracking_stops_and_restarts_at_frame_0(tracker: PolarisTracker) -> None:
     for _ in range(3):
         tracker.read_frame()
     tracker.deactivate()
@@ -55,7 +55,7 @@ def test_tracking_stops_and_starts_again_at_frame_0(tracker: PolarisTracker) -> 
     assert tracker.read_frame().stamp.device_clock == 0
 
 
-def test_a_start_whose_answer_was_lost_can_be_repeated(make_tracker: Make, unit: Any) -> None:
+def test_activate_can_be_repeated_after_a_lost_reply(make_tracker: Make, unit: Any) -> None:
     device = make_tracker()
     device.connect()
     device.configure()
@@ -67,7 +67,7 @@ def test_a_start_whose_answer_was_lost_can_be_repeated(make_tracker: Make, unit:
     assert device.read_frame().stamp.device_clock == 0
 
 
-def test_closing_leaves_the_unit_as_it_was_at_power_up(tracker: PolarisTracker, unit: Any) -> None:
+def test_closing_restores_the_units_power_up_state(tracker: PolarisTracker, unit: Any) -> None:
     tracker.close()
     assert not unit.tracking
     assert unit.handles == {}
@@ -76,7 +76,7 @@ def test_closing_leaves_the_unit_as_it_was_at_power_up(tracker: PolarisTracker, 
     tracker.close()
 
 
-def test_closing_a_dead_link_is_bounded_and_quiet(tracker: PolarisTracker, unit: Any) -> None:
+def test_closing_a_dead_link_is_bounded_and_raises_nothing(tracker: PolarisTracker, unit: Any) -> None:
     unit.silent = True
     began_s = unit.now_s
     tracker.close()
@@ -84,7 +84,7 @@ def test_closing_a_dead_link_is_bounded_and_quiet(tracker: PolarisTracker, unit:
     assert tracker.state is Lifecycle.CLOSED
 
 
-def test_closing_after_the_port_vanished_is_quiet(tracker: PolarisTracker, unit: Any) -> None:
+def test_closing_after_the_port_vanished_raises_nothing(tracker: PolarisTracker, unit: Any) -> None:
     unit.closed = True
     with pytest.raises(LinkLost):
         tracker.read_frame()
@@ -92,7 +92,7 @@ def test_closing_after_the_port_vanished_is_quiet(tracker: PolarisTracker, unit:
     assert tracker.state is Lifecycle.CLOSED
 
 
-def test_frames_leave_no_memory_behind(tracker: PolarisTracker, unit: Any, clock: Any) -> None:
+def test_reading_frames_leaks_no_memory(tracker: PolarisTracker, unit: Any, clock: Any) -> None:
     """The million frames are read by `make soak`."""
 
     def read(frames: int) -> None:

@@ -1,4 +1,4 @@
-"""Every code of the tracker driver is raised by what it stands for."""
+"""Every error code of the tracker driver is raised by the condition it stands for."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_each_vendor_error_becomes_a_typed_error_with_its_meaning(vendor_code: i
         ("ERROREE", errors.UnitFault),
     ],
 )
-def test_an_error_of_the_unit_reaches_the_caller_by_type(
+def test_a_unit_error_is_raised_as_its_own_type(
     make_tracker: Make, unit: Any, text: str, kind: type[errors.UnitError]
 ) -> None:
     device = make_tracker()
@@ -53,26 +53,26 @@ def test_an_error_of_the_unit_reaches_the_caller_by_type(
     assert device.state is Lifecycle.CONNECTED
 
 
-def test_the_unit_that_cannot_initialise_says_so(make_tracker: Make, unit: Any) -> None:
+def test_a_unit_that_cannot_initialise_is_reported(make_tracker: Make, unit: Any) -> None:
     unit.answers_to["INIT"] = "ERROR10"
     with pytest.raises(errors.NotInitialised):
         make_tracker().connect(60.0)
 
 
-def test_an_endpoint_of_another_kind() -> None:
+def test_an_endpoint_of_another_kind_is_refused() -> None:
     with pytest.raises(BadEndpoint):
         PolarisTracker("t", DeviceConfig(driver="ndi_polaris", endpoint="udp://127.0.0.1:1"), StillClock())
     assert parse_endpoint("serial:///dev/ttyUSB0").scheme == "serial"
 
 
-def test_a_device_of_another_make(make_tracker: Make, unit: Any) -> None:
+def test_a_device_of_another_make_is_refused(make_tracker: Make, unit: Any) -> None:
     unit.answers_to["VER"] = "Aurora Control Firmware"
     with pytest.raises(errors.NotAPolaris, match="Aurora"):
         make_tracker().connect()
 
 
 @pytest.mark.parametrize("wish", [{"expected_model": "vicra"}, {"expected_serial": "P7-99999"}])
-def test_another_unit_than_expected(make_tracker: Make, wish: dict[str, str]) -> None:
+def test_a_unit_other_than_the_expected_one_is_refused(make_tracker: Make, wish: dict[str, str]) -> None:
     with pytest.raises(errors.WrongUnit):
         make_tracker(**wish).connect()
 
@@ -87,13 +87,15 @@ def test_a_lost_link_latches_a_fault(tracker: PolarisTracker, unit: Any) -> None
     assert tracker.fault is caught.value
 
 
-def test_tracking_that_stopped_by_itself_is_a_restart(tracker: PolarisTracker, unit: Any) -> None:
+def test_tracking_that_stopped_by_itself_is_reported_as_a_restart(tracker: PolarisTracker, unit: Any) -> None:
     unit.tracking = False
     with pytest.raises(errors.UnitRestarted, match="no longer tracking"):
         tracker.read_frame()
 
 
-def test_a_frame_number_that_goes_backwards_for_good_is_a_restart(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_frame_number_that_goes_backwards_is_reported_as_a_restart(
+    tracker: PolarisTracker, unit: Any
+) -> None:
     for _ in range(10):
         tracker.read_frame()
     unit.frame = -1
@@ -103,7 +105,7 @@ def test_a_frame_number_that_goes_backwards_for_good_is_a_restart(tracker: Polar
 
 
 @pytest.mark.hazard(15)
-def test_a_bump_latches_and_is_cleared_by_the_recovery(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_bump_is_latched_and_cleared_by_a_named_recovery(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0100
     unit.parameters["Info.Status.New Alerts"] = str(1 << 21)
     unit.parameters["Param.Bump Detector.Bumped"] = "1"
@@ -118,7 +120,7 @@ def test_a_bump_latches_and_is_cleared_by_the_recovery(tracker: PolarisTracker, 
     assert tracker.state is Lifecycle.CONFIGURED
 
 
-def test_a_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: Any) -> None:
+def test_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: Any) -> None:
     unit.closed = True
     with pytest.raises(errors.LinkLost):
         tracker.read_frame()
@@ -131,7 +133,9 @@ def test_a_recovery_with_another_unit_is_refused(tracker: PolarisTracker, unit: 
 
 
 @pytest.mark.hazard(15)
-def test_a_wrong_temperature_holds_and_passes_by_itself(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_temperature_alert_holds_the_tracker_and_clears_by_itself(
+    tracker: PolarisTracker, unit: Any
+) -> None:
     unit.system_status = 0x0200
     with pytest.raises(errors.TemperatureHold):
         tracker.read_frame()
@@ -141,7 +145,9 @@ def test_a_wrong_temperature_holds_and_passes_by_itself(tracker: PolarisTracker,
     assert tracker.state is Lifecycle.ACTIVE
 
 
-def test_an_alert_that_harms_no_pose_is_read_and_tracking_goes_on(tracker: PolarisTracker, unit: Any) -> None:
+def test_an_alert_that_affects_no_pose_is_read_and_tracking_continues(
+    tracker: PolarisTracker, unit: Any
+) -> None:
     unit.system_status = 0x0100
     unit.parameters["Info.Status.New Alerts"] = str(1 << 20)
     tracker.read_frame()
@@ -161,6 +167,8 @@ def test_an_alert_that_harms_no_pose_is_read_and_tracking_goes_on(tracker: Polar
         ({"tools": [], "reply": "XML", "volume": 0}, "2 mistake"),
     ],
 )
-def test_wrong_options_are_all_told_at_once(make_tracker: Make, options: dict[str, Any], words: str) -> None:
+def test_wrong_options_are_all_reported_at_once(
+    make_tracker: Make, options: dict[str, Any], words: str
+) -> None:
     with pytest.raises(errors.BadOptions, match=words):
         make_tracker(**options)

@@ -1,4 +1,4 @@
-"""The unit's clock, told from frame numbers whose replies are late by a delay that varies."""
+"""The unit's clock, estimated from frame numbers whose replies arrive with a varying delay."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def made_s(count: int) -> float:
     return BEGAN_S + count * TRUE_PERIOD_S
 
 
-def test_the_fit_finds_drift_and_moment_through_jitter_and_stalls() -> None:
+def test_the_fit_recovers_drift_and_measurement_time_despite_jitter_and_stalls() -> None:
     clock = FrameClock()
     errors_s = []
     for count, delay_s in zip(range(60 * 90), delays(1), strict=False):
@@ -38,14 +38,14 @@ def test_the_fit_finds_drift_and_moment_through_jitter_and_stalls() -> None:
     assert clock.period_s / NOMINAL_PERIOD_S - 1.0 == pytest.approx(40e-6, abs=5e-6)
 
 
-def test_no_reading_is_said_to_be_made_after_it_came() -> None:
+def test_no_measurement_time_is_later_than_the_arrival() -> None:
     clock = FrameClock()
     for count, delay_s in zip(range(60 * 20), delays(2), strict=False):
         arrived_s = made_s(count) + delay_s
         assert clock.note(count, arrived_s) <= arrived_s + 1e-9
 
 
-def test_asking_faster_than_the_unit_measures_does_not_move_the_line() -> None:
+def test_polling_faster_than_the_unit_measures_does_not_shift_the_fit() -> None:
     clock = FrameClock()
     for count in range(120):
         for again in range(20):
@@ -53,7 +53,7 @@ def test_asking_faster_than_the_unit_measures_does_not_move_the_line() -> None:
     assert fitted_s == pytest.approx(made_s(119) + LEAST_DELAY_S, abs=1e-4)
 
 
-def test_a_counter_that_somebody_sets_anew_begins_a_new_line() -> None:
+def test_a_frame_counter_that_jumps_starts_a_new_fit() -> None:
     clock = FrameClock()
     for count in range(600):
         clock.note(count, made_s(count))
@@ -63,7 +63,7 @@ def test_a_counter_that_somebody_sets_anew_begins_a_new_line() -> None:
     assert clock.jumps == 1
 
 
-def test_a_rate_that_no_quartz_has_is_not_believed() -> None:
+def test_an_implausible_frame_rate_is_rejected() -> None:
     clock = FrameClock()
     for count in range(60 * 30):
         clock.note(count, count / 50)
@@ -81,11 +81,11 @@ def test_a_rate_that_no_quartz_has_is_not_believed() -> None:
         (0, 3 * FRAME_NUMBERS + 5, 3 * FRAME_NUMBERS),
     ],
 )
-def test_frame_numbers_are_counted_on_across_their_wrap(number: int, last: int | None, count: int) -> None:
+def test_frame_numbers_are_extended_across_their_wrap(number: int, last: int | None, count: int) -> None:
     assert counted_on(number, last) == count
 
 
-def test_readings_carry_the_units_clock_our_clock_and_the_moment_of_measurement(
+def test_readings_carry_the_units_clock_theatre_time_and_measurement_time(
     tracker: PolarisTracker, clock: Any
 ) -> None:
     stamps = []
@@ -97,7 +97,7 @@ def test_readings_carry_the_units_clock_our_clock_and_the_moment_of_measurement(
     assert stamps[-1].measured_s == pytest.approx(50.0 + 199 / 60 + 0.001, abs=1e-6)
 
 
-def test_tracking_goes_on_when_the_frame_number_wraps(tracker: PolarisTracker, unit: Any) -> None:
+def test_tracking_continues_when_the_frame_number_wraps(tracker: PolarisTracker, unit: Any) -> None:
     unit.frame = FRAME_NUMBERS - 3  # 2.3 years later
     usual = unit._do_bx
 
@@ -111,7 +111,7 @@ def test_tracking_goes_on_when_the_frame_number_wraps(tracker: PolarisTracker, u
     assert numbers == list(range(FRAME_NUMBERS - 2, FRAME_NUMBERS + 3))
 
 
-def test_a_new_run_of_tracking_begins_a_new_fit(tracker: PolarisTracker, clock: Any) -> None:
+def test_a_new_run_of_tracking_starts_a_new_fit(tracker: PolarisTracker, clock: Any) -> None:
     tracker.read_frame()
     tracker.deactivate()
     clock.time_s = 100.0

@@ -82,7 +82,7 @@ def unit_at(baud: int, elsewhere: bytes = b"") -> Answer:
     return lambda rate, _said: ANSWER if rate == baud else elsewhere
 
 
-def test_a_unit_at_the_rate_of_power_up_answers(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Answer], OtherEnd]) -> None:
     state = look_at_line(other_end(unit_at(9600)).endpoint)
     diagnosis = diagnose(state)
     assert (diagnosis.well, diagnosis.advice) == (True, "")
@@ -115,25 +115,25 @@ def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Answer], Oth
     ]  # fmt: skip
 
 
-def test_another_device_that_speaks_text_is_quoted(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_text_from_another_device_is_quoted(other_end: Callable[[Answer], OtherEnd]) -> None:
     diagnosis = diagnose(look_at_line(other_end(lambda _rate, _said: b"\r\nlogin: ").endpoint))
     assert "'login:'" in diagnosis.advice
 
 
-def test_a_loop_back_is_known(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_loopback_is_recognised(other_end: Callable[[Answer], OtherEnd]) -> None:
     diagnosis = diagnose(look_at_line(other_end(lambda _rate, said: said).endpoint))
     assert not diagnosis.well
     assert "echoes our commands" in diagnosis.seen
 
 
-def test_a_spoilt_first_question_is_asked_again(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Answer], OtherEnd]) -> None:
     answers = iter([b"\xff\xfe", ANSWER])
     state = look_at_line(other_end(lambda _rate, _said: next(answers)).endpoint)
     assert state.answered is not None
     assert state.answered.baud == 9600
 
 
-def test_a_silent_line_names_the_rates_that_were_tried(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Answer], OtherEnd]) -> None:
     end = other_end(lambda _rate, _said: b"")
     diagnosis = diagnose(look_at_line(end.endpoint))
     assert diagnosis.seen == "silent at 9600, 115200, 230400 baud"
@@ -159,7 +159,7 @@ def other_program(other_end: Callable[[Answer], OtherEnd]) -> Iterator[tuple[Oth
     child.communicate("")
 
 
-def test_another_program_is_named_and_its_line_left_alone(other_program: tuple[OtherEnd, int]) -> None:
+def test_another_program_is_named_and_its_line_is_left_alone(other_program: tuple[OtherEnd, int]) -> None:
     end, pid = other_program
     state = look_at_line(end.endpoint)
     diagnosis = diagnose(state)
@@ -169,7 +169,7 @@ def test_another_program_is_named_and_its_line_left_alone(other_program: tuple[O
     assert end.heard == []
 
 
-def test_a_lock_whose_holder_cannot_be_seen_is_reported_as_one(
+def test_a_lock_with_an_invisible_holder_is_reported(
     other_end: Callable[[Answer], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
@@ -184,7 +184,7 @@ def test_a_lock_whose_holder_cannot_be_seen_is_reported_as_one(
     assert f"sudo fuser -v {end.path}" in diagnosis.advice
 
 
-def test_a_missing_permission_names_the_group(
+def test_a_missing_permission_is_reported_and_nothing_is_sent(
     other_end: Callable[[Answer], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
@@ -196,7 +196,7 @@ def test_a_missing_permission_names_the_group(
     assert end.heard == []
 
 
-def test_a_port_that_does_not_exist() -> None:
+def test_a_port_that_does_not_exist_is_reported() -> None:
     diagnosis = diagnose(look_at_line(Endpoint("serial", path="/dev/no-such-port")))
     assert "does not exist" in diagnosis.seen
 
@@ -240,7 +240,7 @@ def listener() -> Iterator[Callable[[bytes | None], Endpoint]]:
         (None, False, "closed as soon as it is used"),
     ],
 )
-def test_what_answers_over_tcp(
+def test_each_kind_of_tcp_peer_is_diagnosed(
     listener: Callable[[bytes | None], Endpoint],
     monkeypatch: pytest.MonkeyPatch,
     answer: bytes | None,
@@ -254,7 +254,7 @@ def test_what_answers_over_tcp(
     assert bool(diagnosis.advice) is not well
 
 
-def test_a_robot_controller_is_in_order_where_no_theatre_file_has_called_it_a_tracker(
+def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
     listener: Callable[[bytes | None], Endpoint], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(line, "INQUIRY_LIMIT_S", 0.2)
@@ -264,7 +264,7 @@ def test_a_robot_controller_is_in_order_where_no_theatre_file_has_called_it_a_tr
     assert "eki_project of [robot.master]" in found.advice
 
 
-def test_nobody_listens() -> None:
+def test_an_address_where_nothing_listens_is_reported() -> None:
     diagnosis = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=1)))
     assert not diagnosis.well
     assert "Nothing listens" in diagnosis.advice
@@ -273,7 +273,7 @@ def test_nobody_listens() -> None:
 # --- the diagnostics --------------------------------------------------------------------------------------
 
 
-def test_the_document_has_every_attempt_in_hex(other_end: Callable[[Answer], OtherEnd]) -> None:
+def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Answer], OtherEnd]) -> None:
     end = other_end(unit_at(115200, b"\xfe\xff"))
     diagnostic = line_diagnostic(look_at_line(end.endpoint), of_tracker=True)
     assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")
@@ -292,7 +292,7 @@ def test_a_line_that_was_not_opened_has_no_attempts() -> None:
     assert diagnostic.document["attempts"] == []
 
 
-def test_the_cause_found_on_the_line_is_the_advice_for_the_device() -> None:
+def test_the_cause_found_on_the_line_becomes_the_advice_for_the_device() -> None:
     shares: list[float] = []
     config = DeviceConfig(driver="ndi_polaris", endpoint="serial:///dev/no-such-port")
     line_seen, device = probe("tracker", config, shares.append)

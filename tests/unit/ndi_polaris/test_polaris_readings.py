@@ -1,4 +1,4 @@
-"""What the replies in tracking become: poses, validities, strays, and what is refused."""
+"""Tracking replies as readings: poses, validities, strays, and replies that are refused."""
 
 from __future__ import annotations
 
@@ -37,13 +37,13 @@ def test_a_frame_holds_pose_frame_number_and_theatre_time(make_tracker: Make, cl
     assert device.statistics.frames == 2
 
 
-def test_one_reading_is_one_request(tracker: PolarisTracker, unit: Any) -> None:
+def test_one_reading_takes_one_request(tracker: PolarisTracker, unit: Any) -> None:
     before = len(unit.commands)
     tracker.read_frame()
     assert unit.commands[before:] == ["BX:1801"]
 
 
-def test_a_unit_without_binary_replies_is_read_by_text(make_tracker: Make, unit: Any) -> None:
+def test_a_unit_without_binary_replies_is_read_with_tx(make_tracker: Make, unit: Any) -> None:
     unit.answers_to["BX"] = "ERROR01"
     device = bring_up(make_tracker())
     device.read_frame()
@@ -54,7 +54,7 @@ def test_a_unit_without_binary_replies_is_read_by_text(make_tracker: Make, unit:
 
 @pytest.mark.hazard(14)
 @pytest.mark.parametrize("hidden", [False, True])
-def test_a_tool_outside_the_volume_has_no_pose_to_build_on(
+def test_a_tool_outside_the_volume_offers_no_transform(
     tracker: PolarisTracker, unit: Any, hidden: bool
 ) -> None:
     unit.port_status = 0x71
@@ -66,7 +66,7 @@ def test_a_tool_outside_the_volume_has_no_pose_to_build_on(
         tool.transform(Frame.TRACKER, Frame.MARKER)
 
 
-def test_a_tool_that_is_not_loaded_is_named_with_those_that_are(tracker: PolarisTracker) -> None:
+def test_an_unknown_tool_is_refused_with_the_names_of_the_loaded_ones(tracker: PolarisTracker) -> None:
     with pytest.raises(UnknownTool, match=r"DEV-003.*no tool pointer; expected robot_frame") as caught:
         tracker.read_frame().tool("pointer")
     assert caught.value.exit_code == EXIT_USAGE
@@ -102,7 +102,7 @@ def test_strays_are_averaged_over_measurements_and_phantoms_rejected(
 
 
 @pytest.mark.hazard(14)
-def test_a_missing_tool_is_a_validity(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_missing_tool_has_validity_missing_and_no_pose(tracker: PolarisTracker, unit: Any) -> None:
     unit.missing.add(1)
     tool = tracker.read_frame().tool("robot_frame")
     assert tool.validity is Validity.MISSING
@@ -122,7 +122,7 @@ def test_a_missing_tool_is_a_validity(tracker: PolarisTracker, unit: Any) -> Non
         (0x4031, Validity.PARTIAL),
     ],
 )
-def test_port_status_becomes_a_validity(
+def test_port_status_maps_to_a_validity(
     tracker: PolarisTracker, unit: Any, status: int, validity: Validity
 ) -> None:
     unit.port_status = status
@@ -141,7 +141,7 @@ def test_port_status_becomes_a_validity(
         (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1500.0, -0.1),
     ],
 )
-def test_numbers_that_cannot_be_a_pose_are_corrupt(
+def test_impossible_pose_values_are_marked_corrupt(
     tracker: PolarisTracker, unit: Any, pose: tuple[float, ...]
 ) -> None:
     unit.pose_of = lambda handle: pose
@@ -150,7 +150,7 @@ def test_numbers_that_cannot_be_a_pose_are_corrupt(
     assert tool.position_mm is None
 
 
-def test_quaternions_are_normalised_with_a_scalar_part_that_is_not_negative(
+def test_quaternions_are_normalised_with_a_non_negative_scalar_part(
     tracker: PolarisTracker, unit: Any
 ) -> None:
     unit.pose_of = lambda handle: (-0.6004, 0.0, 0.8005, 0.0, 0.0, 0.0, -1500.0, 0.1)
@@ -161,7 +161,7 @@ def test_quaternions_are_normalised_with_a_scalar_part_that_is_not_negative(
     assert rotation[2] < 0
 
 
-def test_strays_are_judged_by_the_volume_not_by_the_units_bits(tracker: PolarisTracker, unit: Any) -> None:
+def test_stray_validity_follows_the_volume_not_the_units_bits(tracker: PolarisTracker, unit: Any) -> None:
     unit.strays = [(0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (900.0, 0.0, -1500.0)]
     strays = tracker.read_frame().strays
     assert [stray.validity for stray in strays] == [
@@ -171,14 +171,14 @@ def test_strays_are_judged_by_the_volume_not_by_the_units_bits(tracker: PolarisT
     ]
 
 
-def test_the_selected_volume_is_the_one_that_judges(make_tracker: Make, unit: Any) -> None:
+def test_stray_validity_follows_the_selected_volume(make_tracker: Make, unit: Any) -> None:
     unit.strays = [(0.0, 0.0, -2600.0)]
     frame = bring_up(make_tracker(volume=2)).read_frame()
     assert "VSEL:2" in unit.commands
     assert frame.strays[0].validity is Validity.OK
 
 
-def test_without_a_volume_the_units_bits_have_to_do(make_tracker: Make, unit: Any) -> None:
+def test_the_units_bits_decide_stray_validity_when_no_volume_is_known(make_tracker: Make, unit: Any) -> None:
     unit.answers_to["SFLIST"] = "ERROR25"
     unit.strays = [(0.0, 0.0, -2600.0)]
     device = bring_up(make_tracker())
@@ -196,7 +196,7 @@ def test_strays_at_the_markers_of_a_tool_are_dropped(tracker: PolarisTracker, un
     assert [stray.position_mm for stray in strays] == [(55.0, 40.0, -1500.0)]
 
 
-def test_a_stray_without_a_place_is_no_reading(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_stray_without_a_possible_position_is_dropped(tracker: PolarisTracker, unit: Any) -> None:
     unit.strays = [(math.nan, 0.0, -1500.0), (0.0, 0.0, -1500.0), (0.0, 0.0, 2e5)]
     assert [stray.position_mm for stray in tracker.read_frame().strays] == [(0.0, 0.0, -1500.0)]
 
@@ -212,7 +212,7 @@ def test_a_repeated_frame_number_is_stale_and_counted(tracker: PolarisTracker, u
     assert tracker.statistics.missed == 4
 
 
-def test_too_much_infrared_makes_a_frame_doubtful(tracker: PolarisTracker, unit: Any) -> None:
+def test_too_much_infrared_makes_a_frame_partial(tracker: PolarisTracker, unit: Any) -> None:
     unit.system_status = 0x0002
     assert tracker.read_frame().validity is Validity.PARTIAL
 
@@ -224,7 +224,7 @@ def test_a_reply_without_any_frame_number_is_refused(tracker: PolarisTracker, un
     assert tracker.state is Lifecycle.ACTIVE
 
 
-def test_a_reading_that_is_late_costs_only_itself(tracker: PolarisTracker, unit: Any) -> None:
+def test_a_late_reply_costs_only_its_own_reading(tracker: PolarisTracker, unit: Any) -> None:
     late = iter([True])
     unit.deliver = lambda name, reply: [(1.5 if name == "BX" and next(late, False) else 0.001, reply)]
     with pytest.raises(NoReply):

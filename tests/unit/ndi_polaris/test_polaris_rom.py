@@ -1,4 +1,4 @@
-"""Tool definitions: the layout of real files, the shipped one, and what is refused."""
+"""Tool definitions: the layout of real files, the shipped ones, and those that are refused."""
 
 import contextlib
 import dataclasses
@@ -68,47 +68,47 @@ RIGID_BODY = dataclasses.replace(RIGID_BODY, sequence=3, minimum_markers=4, maxi
         pytest.param(656, struct.pack("<3f", 0.0, 0.0, -1.0), id="normal of the face"),
     ],
 )
-def test_each_field_stands_where_a_real_file_has_it(offset: int, content: bytes) -> None:
+def test_each_field_is_at_the_offset_of_a_real_file(offset: int, content: bytes) -> None:
     block = encode_definition(RIGID_BODY)
     assert block[offset : offset + len(content)] == content
 
 
-def test_a_definition_has_752_bytes_and_the_sum_of_those_after_its_checksum() -> None:
+def test_a_definition_is_752_bytes_with_a_checksum_over_those_after_it() -> None:
     block = encode_definition(RIGID_BODY)
     assert len(block) == 752
     assert int.from_bytes(block[4:6], "little") == sum(block[6:]) % 65536
 
 
-def test_what_is_written_is_read_back() -> None:
+def test_a_definition_survives_writing_and_reading() -> None:
     back = decode_definition(encode_definition(RIGID_BODY))
     assert back.markers_mm[1] == pytest.approx(RIGID_BODY.markers_mm[1], abs=1e-5)
     assert dataclasses.replace(back, markers_mm=RIGID_BODY.markers_mm) == RIGID_BODY
 
 
-def test_zero_padding_behind_a_definition_is_allowed() -> None:
+def test_zero_padding_after_a_definition_is_allowed() -> None:
     assert decode_definition(encode_definition(RIGID_BODY) + bytes(16)).part_number == "8700339"
 
 
 @pytest.mark.parametrize("name", ["robot_frame.rom", "x_frame.rom"])
-def test_a_shipped_definition_is_what_the_generator_writes(name: str) -> None:
+def test_a_shipped_definition_matches_the_generator(name: str) -> None:
     assert (FOLDER / name).read_bytes() == encode_definition(shipped_definitions()[name])
 
 
-def test_nothing_else_is_shipped() -> None:
+def test_only_generated_definitions_are_shipped() -> None:
     assert {path.name for path in FOLDER.iterdir()} == set(shipped_definitions())
 
 
-def test_the_robot_frame_is_the_one_that_hangs_in_the_theatre() -> None:
+def test_the_robot_frame_matches_the_one_in_the_simulated_scene() -> None:
     scene = robot_frame_of_the_scene()
     assert robot_frame().markers_mm == scene.markers_mm
     assert robot_frame().part_number == scene.part_number
 
 
-def test_a_shipped_tool_is_seen_in_one_pose_only_and_shares_no_distance_with_another() -> None:
+def test_the_shipped_tools_are_unambiguous_alone_and_together() -> None:
     assert find_alike({"M": robot_frame(), "x": x_frame()}) == ()
 
 
-def test_the_x_shaped_frame_is_two_bars_that_cross_and_keeps_8_mm_between_its_distances() -> None:
+def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -> None:
     first, second, third, fourth = (np.array(marker) for marker in x_frame().markers_mm)
     crossing = np.zeros(3)
     for end, other in ((first, third), (second, fourth)):
@@ -119,7 +119,7 @@ def test_the_x_shaped_frame_is_two_bars_that_cross_and_keeps_8_mm_between_its_di
     assert shared_segments_mm(x_frame(), robot_frame(), 5.0) == ()
 
 
-def test_definitions_written_by_either_side_are_read_alike_by_the_other() -> None:
+def test_driver_and_simulator_read_each_others_definitions_alike() -> None:
     theirs = decode_definition(write_definition(robot_frame_of_the_scene()))
     assert theirs.markers_mm == robot_frame().markers_mm
     assert theirs.normals == robot_frame().normals
@@ -154,7 +154,7 @@ def changed(offset: int, value: int, *, repair: bool = True) -> bytes:
     ],
 )
 @pytest.mark.hazard(17)
-def test_a_wrong_definition_is_refused_and_says_why(block: bytes, words: str) -> None:
+def test_an_invalid_definition_is_refused_with_the_reason(block: bytes, words: str) -> None:
     if words == "not finite":
         block = bytearray(block)
         block[74:76] = b"\xc0\x7f"
@@ -195,12 +195,12 @@ def foreign(seed: int) -> bytes:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_bytes_that_nobody_explains_survive_reading_and_writing(seed: int) -> None:
+def test_bytes_outside_all_known_fields_survive_a_round_trip(seed: int) -> None:
     block = foreign(seed)
     assert encode_definition(decode_definition(block)) == block
 
 
-def test_a_change_to_a_foreign_definition_touches_nothing_else() -> None:
+def test_a_change_to_a_foreign_definition_alters_no_other_bytes() -> None:
     block = foreign(3)
     changed_error = dataclasses.replace(decode_definition(block), maximum_error_mm=2.0)
     written = encode_definition(changed_error)
@@ -209,7 +209,7 @@ def test_a_change_to_a_foreign_definition_touches_nothing_else() -> None:
     assert decode_definition(written).maximum_error_mm == 2.0
 
 
-def test_a_marker_more_or_less_leaves_nothing_of_a_former_one_behind() -> None:
+def test_removing_a_marker_leaves_no_trace_of_it() -> None:
     three = dataclasses.replace(
         decode_definition(encode_definition(RIGID_BODY)),
         markers_mm=RIGID_BODY.markers_mm[:3],
@@ -222,7 +222,7 @@ def test_a_marker_more_or_less_leaves_nothing_of_a_former_one_behind() -> None:
     assert encode_definition(three)[72 + 36 : 72 + 48] == bytes(12)
 
 
-def test_a_comparison_names_what_differs_and_how_far_a_marker_moved() -> None:
+def test_a_comparison_names_each_difference_and_how_far_a_marker_moved() -> None:
     moved = dataclasses.replace(
         RIGID_BODY,
         part_number="8700340",
@@ -236,7 +236,7 @@ def test_a_comparison_names_what_differs_and_how_far_a_marker_moved() -> None:
     assert compare_definitions(RIGID_BODY, RIGID_BODY) == ()
 
 
-def test_a_comparison_shows_bytes_that_no_field_explains() -> None:
+def test_a_comparison_shows_differing_bytes_outside_all_known_fields() -> None:
     block = bytearray(encode_definition(RIGID_BODY))
     block[60], block[61], block[654] = 0xAB, 0xCD, 0x01
     block[4:6] = (sum(block[6:]) & 0xFFFF).to_bytes(2, "little")
@@ -247,7 +247,7 @@ def test_a_comparison_shows_bytes_that_no_field_explains() -> None:
     ]
 
 
-def test_the_same_shape_elsewhere_is_known_by_its_distances() -> None:
+def test_the_same_shape_at_another_pose_is_recognised_by_its_distances() -> None:
     elsewhere = dataclasses.replace(
         RIGID_BODY, markers_mm=tuple((y + 10.0, -x, z + 5.0) for x, y, z in RIGID_BODY.markers_mm)
     )
@@ -257,7 +257,7 @@ def test_the_same_shape_elsewhere_is_known_by_its_distances() -> None:
 
 
 @pytest.mark.hazard(17)
-def test_two_tools_with_a_common_triangle_are_refused() -> None:
+def test_two_tools_that_share_a_triangle_are_refused() -> None:
     mirrored = dataclasses.replace(
         RIGID_BODY, markers_mm=tuple((-x, y + 5.0, z) for x, y, z in RIGID_BODY.markers_mm)
     )
@@ -266,7 +266,7 @@ def test_two_tools_with_a_common_triangle_are_refused() -> None:
     check_distinct({"first": RIGID_BODY, "second": robot_frame()})
 
 
-def test_segments_that_are_alike_are_named() -> None:
+def test_similar_segments_of_a_tool_are_found() -> None:
     square = planar_tool(
         "SQUARE",
         ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 50.0, 0.0), (0.0, 50.0, 0.0)),

@@ -64,7 +64,7 @@ def line(request: pytest.FixtureRequest) -> Iterator[Line]:
         assert isinstance(line.unit, int)  # the test hung up itself
 
 
-def test_bytes_go_both_ways_unchanged(line: Line) -> None:
+def test_bytes_pass_both_ways_unchanged(line: Line) -> None:
     everything = bytes(range(256))
     line.transport.write(everything)
     assert line.receive() == everything
@@ -75,28 +75,28 @@ def test_bytes_go_both_ways_unchanged(line: Line) -> None:
     assert heard == everything
 
 
-def test_a_read_without_input_gives_nothing(line: Line) -> None:
+def test_a_read_without_input_returns_no_bytes(line: Line) -> None:
     assert line.transport.read(0.0) == b""
     assert line.transport.read(0.01) == b""
 
 
-def test_a_line_that_hangs_up_is_a_lost_link(line: Line) -> None:
+def test_a_line_that_hangs_up_raises_link_lost(line: Line) -> None:
     line.hang_up()
     with pytest.raises(LinkLost):
         line.transport.read(1.0)
 
 
-def test_closing_twice_is_quiet(line: Line) -> None:
+def test_closing_twice_raises_nothing(line: Line) -> None:
     line.transport.close()
     line.transport.close()
 
 
-def test_a_dead_line_does_not_block_a_write_for_ever(line: Line) -> None:
+def test_a_write_to_a_dead_line_does_not_block_forever(line: Line) -> None:
     with pytest.raises(LinkLost):
         line.transport.write(bytes(50_000_000))  # nobody reads at the other end
 
 
-def test_the_rate_of_a_serial_line_can_be_changed_and_a_break_sent() -> None:
+def test_a_serial_line_can_change_its_rate_and_send_a_break() -> None:
     unit, terminal = pty.openpty()
     try:
         transport = SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}"))
@@ -114,7 +114,7 @@ def test_the_rate_of_a_serial_line_can_be_changed_and_a_break_sent() -> None:
         os.close(terminal)
 
 
-def test_a_break_is_held_as_long_as_the_units_need(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_break_lasts_500_ms(monkeypatch: pytest.MonkeyPatch) -> None:
     unit, terminal = pty.openpty()
     breaks: list[int] = []
     monkeypatch.setattr(termios, "tcsendbreak", lambda _file, duration_ms: breaks.append(duration_ms))
@@ -126,7 +126,7 @@ def test_a_break_is_held_as_long_as_the_units_need(monkeypatch: pytest.MonkeyPat
     os.close(terminal)
 
 
-def test_a_usb_adapter_is_told_not_to_hold_replies_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_usb_adapter_is_set_to_low_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     unit, terminal = pty.openpty()
     told: list[bool] = []
     monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _port, wanted: told.append(wanted))
@@ -137,7 +137,7 @@ def test_a_usb_adapter_is_told_not_to_hold_replies_back(monkeypatch: pytest.Monk
 
 
 @pytest.mark.hazard(34)
-def test_a_serial_port_is_held_for_one_client_alone() -> None:
+def test_a_serial_port_is_exclusive_to_one_client() -> None:
     unit, terminal = pty.openpty()
     endpoint = parse_endpoint(f"serial://{os.ttyname(terminal)}")
     first = SerialTransport(endpoint)
@@ -159,7 +159,7 @@ def test_tcp_has_no_rate_and_no_break() -> None:
         transport.close()
 
 
-def test_an_endpoint_that_cannot_be_opened_says_why(tmp_path: Path) -> None:
+def test_an_endpoint_that_cannot_be_opened_is_refused_with_the_reason(tmp_path: Path) -> None:
     with pytest.raises(PortUnavailable, match="no such file"):
         open_transport(parse_endpoint(f"serial://{tmp_path}/none"), 1.0)
     with pytest.raises(PortUnavailable, match="refused"):
@@ -168,7 +168,7 @@ def test_an_endpoint_that_cannot_be_opened_says_why(tmp_path: Path) -> None:
         open_transport(parse_endpoint("udp://127.0.0.1:1"), 1.0)
 
 
-def test_who_holds_a_serial_port_is_named() -> None:
+def test_the_program_that_holds_a_serial_port_is_named() -> None:
     unit, terminal = pty.openpty()
     path = os.ttyname(terminal)
     hold = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); input()"

@@ -1,4 +1,4 @@
-"""The measuring volume as the unit describes it."""
+"""The measuring volume as described by the unit."""
 
 from dataclasses import replace
 
@@ -42,7 +42,7 @@ def test_the_sections_of_both_volumes_have_the_published_size(
         assert volume.contains((x * 0.9, y * 1.0005, z)) is False
 
 
-def test_nothing_in_front_of_or_behind_a_volume_is_inside() -> None:
+def test_points_in_front_of_or_behind_a_volume_are_outside() -> None:
     pyramid, extended = parse_volumes(ANSWER)
     assert pyramid.contains((0, 0, -949)) is False
     assert pyramid.contains((0, 0, -2401)) is False
@@ -50,22 +50,22 @@ def test_nothing_in_front_of_or_behind_a_volume_is_inside() -> None:
     assert extended.contains((0, 0, 1500)) is False
 
 
-def test_a_shape_without_a_known_formula_says_so() -> None:
+def test_containment_in_a_shape_without_a_known_formula_is_unknown() -> None:
     (volume,) = parse_volumes("1" + ANSWER[1:].split("\n")[0].replace("5-", "7-", 1) + "\n")
     assert volume.contains((0, 0, -1500)) is None
 
 
 @pytest.mark.parametrize("text", ["", "0", "3" + ANSWER[1:], "1x" + ANSWER[2:80], "25-2400"])
-def test_an_answer_of_another_form_is_refused(text: str) -> None:
+def test_a_malformed_volume_reply_is_refused(text: str) -> None:
     with pytest.raises(MalformedReply):
         parse_volumes(text)
 
 
-def test_a_record_that_is_padded_before_its_line_feed_is_read_as_well() -> None:
+def test_a_record_padded_before_its_line_feed_is_read() -> None:
     assert parse_volumes(ANSWER.replace("\n", "   \n")) == parse_volumes(ANSWER)
 
 
-def test_its_faces_bend_at_the_knee_and_where_the_width_is_capped() -> None:
+def test_a_volumes_faces_bend_at_the_knee_and_where_the_width_is_capped() -> None:
     pyramid, extended = parse_volumes(ANSWER)
     assert [round(z) for z, _, _ in pyramid.sections_mm] == [-950, -1532, -2400]
     assert [round(z) for z, _, _ in extended.sections_mm] == [-950, -1532, -2664, -3000]

@@ -1,4 +1,4 @@
-"""`ronna-rom`: make, show, compare and check, with what a person sees and what a script gets."""
+"""`ronna-rom`: make, show, compare and check, as printed for people and for scripts."""
 
 import json
 from collections.abc import Callable
@@ -41,7 +41,7 @@ def made(rom, folder: Path, description: str, name: str = "tool") -> tuple[int, 
     return code, messages, folder / f"{name}.rom"
 
 
-def test_a_tool_is_made_from_the_coordinates_of_its_markers(rom: Rom, tmp_path: Path) -> None:
+def test_make_builds_a_tool_from_its_marker_coordinates(rom: Rom, tmp_path: Path) -> None:
     code, messages, file = made(rom, tmp_path, POINTER)
     assert code == 0
     assert "POINTER-1, 4 markers, 752 bytes" in messages
@@ -53,7 +53,7 @@ def test_a_tool_is_made_from_the_coordinates_of_its_markers(rom: Rom, tmp_path: 
     assert file.read_bytes()[20:24] != bytes(4)
 
 
-def test_everything_that_a_description_can_say_arrives(rom: Rom, tmp_path: Path) -> None:
+def test_every_field_of_a_description_reaches_the_definition(rom: Rom, tmp_path: Path) -> None:
     _, _, file = made(
         rom,
         tmp_path,
@@ -84,7 +84,7 @@ marker_type = "disc"
 
 
 @pytest.mark.parametrize("name", sorted(shipped_definitions()))
-def test_what_is_shown_as_a_description_makes_the_same_bytes(rom: Rom, tmp_path: Path, name: str) -> None:
+def test_a_shown_description_makes_the_same_bytes_again(rom: Rom, tmp_path: Path, name: str) -> None:
     code, description, _ = rom("show", name, "--toml")
     assert code == 0
     _, _, file = made(rom, tmp_path, description)
@@ -113,7 +113,7 @@ def test_what_is_shown_as_a_description_makes_the_same_bytes(rom: Rom, tmp_path:
         ("part_number", "not TOML"),
     ],
 )
-def test_a_wrong_description_is_one_message_and_writes_nothing(
+def test_an_invalid_description_gives_one_message_and_writes_nothing(
     rom: Rom, tmp_path: Path, line: str, words: str
 ) -> None:
     code, messages, file = made(rom, tmp_path, line)
@@ -124,7 +124,7 @@ def test_a_wrong_description_is_one_message_and_writes_nothing(
     assert not file.exists()
 
 
-def test_alike_distances_are_told_when_a_tool_is_made(rom, tmp_path: Path) -> None:
+def test_make_warns_of_similar_marker_distances(rom, tmp_path: Path) -> None:
     square = 'part_number = "SQUARE"\nmarkers_mm = [[0,0,0],[50,0,0],[50,50,0],[0,50,0]]'
     code, messages, file = made(rom, tmp_path, square)
     assert code == 0
@@ -132,7 +132,7 @@ def test_alike_distances_are_told_when_a_tool_is_made(rom, tmp_path: Path) -> No
     assert "warning: SQUARE: marker distances 50.0 and 50.0 mm" in messages
 
 
-def test_json_says_the_same_in_numbers(rom: Rom, tmp_path: Path) -> None:
+def test_json_output_reports_a_tool_in_numbers(rom: Rom, tmp_path: Path) -> None:
     (tmp_path / "p.toml").write_text(POINTER)
     _, text, _ = rom("make", tmp_path / "p.toml", "--out", tmp_path / "p.rom", "--json")
     report = json.loads(text)
@@ -144,7 +144,7 @@ def test_json_says_the_same_in_numbers(rom: Rom, tmp_path: Path) -> None:
     assert len(shown["segments_mm"]) == 6
 
 
-def test_a_comparison_ends_with_1_when_something_differs(rom: Rom, tmp_path: Path) -> None:
+def test_compare_exits_with_1_when_something_differs(rom: Rom, tmp_path: Path) -> None:
     _, _, first = made(rom, tmp_path, POINTER, "first")
     _, _, second = made(rom, tmp_path, POINTER.replace("-35, 33, 0", "-35, 33, 2.5"), "second")
     assert rom("compare", first, first)[0] == 0
@@ -157,7 +157,7 @@ def test_a_comparison_ends_with_1_when_something_differs(rom: Rom, tmp_path: Pat
     assert not report["same"]
 
 
-def test_tools_that_are_used_together_are_checked_against_each_other(rom: Rom, tmp_path: Path) -> None:
+def test_check_refuses_tools_that_share_a_triangle_of_markers(rom: Rom, tmp_path: Path) -> None:
     assert rom("check", "robot_frame.rom", "x_frame.rom")[0] == 0
     twin = tmp_path / "twin.rom"
     twin.write_bytes((FOLDER / "robot_frame.rom").read_bytes())
@@ -171,7 +171,7 @@ def test_tools_that_are_used_together_are_checked_against_each_other(rom: Rom, t
     }
 
 
-def test_a_shipped_definition_is_known_by_its_name_where_no_file_has_it(
+def test_a_shipped_definition_is_found_by_its_name_when_no_such_file_exists(
     rom: Rom, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -181,7 +181,7 @@ def test_a_shipped_definition_is_known_by_its_name_where_no_file_has_it(
     assert rom("show", "no/x_frame.rom")[0] == 1
 
 
-def test_a_place_that_cannot_be_written_is_told(rom: Rom, tmp_path: Path) -> None:
+def test_an_output_path_that_cannot_be_written_is_reported(rom: Rom, tmp_path: Path) -> None:
     (tmp_path / "p.toml").write_text(POINTER)
     code, _, messages = rom("make", tmp_path / "p.toml", "--out", tmp_path / "no" / "p.rom")
     assert code == 1
@@ -196,12 +196,12 @@ def test_a_foreign_file_is_refused_by_name(rom: Rom, tmp_path: Path, command: st
     assert messages.startswith("NDI-011: cat.png is not a tool definition")
 
 
-def test_a_description_holds_every_number_that_single_precision_can_tell() -> None:
+def test_a_description_rounds_numbers_to_single_precision() -> None:
     tool = decode_definition(encode_definition(shipped_definitions()["x_frame.rom"]))
     assert describe(tool)["markers_mm"][1] == [31.5, 50.0, 0.0]
 
 
-def test_a_theatre_file_names_its_definitions_relative_to_itself(
+def test_a_theatre_file_names_its_tool_definitions_relative_to_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lab, elsewhere = tmp_path / "lab", tmp_path / "elsewhere"

@@ -50,13 +50,13 @@ class Rig:
         self.slept_s += duration_s
 
 
-def test_without_a_wish_nothing_is_asked() -> None:
+def test_a_checkpoint_asks_nothing_without_a_request() -> None:
     rig = Rig()
     rig.checkpoint.here("between steps")
     assert (rig.asked, rig.rests) == ([], [])
 
 
-def test_a_pause_rests_once_until_the_operator_says_continue() -> None:
+def test_a_pause_waits_once_until_the_operator_says_continue() -> None:
     rig = Rig()
     rig.checkpoint.pause("coffee")
     rig.checkpoint.here("between steps")
@@ -65,7 +65,7 @@ def test_a_pause_rests_once_until_the_operator_says_continue() -> None:
     assert [(one.answers, one.timeout_s) for one in rig.asked] == [(("continue", "abort"), None)]
 
 
-def test_anything_but_continue_ends_the_case() -> None:
+def test_any_answer_but_continue_ends_the_case() -> None:
     rig = Rig(lambda question: question.silence)
     rig.checkpoint.pause()
     with pytest.raises(OperatorAborted, match="PRO-004"):
@@ -73,7 +73,7 @@ def test_anything_but_continue_ends_the_case() -> None:
 
 
 @pytest.mark.branch("ABORTED")
-def test_who_aborts_is_not_asked() -> None:
+def test_an_abort_ends_the_case_without_a_question() -> None:
     rig = Rig()
     rig.checkpoint.abort()
     with pytest.raises(OperatorAborted):
@@ -81,7 +81,7 @@ def test_who_aborts_is_not_asked() -> None:
     assert rig.asked == []
 
 
-def test_a_guard_suspends_until_it_is_met() -> None:
+def test_an_unmet_guard_suspends_the_case_until_it_is_met() -> None:
     rig = Rig()
     rig.checkpoint.guards.append(Disk(5))
     rig.checkpoint.here("before a motion")
@@ -90,7 +90,7 @@ def test_a_guard_suspends_until_it_is_met() -> None:
     assert rig.asked == []
 
 
-def test_the_patience_with_a_guard_counts_the_time_that_its_looks_take() -> None:
+def test_a_guards_patience_includes_the_time_its_checks_take() -> None:
     rig = Rig(lambda question: question.silence)
 
     class Slow(Disk):
@@ -106,7 +106,7 @@ def test_the_patience_with_a_guard_counts_the_time_that_its_looks_take() -> None
 
 
 @pytest.mark.branch("GUARD_UNMET")
-def test_a_guard_that_stays_unmet_is_asked_about_and_ends_the_step_when_it_is_left() -> None:
+def test_a_guard_that_stays_unmet_ends_the_step_when_the_question_goes_unanswered() -> None:
     rig = Rig(lambda question: question.silence)
     rig.checkpoint.guards.append(Disk(float("inf")))
     with pytest.raises(GuardUnmet, match=r"PRO-017: disk space: 1 MB left"):
@@ -114,7 +114,7 @@ def test_a_guard_that_stays_unmet_is_asked_about_and_ends_the_step_when_it_is_le
     assert rig.slept_s >= 20.0
 
 
-def test_for_how_long_a_guard_is_done_without_is_said() -> None:
+def test_the_question_says_for_how_long_a_guard_would_be_waived() -> None:
     class Dispensable(Disk):
         topic, patience_s, excused_for_s = Topic.HEAD_UNSEEN, 0.0, 10.0
 
@@ -127,7 +127,7 @@ def test_for_how_long_a_guard_is_done_without_is_said() -> None:
     assert "continue proceeds without it for 10 s of the next motion or wait" in rig.asked[0].value
 
 
-def test_a_pause_is_met_while_a_guard_waits() -> None:
+def test_a_pause_takes_effect_while_a_guard_waits() -> None:
     rig = Rig(lambda question: question.silence)
     rig.checkpoint.guards.append(Disk(float("inf")))
     rig.checkpoint.pause()
@@ -135,7 +135,7 @@ def test_a_pause_is_met_while_a_guard_waits() -> None:
         rig.checkpoint.here("before a motion")
 
 
-def test_a_motion_that_somebody_stopped_is_asked_about_without_a_wish() -> None:
+def test_a_stopped_motion_is_asked_about_without_a_pause_request() -> None:
     rig = Rig()
     rig.checkpoint.stopped("the motion 'go'", "plans it anew")
     assert [one.value for one in rig.asked] == ["the motion 'go' was stopped; continuing plans it anew"]

@@ -1,4 +1,4 @@
-"""The strategy `best` is decided for each trajectory by the error predicted for its poses."""
+"""The strategy `best` picks, for each trajectory, the strategy with the least predicted error."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_the_strategy_with_the_least_predicted_error_is_chosen(
     assert chosen.of("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
 
 
-def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_and_not_where_the_guide_is_held(
+def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_not_at_the_holding_pose(
     make_arm: Callable[..., ArmSetting],
 ) -> None:
     held = LEANING.held(-90.0)
@@ -75,6 +75,6 @@ def _error_of_a_drawn_arm_mm(
     return reached - points[-1]
 
 
-def test_another_strategy_stays_as_it_is(make_arm: Callable[..., ArmSetting]) -> None:
+def test_a_fixed_strategy_stays_unchanged(make_arm: Callable[..., ArmSetting]) -> None:
     setting = make_arm()
     assert with_best_chosen(setting, [LEANING], FIDUCIALS, SIGHT) is setting

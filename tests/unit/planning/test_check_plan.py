@@ -1,4 +1,4 @@
-"""A plan against its series, its fiducials and the arm."""
+"""A plan checked against its series, its fiducials and the arm."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def plan(plan_text, plan_path):
     return read_plan(plan_path(plan_text))
 
 
-def test_a_plan_that_fits_passes(plan, make_volume, make_arm):
+def test_a_valid_plan_passes(plan, make_volume, make_arm):
     result = check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=make_arm())
     assert result.passed
     assert result.findings == result.warnings == ()
@@ -65,18 +65,18 @@ def test_another_patient_position_is_refused(plan, make_volume):
         check_plan(plan, make_volume(patient_position="HFP")).require()
 
 
-def test_a_series_that_does_not_say_how_the_patient_lay_is_warned_about(plan, make_volume):
+def test_a_series_without_a_patient_position_is_warned_about(plan, make_volume):
     result = check_plan(plan, make_volume(patient_position=""))
     assert result.passed
     assert "left and right" in result.warnings[0]
 
 
-def test_another_number_of_fiducials_is_refused(plan, make_volume):
+def test_a_wrong_number_of_fiducials_is_refused(plan, make_volume):
     with pytest.raises(WrongMarkerCount, match=r"PLAN-008.*expected 4.*3"):
         check_plan(plan, make_volume(), fiducials_mm=FOUR[:3]).require()
 
 
-def test_fiducials_that_are_not_where_the_template_has_them_are_refused(plan, make_volume):
+def test_fiducials_away_from_the_template_are_refused(plan, make_volume):
     four = np.asarray(FOUR, dtype=float)
     as_planned = plan.model_copy(update={"template_mm": tuple(map(tuple, four[::-1] + 7.0))})
     assert check_plan(as_planned, make_volume(), fiducials_mm=four).passed
@@ -85,7 +85,7 @@ def test_fiducials_that_are_not_where_the_template_has_them_are_refused(plan, ma
         check_plan(another, make_volume(), fiducials_mm=four).require()
 
 
-def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_path, make_volume):
+def test_three_fiducials_with_nearly_equal_sides_are_warned_about(plan_text, plan_path, make_volume):
     plan = read_plan(plan_path(plan_text.replace("implanted = 4", "implanted = 3")))
     triangle = np.array([[0, 0, 0], [80, 0, 0], [41, 68, 0]])
     warnings = check_plan(plan, make_volume(), fiducials_mm=triangle).warnings
@@ -96,7 +96,7 @@ def test_three_fiducials_of_nearly_equal_sides_are_warned_about(plan_text, plan_
 
 
 @pytest.mark.hazard(10)
-def test_fiducials_that_look_alike_from_another_side_are_warned_about(plan, make_volume):
+def test_fiducials_with_a_symmetric_layout_are_warned_about(plan, make_volume):
     square = [[0, 0, 50], [90, 0, 50], [90, 90, 50], [0, 90, 50]]
     warnings = check_plan(plan, make_volume(), fiducials_mm=square).warnings
     assert warnings == ("the fiducials look alike from another side: 2 for 4, 4 for 2 could be mistaken",)
@@ -109,7 +109,7 @@ def test_an_unreachable_target_is_refused(plan, make_volume, make_arm):
     assert caught.value.exit_code == EXIT_REFUSED
 
 
-def test_everything_wrong_comes_in_one_error(plan, make_volume):
+def test_all_findings_come_in_one_error(plan, make_volume):
     volume = make_volume(series_instance_uid="1.2.3.4", patient_position="FFS")
     result = check_plan(plan, volume, fiducials_mm=FOUR[:3])
     assert [one.code for one in result.findings] == ["PLAN-003", "PLAN-009", "PLAN-008"]
@@ -141,14 +141,14 @@ def edited(text: str, changes: dict[str, str]) -> str:
 
 
 @pytest.mark.parametrize("name", REFUSED)
-def test_a_plan_that_cannot_be_meant_is_refused(name, plan_text, plan_path, make_volume):
+def test_an_implausible_plan_is_refused(name, plan_text, plan_path, make_volume):
     changes, error, said = REFUSED[name]
     with pytest.raises(error, match=said):
         check_plan(read_plan(plan_path(edited(plan_text, changes))), make_volume()).require()
 
 
 @pytest.mark.hazard(10)
-def test_the_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_path, make_volume):
+def test_the_x_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_path, make_volume):
     plan = read_plan(plan_path(plan_text.replace('"free"', '"xframe"')))
     turned = Rotation.from_rotvec([0.3, -0.5, 0.9]).apply(SPHERE_CENTRES_MM) + np.array([0.0, 0.0, 60.0])
     check = check_plan(plan, make_volume(), fiducials_mm=np.vstack([[[70.0, 10.0, 0.0]], turned]))
@@ -160,9 +160,7 @@ def test_the_frame_is_recognised_among_the_spheres_of_the_ct(plan_text, plan_pat
         check_plan(plan, make_volume(), fiducials_mm=FOUR).require()
 
 
-def test_the_field_ends_at_the_faces_of_the_outermost_voxels_which_is_warned_about(
-    plan_text, plan_path, make_volume
-):
+def test_an_entry_in_the_outermost_voxels_passes_with_a_warning(plan_text, plan_path, make_volume):
     plan = read_plan(plan_path(plan_text.replace(ENTRY, "entry_mm = [10, -20, 99.9]")))
     result = check_plan(plan, make_volume())
     assert result.passed
@@ -198,7 +196,7 @@ def test_a_depth_stop_beyond_the_instrument_is_refused(plan, make_volume):
         check_plan(one, make_volume(), bore=BORE).require()
 
 
-def test_a_plan_that_its_strategy_does_not_reach_names_the_ones_that_would(plan, make_volume, make_arm):
+def test_a_plan_its_strategy_cannot_reach_names_the_strategies_that_can(plan, make_volume, make_arm):
     arm = make_arm(strategy=Stuck(on="T1"))
     result = check_plan(plan, make_volume(), fiducials_mm=FOUR, arm=arm, sight=SIGHT)
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1") as caught:

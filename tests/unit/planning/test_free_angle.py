@@ -46,7 +46,7 @@ def _beside_the_line_of_sight() -> np.ndarray:
     return np.vstack([FREE, SETTING.robot_from_ct.inverse().apply(blocker)])
 
 
-def test_spheres_that_stand_apart_are_all_seen() -> None:
+def test_well_spaced_spheres_are_all_seen() -> None:
     looks = visits(DOWN, FREE)
     assert SIGHT.unmet(looks, SETTING.robot_from_ct.apply(FREE)) == ()
 
@@ -66,7 +66,7 @@ def test_a_neighbour_behind_the_rim_counts_as_much_as_one_in_front() -> None:
     assert "T1/fiducial 3" in hidden
 
 
-def test_where_all_is_seen_the_plans_own_angle_is_kept() -> None:
+def test_the_planned_angle_is_kept_when_every_sphere_is_seen() -> None:
     assert choose_free_angles(SETTING, (DOWN,), FREE, SIGHT).turns_rad == {"T1": 0.0}
 
 
@@ -84,7 +84,7 @@ def test_turning_leaves_entry_target_and_axis_as_planned() -> None:
     assert (turned.entry_mm, turned.target_mm) == (DOWN.entry_mm, DOWN.target_mm)
 
 
-def test_what_no_turn_can_show_is_reported_and_not_driven() -> None:
+def test_a_sphere_hidden_at_every_angle_is_reported_as_unmet() -> None:
     ring = [
         FREE[0] + 14.0 * np.array([math.cos(angle), math.sin(angle), 0.0])
         for angle in np.linspace(0.0, 2 * math.pi, 12, endpoint=False)
@@ -94,14 +94,14 @@ def test_what_no_turn_can_show_is_reported_and_not_driven() -> None:
     assert any("camera" in one.reason for one in check.unmet)
 
 
-def test_turns_go_from_near_to_far_on_both_sides() -> None:
+def test_turns_are_tried_from_near_to_far_on_both_sides() -> None:
     assert OUTWARDS_RAD[0] == 0.0
     assert np.all(np.diff(np.abs(OUTWARDS_RAD)) >= -1e-12)
     assert max(OUTWARDS_RAD) == pytest.approx(math.radians(90.0))
     assert min(OUTWARDS_RAD) == pytest.approx(math.radians(-90.0))
 
 
-def test_turns_between_the_steps_are_each_tried_once_and_within_the_range() -> None:
+def test_turns_between_the_steps_are_each_tried_once_within_the_range() -> None:
     between_deg = np.degrees(between_rad((math.radians(80.0), math.radians(90.0))))
     assert sorted(between_deg) == pytest.approx([75.0, 77.5, 82.5, 85.0, 87.5])
 
@@ -116,7 +116,7 @@ def _wrist_at(trajectory: Trajectory, turn_rad: float) -> WristState | None:
     return WristState.of(SETTING.kinematics, check) if check.passed else None
 
 
-def test_an_angle_that_turns_the_wrist_far_gives_way_to_the_next_good_one() -> None:
+def test_an_angle_that_turns_the_wrist_far_is_replaced_by_the_next_good_one() -> None:
     leaning = _leaning(-40.0)
     own = _wrist_at(leaning, 0.0)
     assert own is not None
@@ -135,7 +135,7 @@ def test_the_wrist_is_turned_away_from_its_singularity() -> None:
     assert WristState.of(SETTING.kinematics, turned.check).least_bend_rad >= LEAST_BEND_RAD
 
 
-def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> None:
+def test_the_angle_farthest_from_the_singularity_is_chosen_when_none_is_good() -> None:
     leaning = _leaning(-22.0)
     wrists = [wrist for turn in OUTWARDS_RAD if (wrist := _wrist_at(leaning, turn)) is not None]
     assert not any(wrist.good for wrist in wrists)
@@ -146,14 +146,14 @@ def test_where_no_angle_is_good_the_clearest_of_the_singularity_is_taken() -> No
     assert WristState.of(SETTING.kinematics, turned.check).least_bend_rad == pytest.approx(best_rad)
 
 
-def test_the_wrist_of_each_trajectory_is_judged_by_itself() -> None:
+def test_the_wrist_is_judged_separately_for_each_trajectory() -> None:
     both = [replace(_leaning(x_mm), identifier=name) for name, x_mm in (("A", 20.0), ("B", -40.0))]
     turned = choose_free_angles(SETTING, both, FREE, SIGHT)
     assert turned.check.passed
     assert turned.turns_rad["A"] == 0.0
 
 
-def test_a_wrist_is_good_only_away_from_the_singularity_and_alike_at_all_poses() -> None:
+def test_a_wrist_is_good_only_away_from_the_singularity_and_similar_at_all_poses() -> None:
     assert WristState(LEAST_BEND_RAD, math.radians(44.0)).good
     assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).good
     assert not WristState(math.radians(60.0), math.radians(46.0)).good

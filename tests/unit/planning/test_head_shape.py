@@ -1,4 +1,4 @@
-"""The head is found in the CT as one ellipsoid, whatever thin things stand beside it."""
+"""The head is found in the CT as one ellipsoid, whatever thin objects are around it."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ def _fits(shape: HeadEllipsoid, tolerance_mm: float = 8.0) -> None:
     assert np.all(np.array(shape.semi_axes_mm) <= SEMI_AXES_MM + tolerance_mm)
 
 
-def test_an_ellipsoid_is_found_and_held() -> None:
+def test_an_ellipsoidal_head_is_found() -> None:
     _fits(head_shape(_volume(_head(_points()))))
 
 
-def test_posts_a_cable_and_the_shell_of_a_headrest_do_not_count() -> None:
+def test_posts_a_cable_and_a_headrest_shell_are_ignored() -> None:
     points = _points()
     x, y, z = points[..., 0], points[..., 1], points[..., 2]
     post = (np.hypot(x - 10, y + 20) < 6) & (z > 60)
@@ -52,13 +52,13 @@ def test_posts_a_cable_and_the_shell_of_a_headrest_do_not_count() -> None:
     _fits(head_shape(_volume(_head(points) | post | cable | shell)))
 
 
-def test_hollows_do_not_count() -> None:
+def test_hollows_are_ignored() -> None:
     points = _points()
     sinus = np.linalg.norm(points - np.array([0.0, -60.0, 0.0]), axis=-1) < 22
     _fits(head_shape(_volume(_head(points) & ~sinus)))
 
 
-def test_a_corner_of_the_head_lies_within() -> None:
+def test_a_protruding_chin_lies_within_the_ellipsoid() -> None:
     points = _points()
     chin = np.all(np.abs(points - np.array([0.0, -75.0, -65.0])) < 25, axis=-1)
     solid = _head(points) | chin
@@ -71,12 +71,12 @@ def test_a_corner_of_the_head_lies_within() -> None:
     assert np.quantile(inside, 0.99) <= 1.1  # the very edges are rounded off
 
 
-def test_air_is_no_head() -> None:
+def test_air_is_not_taken_for_a_head() -> None:
     with pytest.raises(NoHeadInCt) as caught:
         head_shape(_volume(np.zeros(SHAPE, dtype=bool)))
     assert caught.value.code == "PLAN-014"
 
 
-def test_a_head_that_the_ct_cuts_is_no_larger_for_it() -> None:
+def test_a_head_cropped_by_the_ct_is_not_made_larger() -> None:
     points = _points()
     _fits(head_shape(_volume(_head(points) & (points[..., 2] > -55.0))))

@@ -1,4 +1,4 @@
-"""Layouts of fiducials that cannot be told apart are found out in planning."""
+"""Ambiguous layouts of fiducials are detected in planning."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ def test_sides_that_differ_by_less_than_six_millimetres_are_warned_about(sides_m
 
 
 @pytest.mark.parametrize("sides_mm", [(90.0, 120.0, 83.9), (90.0, 120.0, 96.1), (60.0, 100.0, 140.0)])
-def test_sides_that_differ_by_six_millimetres_or_more_are_not(sides_mm):
+def test_sides_that_differ_by_six_millimetres_or_more_give_no_warning(sides_mm):
     assert layout_warnings(triangle(*sides_mm)) == []
 
 
-def test_a_rectangle_and_its_half_turn_are_told_by_number():
+def test_the_warning_about_a_rectangle_names_interchangeable_fiducials():
     rectangle = np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0]])
     (warning,) = layout_warnings(rectangle)
     assert "1 for 2" in warning or "1 for 3" in warning or "1 for 4" in warning
 
 
-def test_one_sphere_out_of_the_plane_and_off_centre_tells_them_apart():
+def test_one_sphere_out_of_the_plane_and_off_centre_removes_the_ambiguity():
     assert layout_warnings(np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]])) == []
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
-def test_fewer_than_three_have_no_layout(count):
+def test_fewer_than_three_fiducials_give_no_layout_warning(count):
     assert layout_warnings(np.eye(3)[:count] * 50.0) == []

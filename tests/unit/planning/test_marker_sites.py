@@ -1,4 +1,4 @@
-"""Markers go where they serve the planned targets, and what is claimed of them holds when it is tried."""
+"""Markers are placed to serve the planned targets, and their claimed errors hold in random trials."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ERROR_MM = 0.3
 
 
 @pytest.mark.parametrize("count", [3, 4, 5, 8])
-def test_markers_stand_apart_and_clear_of_the_ways_and_serve_every_target_better_than_by_chance(
+def test_markers_keep_apart_clear_of_the_paths_and_serve_every_target_better_than_by_chance(
     count: int,
 ) -> None:
     found = propose_markers(HEAD, TRAJECTORIES, count, ERROR_MM)
@@ -36,7 +36,7 @@ def test_markers_stand_apart_and_clear_of_the_ways_and_serve_every_target_better
     assert all(target.expected_mm < target.usual_mm for target in found.targets)
 
 
-def test_the_errors_that_are_claimed_are_those_of_random_trials() -> None:
+def test_the_claimed_errors_match_random_trials() -> None:
     found = propose_markers(HEAD, TRAJECTORIES, 5, ERROR_MM)
     centres, random = np.array(found.centres_mm), np.random.default_rng(0)
     seen = centres + random.normal(0.0, ERROR_MM / np.sqrt(3.0), (TRIALS, 5, 3))
@@ -47,12 +47,12 @@ def test_the_errors_that_are_claimed_are_those_of_random_trials() -> None:
         assert rms_mm == pytest.approx(claimed.expected_mm, rel=0.03)
 
 
-def test_a_head_without_room_is_refused() -> None:
+def test_a_head_without_room_for_the_markers_is_refused() -> None:
     small = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(25.0, 25.0, 25.0))
     with pytest.raises(NoMarkerSites, match=r"PLAN-021.*8 markers"):
         propose_markers(small, (Trajectory("T1", (0.0, -25.0, 25.0), (0.0, 0.0, 0.0)),), 8, ERROR_MM)
 
 
-def test_the_picture_shows_them() -> None:
+def test_the_marker_picture_is_a_png() -> None:
     found = propose_markers(HEAD, TRAJECTORIES, 4, ERROR_MM)
     assert marker_picture(found, HEAD, TRAJECTORIES).startswith(b"\x89PNG")

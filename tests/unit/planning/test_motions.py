@@ -1,4 +1,4 @@
-"""Every motion of the procedure is clear of head, clamp and table, or is refused with pair and place."""
+"""Every motion of the procedure clears head, clamp and table, or is refused with pair and place."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     assert [motion.kind for motion in motions].count("line") == len(check.reached)
 
 
-def test_every_motion_has_a_preview_that_a_record_can_hold() -> None:
+def test_every_motion_has_a_preview_that_can_be_recorded() -> None:
     setting = _setting(CollisionConfig())
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
@@ -96,7 +96,7 @@ def test_every_motion_has_a_preview_that_a_record_can_hold() -> None:
 
 @pytest.mark.hazard(24)
 @pytest.mark.hazard(5)
-def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() -> None:
+def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
     free = check_paths(_setting(CollisionConfig()), TRAJECTORIES, FIDUCIALS)
     x, y, z = free.at("T2/target").visit.approach.apply([0.0, 0.0, -120.0]).tolist()
     setting = _setting(_with_body("arm of the clamp", (x, y, z), 20.0))
@@ -110,7 +110,7 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_the_distance_and_the_place() 
 
 
 @pytest.mark.hazard(24)
-def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -> None:
+def test_another_angle_about_the_axis_is_chosen_when_the_planned_one_is_not_clear() -> None:
     free = _setting(CollisionConfig())
     own = check_paths(free, TRAJECTORIES[:1], FIDUCIALS)
     # A drip stand where the mount would be, beside the tool.
@@ -124,7 +124,7 @@ def test_another_angle_about_the_axis_is_taken_when_the_own_one_is_not_clear() -
 
 
 @pytest.mark.hazard(24)
-def test_an_angle_that_passes_between_two_steps_is_found() -> None:
+def test_an_angle_between_two_steps_of_the_search_is_found() -> None:
     """Up to -41 deg the plate of the mount is too close to the head; from -44 deg on a sphere is hidden."""
     turned_as = Rotation.from_quat([-0.16206, -0.16149, 0.69769, 0.67889])
     at = RigidTransform.from_components([1090.49, -11.93, -549.57], turned_as)
@@ -142,7 +142,7 @@ def test_an_angle_that_passes_between_two_steps_is_found() -> None:
     assert -44.0 < math.degrees(turned.turns_rad["T1"]) < -41.0
 
 
-def test_a_body_at_home_is_told_by_the_pose_that_the_way_leads_from() -> None:
+def test_a_body_at_home_is_reported_under_a_planned_pose() -> None:
     """The search for angles drops the poses that are named; home is none of them."""
     above = kr6_r900("kr6_r900_sixx").forward(CASE_HOME).apply((220.0, 60.0, 60.0))
     setting = _setting(_with_body("lamp", above, 40.0))

@@ -18,7 +18,7 @@ def _begun(tmp_path: Path, position: str, spheres_mm: list[list[float]] = SPHERE
     return path
 
 
-def test_a_begun_plan_lacks_its_trajectories_and_the_instrument_only(tmp_path: Path) -> None:
+def test_a_new_plan_lacks_only_its_trajectories_and_the_instrument(tmp_path: Path) -> None:
     path = _begun(tmp_path, "HFS")
     with pytest.raises(PlanMistakes, match=r"2 mistakes: instrument_length_mm: .*trajectories: is missing"):
         read_plan(path)
@@ -28,7 +28,7 @@ def test_a_begun_plan_lacks_its_trajectories_and_the_instrument_only(tmp_path: P
     assert "# sphere 3: 1.00, 60.00, 3.00" in path.read_text()
 
 
-def test_what_the_series_does_not_say_is_left_to_the_planner(tmp_path: Path) -> None:
+def test_values_missing_from_the_series_are_left_to_the_planner(tmp_path: Path) -> None:
     path = _begun(tmp_path, "", SPHERES_MM[:2])
     path.write_text(path.read_text() + TRAJECTORY)
     with pytest.raises(

@@ -1,4 +1,4 @@
-"""The map of places: what it allows does serve, and few other places are lost."""
+"""The map of cart places: every place it allows works, and few usable places are lost."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def _disc(x_mm: float, y_mm: float) -> bool:
 
 
 @pytest.mark.hazard(48)
-def test_what_the_map_allows_serves_and_at_most_one_in_twenty_places_is_lost() -> None:
+def test_every_allowed_place_works_and_at_most_one_in_twenty_is_lost() -> None:
     judge, asked = _judge(_disc)
     places = map_places(WITHIN_MM, judge)
     random = np.random.default_rng(1).uniform(-WITHIN_MM, WITHIN_MM, (1000, 2))
@@ -48,7 +48,7 @@ def test_what_the_map_allows_serves_and_at_most_one_in_twenty_places_is_lost() -
     assert len(asked) == len({(move.x_mm, move.y_mm) for move in asked}) < 400  # each is judged once
 
 
-def test_the_best_place_is_in_the_middle_and_says_how_far_off_it_still_serves() -> None:
+def test_the_best_place_is_central_and_states_how_far_off_still_works() -> None:
     judge, _ = _judge(_disc)
     found = propose_place(map_places(WITHIN_MM, judge), judge)
     assert np.hypot(found.best.x_mm - 60.0, found.best.y_mm + 40.0) < 25.0
@@ -61,7 +61,7 @@ def test_the_best_place_is_in_the_middle_and_says_how_far_off_it_still_serves() 
 
 
 @pytest.mark.hazard(48)
-def test_nothing_beyond_the_map_is_called_reachable() -> None:
+def test_no_place_beyond_the_map_is_called_reachable() -> None:
     judge, _ = _judge(lambda x, y: True)
     places = map_places(WITHIN_MM, judge)
     assert places.allows(0.0, WITHIN_MM - 1.0)
@@ -73,7 +73,7 @@ def _serves_turned(move: CartMove) -> bool:
     return abs(math.degrees(move.turn_rad) - 20.0) < 7.0 - math.hypot(move.x_mm, move.y_mm) / 50.0
 
 
-def test_of_a_turned_cart_is_told_how_far_off_and_turned_it_still_serves() -> None:
+def test_a_turned_cart_states_how_far_off_and_turned_it_still_works() -> None:
     asked: list[CartMove] = []
 
     def judge(moves: Asked) -> list[Verdict]:
@@ -93,7 +93,7 @@ def test_of_a_turned_cart_is_told_how_far_off_and_turned_it_still_serves() -> No
             assert _serves_turned(CartMove(found.best.x_mm + x, found.best.y_mm + y, turn_rad))
 
 
-def test_what_served_beside_a_place_is_tried_there_first() -> None:
+def test_a_solution_known_from_a_neighbouring_place_is_passed_on() -> None:
     knew: dict[tuple[float, float], int] = {}
 
     def judge(moves: Asked) -> list[Verdict]:
@@ -104,7 +104,7 @@ def test_what_served_beside_a_place_is_tried_there_first() -> None:
     assert [place for place, known in knew.items() if not known] == [(0.0, 0.0)]
 
 
-def test_no_place_at_all_is_refused_with_the_commonest_reason() -> None:
+def test_a_map_without_any_usable_place_is_refused_with_the_commonest_reason() -> None:
     judge, _ = _judge(lambda x, y: False)
     with pytest.raises(NoPlace, match="too far"):
         propose_place(map_places(WITHIN_MM, judge), judge)

@@ -1,4 +1,4 @@
-"""plan.toml: read strictly, all mistakes at once."""
+"""plan.toml: parsed strictly, with all mistakes reported at once."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def test_a_plan_is_read(plan_text, plan_path):
 @pytest.mark.parametrize(
     "content", ["schema = ", "\x00", "a = " + "[" * 5000, "x = 1\nx = 2", "n = 0\n" * 200_000]
 )
-def test_what_is_not_toml_is_unreadable(content, plan_path):
+def test_a_file_that_is_not_toml_is_unreadable(content, plan_path):
     with pytest.raises(PlanUnreadable, match="PLAN-001") as caught:
         read_plan(plan_path(content))
     assert caught.value.exit_code == EXIT_USAGE
     assert "\n" not in str(caught.value)
 
 
-def test_a_decimal_comma_is_named_and_the_path_is_not_blamed(plan_text, plan_path):
+def test_a_decimal_comma_is_named_with_its_line(plan_text, plan_path):
     with pytest.raises(PlanUnreadable) as caught:
         read_plan(plan_path(plan_text.replace("implanted = 4", "implanted = 4,0")))
     assert "implanted = 4,0; decimals have a point, not a comma" in str(caught.value)
@@ -56,7 +56,7 @@ def test_a_stand_off_in_metres_is_a_mistake(plan_text, plan_path):
         read_plan(plan_path(metres))
 
 
-def test_a_theatre_file_given_as_a_plan_is_named_in_one_line(plan_path):
+def test_a_theatre_file_given_as_a_plan_is_recognised(plan_path):
     with pytest.raises(PlanUnreadable, match="is a theatre file, not a plan"):
         read_plan(plan_path('schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\n'))
 
@@ -67,7 +67,7 @@ def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
             read_plan(path)
 
 
-def test_bytes_that_are_no_text_are_unreadable(tmp_path):
+def test_bytes_that_are_not_text_are_unreadable(tmp_path):
     (tmp_path / "plan.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(PlanUnreadable, match="PLAN-001"):
         read_plan(tmp_path / "plan.toml")
@@ -98,7 +98,7 @@ def test_bytes_that_are_no_text_are_unreadable(tmp_path):
         ("free_angle_deg = 30.0", "free_angle = 30.0", "trajectory T2.free_angle"),
     ],
 )
-def test_each_mistake_is_named_where_it_is(old, new, said, plan_text, plan_path):
+def test_each_mistake_is_named_with_its_field(old, new, said, plan_text, plan_path):
     assert old in plan_text
     with pytest.raises(PlanMistakes, match="PLAN-002") as caught:
         read_plan(plan_path(plan_text.replace(old, new, 1)))
@@ -156,7 +156,7 @@ def test_several_mistakes_of_one_kind_keep_their_code(plan_text, plan_path):
 
 
 @pytest.mark.parametrize("key", ["instrument_length_mm", "standoff_mm"])
-def test_a_plan_of_an_earlier_version_is_told_what_to_add(plan_text, plan_path, key):
+def test_a_plan_of_an_earlier_version_is_refused_with_the_line_to_add(plan_text, plan_path, key):
     older = "\n".join(line for line in plan_text.splitlines() if not line.startswith(key))
     with pytest.raises(PlanMistakes, match=f"PLAN-002: .*{key}.*add `{key} = "):
         read_plan(plan_path(older))

@@ -1,4 +1,4 @@
-"""What the arm keeps clear of: the x-shaped frame, not its spheres alone, and with a reserve."""
+"""Obstacles the arm keeps clear of: the x-shaped frame, not only its spheres, and with a reserve."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ FLANGE_FROM_TOOL = Transform.of(Frame.FLANGE, Frame.TOOL)
 
 
 @pytest.mark.hazard(24)
-def test_its_bars_and_its_foot_are_obstacles_where_the_ct_shows_its_spheres() -> None:
+def test_the_frames_bars_and_foot_are_obstacles_where_the_ct_shows_its_spheres() -> None:
     frame = frame_bodies(FiducialKind.XFRAME, SPHERES_MM[[2, 0, 3, 1]])
     scene = PlanningScene(CollisionConfig(), HEAD, tuple(map(tuple, SPHERES_MM.tolist())), frame)
     around = scene.with_guide(ROBOT_FROM_CT, FLANGE_FROM_TOOL, None)
@@ -33,14 +33,14 @@ def test_its_bars_and_its_foot_are_obstacles_where_the_ct_shows_its_spheres() ->
     assert np.array([bar.start_mm, bar.end_mm]) == pytest.approx(wanted)
 
 
-def test_free_spheres_have_none_and_a_frame_that_is_not_whole_is_refused() -> None:
+def test_free_spheres_add_no_obstacles_and_an_incomplete_frame_is_refused() -> None:
     assert frame_bodies(FiducialKind.FREE, SPHERES_MM) == ()
     with pytest.raises(LayoutNotFound):
         frame_bodies(FiducialKind.XFRAME, SPHERES_MM[:3])
 
 
 @pytest.mark.hazard(24)
-def test_what_the_mount_is_off_is_asked_for_as_clearance() -> None:
+def test_the_reserve_for_the_mount_is_added_to_the_clearance_of_the_stereo_head() -> None:
     scene = PlanningScene(CollisionConfig(), HEAD)
     plain, reserved = (
         one.with_stereo_head(ROBOT_FROM_CT, FLANGE_FROM_TOOL) for one in (scene, scene.with_reserve(2.0))

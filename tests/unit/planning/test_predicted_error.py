@@ -1,4 +1,4 @@
-"""The error that is expected while a plan is drawn, against formulas and draws that it does not use."""
+"""The error predicted while a plan is drawn, against independent formulas and random draws."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ MARKERS_MM = np.array([[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80
 TARGET_MM = (5.0, -20.0, 20.0)
 
 
-def test_of_equal_markers_it_is_that_of_fitzpatrick() -> None:
+def test_equal_markers_give_the_error_of_fitzpatricks_formula() -> None:
     own_mm = 0.1  # 3-D rms
     covariances = np.tile(np.eye(3) * own_mm**2 / 3.0, (4, 1, 1))
     fle_mm = float(np.sqrt(own_mm**2 + 3.0 * USUAL_SEATING_MM**2))
@@ -23,7 +23,7 @@ def test_of_equal_markers_it_is_that_of_fitzpatrick() -> None:
     )
 
 
-def test_of_unequal_markers_it_is_what_scipy_finds_over_many_draws() -> None:
+def test_unequal_markers_give_the_error_of_many_random_draws() -> None:
     random = np.random.default_rng(5)
     covariances = np.stack([np.diag(random.uniform(0.001, 0.09, 3)) for _ in MARKERS_MM])
     seated = covariances + np.eye(3) * USUAL_SEATING_MM**2

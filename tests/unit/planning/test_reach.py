@@ -1,4 +1,4 @@
-"""The whole procedure is driven on paper first: every pose, line and branch."""
+"""The whole procedure is checked kinematically first: every pose, line and branch."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_the_joints_reach_the_poses(checked, make_arm):
             assert np.allclose(reached.as_matrix(), wanted.as_matrix(), atol=1e-6)
 
 
-def test_an_arm_with_an_offset_wrist_drives_the_whole_procedure(make_arm):
+def test_an_arm_with_an_offset_wrist_reaches_the_whole_procedure(make_arm):
     arm = Ur5()
     setting = make_arm(kinematics=arm, start_rad=arm.home_rad)
     result = check_paths(setting, TRAJECTORIES, FIDUCIALS)
@@ -77,14 +77,14 @@ def test_an_arm_with_an_offset_wrist_drives_the_whole_procedure(make_arm):
     assert WristState.of(arm, result).least_bend_rad > 0.0
 
 
-def test_one_branch_holds_over_the_whole_procedure(checked, make_arm):
+def test_one_branch_is_kept_over_the_whole_procedure(checked, make_arm):
     kinematics = make_arm().kinematics
     for one in checked.reached:
         assert kinematics.branch_of(one.approach_rad) == kinematics.branch_of(one.at_rad) == checked.branch
     assert len(checked.reached) == 8
 
 
-def test_joints_stay_within_the_ranges_and_the_ranges_are_told(checked, make_arm):
+def test_joints_stay_within_their_limits_and_their_ranges_are_reported(checked, make_arm):
     arm = make_arm().kinematics
     for (low, high), lower, upper in zip(checked.joint_ranges_rad, arm.lower_rad, arm.upper_rad, strict=True):
         assert lower <= low <= high <= upper
@@ -97,7 +97,7 @@ def test_moves_lead_from_one_approach_point_to_the_next(checked):
     assert checked.moves[1].largest_rad == pytest.approx(np.abs(difference).max())
 
 
-def test_another_starting_branch_is_kept_when_it_serves(make_arm, checked):
+def test_another_starting_branch_is_kept_when_it_works(make_arm, checked):
     flipped = radians6(0.0, -90.0, 90.0, 180.0, -90.0, 180.0)
     result = check_paths(make_arm(start_rad=flipped), TRAJECTORIES, FIDUCIALS)
     assert result.passed
@@ -105,7 +105,7 @@ def test_another_starting_branch_is_kept_when_it_serves(make_arm, checked):
     assert result.branch != checked.branch
 
 
-def test_the_branch_that_serves_most_poses_is_tried_first(make_arm, checked):
+def test_the_branch_that_reaches_most_poses_is_tried_first(make_arm, checked):
     setting = make_arm()
     flanges = [one.visit.pose @ setting.flange_from_tool.inverse() for one in checked.reached]
     assert ranked_branches(setting.kinematics, flanges, setting.start_rad)[0] == checked.branch

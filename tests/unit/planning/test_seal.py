@@ -1,4 +1,4 @@
-"""A plan that was saved in the planner: by whom, on which voxels, and not altered since."""
+"""A plan saved in the planner: who saved it, for which voxels, and that it was not altered since."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_sealed_plan_is_read_as_it_was_saved(saved: Path, make_volume: Callabl
         ("standoff_mm = 30.0", "standoff_mm = 29.0"),
     ],
 )
-def test_a_plan_that_was_altered_under_its_seal_is_refused(saved: Path, before: str, after: str) -> None:
+def test_a_plan_altered_under_its_seal_is_refused(saved: Path, before: str, after: str) -> None:
     text = saved.read_text()
     assert before in text
     saved.write_text(text.replace(before, after, 1))
@@ -54,12 +54,12 @@ def test_a_plan_that_was_altered_under_its_seal_is_refused(saved: Path, before: 
     assert read_plan(saved, sealed_only=False).seal is not None  # to be looked at
 
 
-def test_a_plan_without_a_seal_is_anybodys(saved: Path) -> None:
+def test_a_plan_without_a_seal_can_be_edited_freely(saved: Path) -> None:
     saved.write_text(saved.read_text().partition("[seal]")[0].replace("60.0", "61.0", 1))
     assert read_plan(saved).seal is None
 
 
-def test_another_ct_with_the_number_of_the_series_is_refused(
+def test_a_ct_with_the_series_uid_but_other_voxels_is_refused(
     saved: Path, make_volume: Callable[..., Volume]
 ) -> None:
     voxels = make_volume().voxels.copy()
@@ -75,7 +75,7 @@ def test_another_ct_with_the_number_of_the_series_is_refused(
     ]
 
 
-def test_a_full_disk_leaves_the_plan_that_stood_there(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_previous_plan_intact(saved: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before, plan = saved.read_bytes(), read_plan(saved)
 
     def full(_descriptor: int) -> None:
@@ -88,7 +88,7 @@ def test_a_full_disk_leaves_the_plan_that_stood_there(saved: Path, monkeypatch: 
     assert [one.name for one in saved.parent.iterdir()] == ["plan.toml"]
 
 
-def test_a_plan_that_a_case_holds_is_in_use_until_the_case_has_ended(saved: Path) -> None:
+def test_a_plan_held_by_a_case_is_in_use_until_the_case_ends(saved: Path) -> None:
     assert not plan_in_use(saved)
     with held_plan(saved), held_plan(saved):
         assert plan_in_use(saved)
@@ -96,7 +96,7 @@ def test_a_plan_that_a_case_holds_is_in_use_until_the_case_has_ended(saved: Path
     assert not plan_in_use(saved.with_name("none"))
 
 
-def test_a_case_that_waited_for_a_plan_to_be_replaced_holds_the_new_one(saved: Path) -> None:
+def test_a_case_that_waits_for_a_plan_to_be_replaced_holds_the_new_one(saved: Path) -> None:
     plan = read_plan(saved)
     with ThreadPoolExecutor(1) as beside, ExitStack() as case:
         with replaced_plan(saved):
@@ -109,7 +109,7 @@ def test_a_case_that_waited_for_a_plan_to_be_replaced_holds_the_new_one(saved: P
     assert not plan_in_use(saved)
 
 
-def test_what_a_case_holds_is_what_it_reads_also_when_another_plan_takes_its_place(saved: Path) -> None:
+def test_a_case_reads_the_plan_it_holds_even_after_the_file_is_replaced(saved: Path) -> None:
     plan, content = read_plan(saved), saved.read_bytes()
     with held_plan(saved) as held:
         saved.unlink()

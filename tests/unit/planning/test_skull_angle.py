@@ -1,4 +1,4 @@
-"""The angle at which a way meets the skull, on shells whose face is known."""
+"""The angle at which a trajectory meets the skull, on shells with a known surface."""
 
 from __future__ import annotations
 
@@ -32,9 +32,7 @@ def volume() -> Volume:
 
 
 @pytest.mark.parametrize("aside_mm", [0.0, 20.0, 40.0, 56.0])
-def test_a_way_beside_the_middle_meets_a_ball_at_the_angle_of_its_tangent(
-    volume: Volume, aside_mm: float
-) -> None:
+def test_an_off_centre_trajectory_meets_a_ball_at_its_tangent_angle(volume: Volume, aside_mm: float) -> None:
     entry = (aside_mm, 0.0, float(np.sqrt((RADIUS_MM + SKIN_MM) ** 2 - aside_mm**2)))
     way = Trajectory("T1", entry, (aside_mm, 0.0, 10.0))
     expected_deg = 90.0 - np.degrees(np.arcsin(aside_mm / RADIUS_MM))
@@ -43,14 +41,14 @@ def test_a_way_beside_the_middle_meets_a_ball_at_the_angle_of_its_tangent(
     assert np.degrees(angle_rad) == pytest.approx(expected_deg, abs=4.0)  # voxels of 1 mm over a burr hole
 
 
-def test_an_entry_that_was_planned_on_the_bone_is_measured_alike(volume: Volume) -> None:
+def test_an_entry_planned_on_the_bone_gives_the_same_angle(volume: Volume) -> None:
     on_skin = skull_angle_rad(volume, Trajectory("T1", (20.0, 0.0, 82.6), (10.0, 5.0, 10.0)))
     on_bone = skull_angle_rad(volume, Trajectory("T1", (19.3, 0.35, 77.5), (10.0, 5.0, 10.0)))
     assert on_skin is not None
     assert on_bone == pytest.approx(on_skin, abs=np.radians(3.0))
 
 
-def test_without_bone_there_is_no_angle(volume: Volume) -> None:
+def test_there_is_no_angle_without_bone(volume: Volume) -> None:
     soft = Volume(np.minimum(volume.voxels, np.int16(60)), volume.geometry, "1.2", "1.3", "HFS")
     assert skull_angle_rad(soft, Trajectory("T1", (0.0, 0.0, 85.0), (0.0, 0.0, 10.0))) is None
     assert skull_angle_rad(volume, Trajectory("T1", (0.0, 0.0, 500.0), (0.0, 0.0, 420.0))) is None

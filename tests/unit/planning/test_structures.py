@@ -1,4 +1,4 @@
-"""Structures that a plan keeps away from: read, thinned, measured and judged."""
+"""Structures that a plan avoids: read, thinned, measured and judged."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def avoiding(plan: Plan, *structures: Structure) -> Plan:
     return parse_plan({**content, "structures": [one.model_dump(mode="json") for one in structures]})
 
 
-def test_a_distance_is_that_of_the_axis_between_entry_and_target(plan: Plan) -> None:
+def test_the_distance_is_measured_to_the_axis_between_entry_and_target(plan: Plan) -> None:
     entry, target = np.array(plan.trajectories[0].entry_mm), np.array(plan.trajectories[0].target_mm)
     along = (target - entry) / np.linalg.norm(target - entry)
     across = np.cross(along, (1.0, 0.0, 0.0))
@@ -44,7 +44,7 @@ def test_a_distance_is_that_of_the_axis_between_entry_and_target(plan: Plan) -> 
 
 
 @pytest.mark.parametrize(("margin_mm", "passes"), [(3.5, True), (4.5, False)])
-def test_a_trajectory_within_the_margin_refuses_the_plan(
+def test_a_trajectory_within_the_margin_of_a_structure_is_refused(
     plan: Plan, make_volume: Callable[..., Volume], margin_mm: float, passes: bool
 ) -> None:
     near = structure_of("vessel", margin_mm, [BESIDE_TARGET])
@@ -57,21 +57,19 @@ def test_a_trajectory_within_the_margin_refuses_the_plan(
             check.require()
 
 
-def test_a_structure_of_another_place_refuses_the_plan(
-    plan: Plan, make_volume: Callable[..., Volume]
-) -> None:
+def test_a_structure_outside_the_ct_field_is_refused(plan: Plan, make_volume: Callable[..., Volume]) -> None:
     elsewhere = structure_of("vessel", 1.0, [(90.0, 90.0, 98.0), (90.0, 90.0, 101.0), (90.0, 90.0, 104.0)])
     with pytest.raises(OutsideField, match=r"PLAN-006.*67% of the points of vessel"):
         check_plan(avoiding(plan, elsewhere), make_volume()).require()
 
 
-def test_gaps_wider_than_the_margin_are_told(plan: Plan, make_volume: Callable[..., Volume]) -> None:
+def test_gaps_wider_than_the_margin_are_warned_about(plan: Plan, make_volume: Callable[..., Volume]) -> None:
     sparse = structure_of("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
     (warning,) = check_plan(avoiding(plan, sparse), make_volume()).warnings
     assert "vessel are up to 20.0 mm apart" in warning
 
 
-def test_a_gap_between_slices_is_taken_off_where_the_points_of_each_lie_close(plan: Plan) -> None:
+def test_the_gap_between_slices_is_subtracted_where_the_points_of_each_lie_close(plan: Plan) -> None:
     way = plan.trajectories[0]
     middle = (np.array(way.entry_mm) + way.target_mm) / 2.0
     turns = np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False)
@@ -86,7 +84,7 @@ def test_a_gap_between_slices_is_taken_off_where_the_points_of_each_lie_close(pl
         assert not first.is_kept
 
 
-def test_what_is_thinned_never_seems_farther_than_it_is(plan: Plan) -> None:
+def test_a_thinned_structure_never_seems_farther_away_than_it_is(plan: Plan) -> None:
     cloud = np.random.default_rng(5).uniform((-35.0, -60.0, 50.0), (45.0, 20.0, 130.0), (20_000, 3))
     thin = structure_of("vessel", 1.0, cloud)
     assert len(thin.points_mm) <= MOST_POINTS
@@ -98,7 +96,7 @@ def test_what_is_thinned_never_seems_farther_than_it_is(plan: Plan) -> None:
         assert told.distance_mm <= nearest + 0.1
 
 
-def test_a_plan_with_structures_is_written_and_read_as_it_was(plan: Plan, tmp_path: Path) -> None:
+def test_a_plan_with_structures_survives_writing_and_reading(plan: Plan, tmp_path: Path) -> None:
     full = [
         structure_of(f"S{k}", 2.0, np.random.default_rng(k).uniform(-99.0, 99.0, (1000, 3))) for k in range(3)
     ]
@@ -107,7 +105,7 @@ def test_a_plan_with_structures_is_written_and_read_as_it_was(plan: Plan, tmp_pa
     assert read_plan(file).structures == tuple(full)
 
 
-def test_two_structures_of_one_name_and_too_many_points_are_refused(plan: Plan) -> None:
+def test_duplicate_structure_names_and_too_many_points_are_refused(plan: Plan) -> None:
     one = structure_of("vessel", 2.0, [(0.0, 0.0, 0.0)])
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*the same name"):
         avoiding(plan, one, one)
@@ -116,7 +114,7 @@ def test_two_structures_of_one_name_and_too_many_points_are_refused(plan: Plan) 
         avoiding(plan, *clouds)
 
 
-def test_points_are_imported_from_the_files_people_have(make_volume: Callable[..., Volume]) -> None:
+def test_points_are_imported_from_csv_and_slicer_files(make_volume: Callable[..., Volume]) -> None:
     geometry = make_volume().geometry
     rows = b"L_mm,P_mm,S_mm\n1,2,3\n-4,5.5,6\n"
     slicer = (
@@ -129,13 +127,13 @@ def test_points_are_imported_from_the_files_people_have(make_volume: Callable[..
 
 
 @pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"1,2\n", b"x,y,z\n1,2,3\n", b"1,2,nan\n"])
-def test_a_file_that_holds_no_points_is_refused_with_what_may_be_given(
+def test_a_file_without_points_is_refused_with_the_accepted_formats(
     content: bytes, make_volume: Callable[..., Volume]
 ) -> None:
     with pytest.raises(StructureUnreadable, match=r"PLAN-028.*Give CSV rows"):
         read_structure(content, "vessel.csv", "vessel", 3.0, make_volume().geometry)
 
 
-def test_a_file_of_another_place_is_refused(make_volume: Callable[..., Volume]) -> None:
+def test_a_file_with_points_outside_the_ct_field_is_refused(make_volume: Callable[..., Volume]) -> None:
     with pytest.raises(OutsideField, match=r"PLAN-006.*100% of the points in vessel\.csv"):
         read_structure(b"0,0,900\n", "vessel.csv", "vessel", 3.0, make_volume().geometry)

@@ -1,4 +1,4 @@
-"""Where three or four markers go: apart, on free skin, at distances that cannot be taken for one another."""
+"""Where three or four markers go: apart, on free skin, at distances that cannot be confused."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90
 
 
 @pytest.mark.parametrize(("markers", "margin_mm"), [(3, 30.0), (4, 10.0)])
-def test_all_distances_differ_by_the_margin_and_the_markers_stand_on_the_skin(
+def test_all_distances_differ_by_the_margin_and_the_markers_are_on_the_skin(
     markers: int, margin_mm: float
 ) -> None:
     found = propose_template(HEAD, markers, margin_mm)
@@ -46,12 +46,12 @@ def test_a_smaller_margin_never_costs_accuracy() -> None:
     assert error(2.0) <= error(8.0) <= error(14.0)
 
 
-def test_a_margin_that_no_head_has_room_for_is_refused_with_the_largest_there_is() -> None:
+def test_a_margin_no_head_has_room_for_is_refused_with_the_largest_possible_one() -> None:
     with pytest.raises(NoTemplate, match=r"PLAN-015.*40 mm.*at most .* mm"):
         propose_template(HEAD, 4, 40.0)
 
 
-def test_the_skin_is_that_of_the_ct_and_not_of_the_ellipsoid() -> None:
+def test_the_skin_is_taken_from_the_ct_and_not_from_the_ellipsoid() -> None:
     """A head that is flat on one side: the ellipsoid around it stands off there."""
     radius_mm, flat_at_mm, voxel_mm = 88.0, 30.0, 4.0
     axis = np.arange(-118.0, 119.0, voxel_mm)
@@ -68,7 +68,7 @@ def test_the_skin_is_that_of_the_ct_and_not_of_the_ellipsoid() -> None:
     assert max(foot[0] for foot in feet) < flat_at_mm + voxel_mm
 
 
-def test_what_stands_on_the_skin_is_not_taken_for_it() -> None:
+def test_objects_on_the_skin_are_not_taken_for_skin() -> None:
     radius_mm, voxel_mm = 88.0, 3.0
     axis = np.arange(-129.0, 130.0, voxel_mm)
     z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
@@ -86,7 +86,7 @@ def test_what_stands_on_the_skin_is_not_taken_for_it() -> None:
         assert abs(np.linalg.norm(foot) - radius_mm) < voxel_mm
 
 
-def test_a_template_comes_back_from_its_file(tmp_path: Path) -> None:
+def test_a_template_survives_writing_and_reading(tmp_path: Path) -> None:
     template = propose_template(HEAD, 4, 8.0)
     write_template(tmp_path / "t.toml", template)
     assert read_marker_template(tmp_path / "t.toml") == template
@@ -108,7 +108,7 @@ def test_a_template_comes_back_from_its_file(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_a_file_that_is_no_template_is_refused_with_what_is_wrong(
+def test_a_file_that_is_not_a_template_is_refused_with_the_reason(
     tmp_path: Path, text: str, said: str
 ) -> None:
     path = tmp_path / "t.toml"
@@ -129,7 +129,7 @@ def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str)
         head_of_scene(path)
 
 
-def test_every_two_distances_of_a_template_are_told_ascending() -> None:
+def test_the_distances_of_a_template_are_listed_in_ascending_order() -> None:
     template = propose_template(HEAD, 3, 10.0)
     expected = sorted(
         float(np.linalg.norm(np.subtract(a, b))) for a, b in combinations(template.centres_mm, 2)

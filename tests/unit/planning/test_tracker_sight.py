@@ -1,4 +1,4 @@
-"""What the tracker is expected to see past the arm, against the simulator's own bodies of the arm."""
+"""What the tracker should see past the arm, against the simulator's own bodies of the arm."""
 
 import numpy as np
 from room_trials import TrackedCase
@@ -13,7 +13,7 @@ SCENES = 8
 LEAST_AGREEMENT = 0.97  # sphere by sphere; the bodies of planning are thicker than those of the simulator
 
 
-def test_a_sphere_behind_the_forearm_is_hidden_and_one_beside_it_is_not() -> None:
+def test_a_sphere_behind_the_forearm_is_hidden_and_one_off_to_the_side_is_not() -> None:
     arm = kr6_r900()
     wrist_mm = arm.flange_pose(arm.home_rad).translation_mm
     # The tracker looks along -x of the robot, from the far side: z of the tracker points to it.
@@ -27,7 +27,7 @@ def test_a_sphere_behind_the_forearm_is_hidden_and_one_beside_it_is_not() -> Non
     assert seen.tolist() == [False, True]
 
 
-def test_nearly_every_sphere_is_told_as_the_simulator_has_it() -> None:
+def test_expected_visibility_agrees_with_the_simulator_for_nearly_every_sphere() -> None:
     told = []
     for seed in range(SCENES):
         case = TrackedCase(seed)

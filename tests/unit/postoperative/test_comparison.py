@@ -1,4 +1,4 @@
-"""What was left in a head is found in the second scan, and what cannot be told is refused."""
+"""Instruments left in a head are found in the second scan, and undecidable cases are refused."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegi
     return after(scan), BoneRegistration(pose, 1.0, 1.0, 0.0)
 
 
-def test_electrodes_are_found_within_the_goal(scene: Scene, planned: Volume) -> None:
+def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Volume) -> None:
     left = misplaced(scene, Kind.ELECTRODE, SEED)
     post, _ = _after(scene, left)
     proof = compare(plan_of(scene), planned, post)
@@ -61,7 +61,7 @@ def test_electrodes_are_found_within_the_goal(scene: Scene, planned: Volume) -> 
         assert angle_deg < 0.3
 
 
-def test_errors_are_told_against_the_plan(scene: Scene, planned: Volume) -> None:
+def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> None:
     target = scene.head.targets[0]
     deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
     left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
@@ -76,7 +76,7 @@ def test_errors_are_told_against_the_plan(scene: Scene, planned: Volume) -> None
     assert found.doubts == ()
 
 
-def test_a_drilled_hole_has_an_entry_and_a_direction_and_no_tip(scene: Scene, planned: Volume) -> None:
+def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, planned: Volume) -> None:
     left = misplaced(scene, Kind.DRILL_HOLE, SEED)
     post, truth = _after(scene, left)
     for one, found in zip(left, proof_by(truth, plan_of(scene), planned, post).trajectories, strict=True):
@@ -90,7 +90,7 @@ def test_a_drilled_hole_has_an_entry_and_a_direction_and_no_tip(scene: Scene, pl
 
 
 @pytest.mark.hazard(43)
-def test_a_trajectory_without_anything_is_named_and_so_is_what_was_found(
+def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
     scene: Scene, planned: Volume
 ) -> None:
     post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
@@ -117,7 +117,9 @@ def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
 
 
 @pytest.mark.hazard(43)
-def test_an_opening_that_is_no_drilled_hole_is_refused_and_says_why(scene: Scene, planned: Volume) -> None:
+def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
+    scene: Scene, planned: Volume
+) -> None:
     post, truth = _after(scene, ())
     entry_mm = truth.post_from_pre.apply(np.array(scene.head.targets[0].entry_ct_mm))
     slices, rows, columns = np.rint(post.geometry.to_index(entry_mm)).astype(int)
@@ -145,7 +147,9 @@ def test_a_scan_without_bone_is_refused(planned: Volume) -> None:
 
 
 @pytest.mark.hazard(43)
-def test_the_plan_must_be_of_the_first_series_and_the_second_another(scene: Scene, planned: Volume) -> None:
+def test_the_plan_must_match_the_first_series_and_the_second_series_must_differ(
+    scene: Scene, planned: Volume
+) -> None:
     plan, post = plan_of(scene), replace(planned, series_instance_uid="1.2.2")
     require_series(plan, planned, post)
     with pytest.raises(SeriesSwapped):

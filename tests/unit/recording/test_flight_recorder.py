@@ -1,4 +1,4 @@
-"""The flight recorder: what passed is there, bounded, and whoever hands it over never waits or fails."""
+"""The flight recorder: traffic is kept within bounds, and its producers never wait or fail."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _kept(folder: Path, link: str) -> list[LinkLine]:
     return list(read_link(folder, link))
 
 
-def test_what_passed_is_read_back_with_its_direction_and_time(
+def test_recorded_bytes_are_read_back_with_direction_and_time(
     make: Make, folder: Path, theatre: Theatre
 ) -> None:
     recorder = make()
@@ -81,7 +81,7 @@ def test_what_passed_is_read_back_with_its_direction_and_time(
     assert first.host_time < second.host_time < note.host_time
 
 
-def test_what_another_process_saw_gets_the_theatre_time_between_two_calls(
+def test_bytes_from_another_process_get_a_theatre_time_between_two_calls(
     make: Make, folder: Path, theatre: Theatre
 ) -> None:
     recorder = make()
@@ -95,7 +95,7 @@ def test_what_another_process_saw_gets_the_theatre_time_between_two_calls(
     assert first.host_time < second.host_time
 
 
-def test_a_link_keeps_its_newest_bytes_in_two_files_of_bounded_size(make: Make, folder: Path) -> None:
+def test_a_link_keeps_its_newest_bytes_in_two_files_of_limited_size(make: Make, folder: Path) -> None:
     limit = 5000
     recorder = make(file_bytes=limit)
     for number in range(40):
@@ -111,7 +111,7 @@ def test_a_link_keeps_its_newest_bytes_in_two_files_of_bounded_size(make: Make, 
     assert len(numbers) > 0.5 * limit / 110  # at least one file's worth
 
 
-def test_what_does_not_fit_into_the_queue_is_dropped_counted_and_noted(make: Make, folder: Path) -> None:
+def test_bytes_that_do_not_fit_into_the_queue_are_dropped_counted_and_noted(make: Make, folder: Path) -> None:
     recorder = make(queue_length=0)
     for _ in range(7):
         recorder.passed("tracker", SENT, b"x")
@@ -119,7 +119,7 @@ def test_what_does_not_fit_into_the_queue_is_dropped_counted_and_noted(make: Mak
     assert sum(int(line.note["dropped"]) for line in _kept(folder, "tracker")) == 7
 
 
-def test_a_file_that_cannot_be_written_costs_its_own_bytes_and_nothing_else(make: Make, folder: Path) -> None:
+def test_a_file_that_cannot_be_written_loses_only_its_own_bytes(make: Make, folder: Path) -> None:
     recorder = make()
     (folder / "tracker.a.jsonl").mkdir()
     (folder / "tracker.b.jsonl").mkdir()
@@ -129,7 +129,9 @@ def test_a_file_that_cannot_be_written_costs_its_own_bytes_and_nothing_else(make
     assert [line.data for line in _kept(folder, "eki")] == [b"kept"]
 
 
-def test_the_recorder_outlives_the_clock_of_its_theatre(make: Make, folder: Path, theatre: Theatre) -> None:
+def test_the_recorder_keeps_the_last_theatre_time_when_the_clock_ends(
+    make: Make, folder: Path, theatre: Theatre
+) -> None:
     theatre.moment_s = 3.0
     recorder = make()
     recorder.passed("tracker", SENT, b"before")
@@ -139,7 +141,7 @@ def test_the_recorder_outlives_the_clock_of_its_theatre(make: Make, folder: Path
     assert [line.theatre_time_s for line in _kept(folder, "tracker")] == [3.0, 3.0]
 
 
-def test_a_later_process_of_the_run_goes_on_behind_a_torn_line(make: Make, folder: Path) -> None:
+def test_a_later_process_of_the_run_appends_after_a_torn_line(make: Make, folder: Path) -> None:
     first = make()
     first.passed("tracker", SENT, b"one")
     first.passed("tracker", SENT, b"two")
@@ -172,7 +174,7 @@ def run(make: Make, folder: Path, theatre: Theatre) -> Path:
         (("--from", "1.5", "--to", "2.5"), [2.0]),
     ],
 )
-def test_a_window_is_cut_out_by_link_and_theatre_time(
+def test_a_window_is_selected_by_link_and_theatre_time(
     run: Path, window: tuple[str, ...], seconds: list[float]
 ) -> None:
     import json
@@ -182,13 +184,13 @@ def test_a_window_is_cut_out_by_link_and_theatre_time(
     assert [json.loads(line)["theatre_time_s"] for line in printed.stdout.splitlines()] == seconds
 
 
-def test_a_link_that_the_run_does_not_have_is_refused_with_those_it_has(run: Path) -> None:
+def test_an_unknown_link_is_refused_with_the_names_of_the_recorded_ones(run: Path) -> None:
     refused = in_this_process(ronna_procedure, "bytes", run, "--link", "lidar")
     assert refused.returncode == 2
     assert "stereo.left.control, tracker" in refused.stderr
 
 
-def test_a_window_without_bytes_says_what_there_is_and_one_that_ends_first_is_refused(run: Path) -> None:
+def test_an_empty_window_names_the_recorded_span_and_a_reversed_one_is_refused(run: Path) -> None:
     empty = in_this_process(ronna_procedure, "bytes", run, "--link", "tracker", "--from", "7")
     assert (empty.returncode, empty.stdout) == (0, "")
     assert "tracker recorded 1.0 to 3.0 s" in empty.stderr

@@ -17,17 +17,17 @@ def test_any_picture_comes_back_bit_for_bit(kind: type, largest: int, shape: tup
     np.testing.assert_array_equal(again, pixels)
 
 
-def test_a_part_of_a_larger_picture_is_taken_as_it_is() -> None:
+def test_a_slice_of_a_larger_picture_comes_back_unchanged() -> None:
     part = np.arange(400, dtype=np.uint16).reshape(20, 20)[2:8, 3:9]
     np.testing.assert_array_equal(unpack_pixels(pack_pixels(part), part.shape, "uint16"), part)
 
 
-def test_noise_of_four_grey_values_takes_less_than_half_the_room() -> None:
+def test_noise_of_four_grey_values_packs_to_less_than_half_its_size() -> None:
     noise = (100 + np.random.default_rng(1).normal(0, 1.2, (200, 200))).astype(np.uint8)
     assert len(pack_pixels(noise)) < 0.5 * noise.nbytes
 
 
 @pytest.mark.parametrize("damaged", [b"", b"no zlib at all", pack_pixels(np.zeros((2, 2), np.uint8))])
-def test_damaged_bytes_make_no_picture(damaged: bytes) -> None:
+def test_damaged_bytes_are_refused(damaged: bytes) -> None:
     with pytest.raises(ValueError, match=r"\w"):
         unpack_pixels(damaged, (3, 3), "uint8")

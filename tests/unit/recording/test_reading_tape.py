@@ -1,4 +1,4 @@
-"""What devices answer goes onto the tape as it is, and only where a step of the procedure asked."""
+"""Device answers go onto the tape unchanged, and only those that a step of the procedure asked for."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ GIVEN: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("call", GIVEN)
-def test_every_kind_of_answer_is_the_same_when_it_is_read_back(call: str) -> None:
+def test_every_kind_of_answer_is_read_back_unchanged(call: str) -> None:
     kept: list[Any] = []
 
     def put(pixels: Any) -> dict[str, Any]:
@@ -86,7 +86,7 @@ def _lines(tape: ReadingTape, folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in (folder / READINGS_FILE).read_bytes().splitlines()][1:]
 
 
-def test_only_what_the_step_itself_asked_is_on_the_tape(tape: ReadingTape, tmp_path: Path) -> None:
+def test_only_answers_requested_by_the_step_itself_are_on_the_tape(tape: ReadingTape, tmp_path: Path) -> None:
     arm: Any = taped(RecordingArm("arm"), tape)
     arm.read_state()  # between two steps
     tape.begin(5)
@@ -103,7 +103,7 @@ def test_only_what_the_step_itself_asked_is_on_the_tape(tape: ReadingTape, tmp_p
     assert line["theatre_time_s"] == 1.5
 
 
-def test_an_error_is_raised_as_ever_and_kept_with_the_state_that_it_left(
+def test_an_error_is_raised_as_usual_and_recorded_with_the_resulting_state(
     tape: ReadingTape, tmp_path: Path
 ) -> None:
     arm: Any = taped(
@@ -116,14 +116,14 @@ def test_an_error_is_raised_as_ever_and_kept_with_the_state_that_it_left(
     assert (line["state"], line["error"]["code"], line["error"]["got"]) == ("fault", "ARM-007", "2 mm")
 
 
-def test_a_device_on_tape_is_of_the_same_kinds_as_before(tape: ReadingTape) -> None:
+def test_a_device_on_tape_keeps_its_device_kinds(tape: ReadingTape) -> None:
     for device in (RecordingArm("arm"), RecordingDevice("tracker")):
         on_tape = taped(device, tape)  # type: ignore[arg-type]
         for kind in (RobotArm, OpticalTracker):
             assert isinstance(on_tape, kind) == isinstance(device, kind)
 
 
-def test_what_is_settled_outlives_the_program(tape: ReadingTape, tmp_path: Path) -> None:
+def test_settled_answers_are_on_disk(tape: ReadingTape, tmp_path: Path) -> None:
     arm: Any = taped(RecordingArm("arm"), tape)
     tape.begin(0)
     for _ in range(100):
@@ -132,7 +132,7 @@ def test_what_is_settled_outlives_the_program(tape: ReadingTape, tmp_path: Path)
     assert (tmp_path / READINGS_FILE).read_bytes().count(b"read_state") == 100
 
 
-def test_a_full_tape_ends_and_says_so(tmp_path: Path) -> None:
+def test_a_full_tape_ends_with_a_mark(tmp_path: Path) -> None:
     tape = ReadingTape(tmp_path, lambda: 0.0, {}, most_bytes=100)
     arm: Any = taped(RecordingArm("arm"), tape)
     tape.begin(0)

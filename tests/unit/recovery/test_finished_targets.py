@@ -1,4 +1,4 @@
-"""Hazard 50: a target finished before the cart moved stays finished, and is told as it was reached."""
+"""Hazard 50: a target finished before the cart moved stays finished, with the registration that led there."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Target(StepResult, kind="target"):
     """What is done at a target."""
 
 
-def test_the_path_check_plans_nothing_for_a_target_that_was_finished_before_the_move(tmp_path: Path) -> None:
+def test_the_path_check_skips_a_target_finished_before_the_move(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
     engine = cell.begin(
         *(localized_fiducials(), checked_plan(), checked_set_up(cell)),
@@ -120,7 +120,7 @@ def register(context: StepContext) -> Outcome[StepResult]:
 PREDICTED_MM = {FIRST: 0.4, LAST: 0.8}  # by the fourth and by the eighth record
 
 
-def test_outcome_and_report_tell_each_target_by_the_registration_that_led_there(tmp_path: Path) -> None:
+def test_outcome_and_report_show_each_target_with_the_registration_that_led_there(tmp_path: Path) -> None:
     engine = registered_twice(ClinicalCell(tmp_path))
     outcome = finished(CaseRequest(out=tmp_path), engine.case, TRAJECTORIES, 0.0, 0.0, Truth())
     assert {one.id: one.predicted_tre_mm for one in outcome.targets} == PREDICTED_MM
@@ -129,7 +129,7 @@ def test_outcome_and_report_tell_each_target_by_the_registration_that_led_there(
     assert second_reading(tmp_path, tmp_path / "no truth") == tuple(one.cells for one in rows)
 
 
-def test_the_export_has_both_registrations_each_for_its_target(tmp_path: Path) -> None:
+def test_the_export_has_a_registration_for_each_target(tmp_path: Path) -> None:
     registered_twice(ClinicalCell(tmp_path / "run"))
     seal(tmp_path / "run", closed_files(read_chain(tmp_path / "run" / JOURNAL_FILE).lines))
     names = {path.name for path in export_run(tmp_path / "run", tmp_path / "out")}
@@ -138,7 +138,7 @@ def test_the_export_has_both_registrations_each_for_its_target(tmp_path: Path) -
     assert [line.partition(",")[0] for line in table] == ["trajectory", *TRAJECTORIES]
 
 
-def test_after_the_move_the_robot_has_another_frame_of_reference(tmp_path: Path) -> None:
+def test_the_robot_gets_another_frame_of_reference_after_the_move(tmp_path: Path) -> None:
     registered_twice(ClinicalCell(tmp_path / "run"))
     seal(tmp_path / "run", closed_files(read_chain(tmp_path / "run" / JOURNAL_FILE).lines))
     first, again = (frames_of(export_run(tmp_path / "run", tmp_path / name)) for name in ("one", "two"))
@@ -189,7 +189,7 @@ BOTH_FINISHED = 5  # motions: over the first target, along its axis and back; ov
 
 @pytest.mark.branch("CART_MOVED")
 @pytest.mark.parametrize("at", [BOTH_FINISHED, BOTH_FINISHED + 1])
-def test_when_every_target_is_finished_the_arm_goes_home_and_the_case_ends_well(
+def test_the_arm_goes_home_and_the_case_ends_well_once_every_target_is_finished(
     tmp_path: Path, at: int
 ) -> None:
     cell = ClinicalCell(tmp_path)
@@ -203,7 +203,7 @@ def test_when_every_target_is_finished_the_arm_goes_home_and_the_case_ends_well(
     assert engine.machine.state == "finished"
 
 
-def test_unless_it_is_agreed_the_arm_stays_and_the_case_has_not_ended(tmp_path: Path) -> None:
+def test_the_arm_stays_and_the_case_does_not_end_without_consent(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = rolling(cell, LAST, BOTH_FINISHED)
     cell.operator.answers = {Topic.CART_MOVED: HOLD}
@@ -225,7 +225,7 @@ def test_a_cart_that_moves_on_the_way_out_of_the_first_target_is_locked_again(tm
     assert engine.over
 
 
-def test_a_restart_before_the_last_line_opens_no_device(
+def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_device(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = ClinicalCell(tmp_path)
@@ -239,7 +239,7 @@ def test_a_restart_before_the_last_line_opens_no_device(
     assert ended.run.journal[-1]["outcome"] == "done"  # type: ignore[attr-defined]
 
 
-def test_a_restart_while_the_arm_is_still_out_brings_it_home(tmp_path: Path) -> None:
+def test_an_arm_still_out_after_a_restart_can_be_brought_home(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = rolling(cell, LAST, BOTH_FINISHED)
     cell.operator.answers = {Topic.CART_MOVED: HOLD}

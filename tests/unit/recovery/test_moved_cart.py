@@ -1,4 +1,4 @@
-"""Hazard 50: after a move of the cart nothing is used that depended on its place, and nothing done twice."""
+"""Hazard 50: after a cart move nothing that depended on its place is used, and nothing is done twice."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def moves_asked(cell: ClinicalCell) -> int:
         (f"relocalization:{LAST}", 1),
     ],
 )
-def test_a_move_voids_what_depends_on_the_place_and_the_case_goes_on_from_the_lock(
+def test_a_move_voids_results_that_depend_on_the_place_and_the_case_continues_from_the_lock(
     tmp_path: Path, step: str, moves: int
 ) -> None:
     cell = ClinicalCell(tmp_path)
@@ -81,7 +81,7 @@ def test_a_move_voids_what_depends_on_the_place_and_the_case_goes_on_from_the_lo
     assert engine.upcoming is None
 
 
-def test_who_is_asked_reads_what_moved_and_what_stands(tmp_path: Path) -> None:
+def test_the_question_names_the_move_and_the_results_that_remain_valid(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = localizing(cell)
     move_at(cell, f"relocalization:{FIRST}")
@@ -93,7 +93,7 @@ def test_who_is_asked_reads_what_moved_and_what_stands(tmp_path: Path) -> None:
     assert question.deliberate
 
 
-def test_without_consent_the_case_is_held_and_the_lock_is_next(tmp_path: Path) -> None:
+def test_the_case_is_held_before_the_cart_lock_without_consent(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = localizing(cell)
     cell.operator.answers = {Topic.CART_MOVED: HOLD}
@@ -104,7 +104,7 @@ def test_without_consent_the_case_is_held_and_the_lock_is_next(tmp_path: Path) -
     assert cell.arm.motions == []
 
 
-def test_a_cart_that_moves_again_and_again_is_left_to_people(tmp_path: Path) -> None:
+def test_a_cart_that_keeps_moving_stops_the_case_after_the_maximum_number_of_moves(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = localizing(cell)
     announce = cell.room.announce
@@ -121,7 +121,7 @@ def test_a_cart_that_moves_again_and_again_is_left_to_people(tmp_path: Path) -> 
     assert moves_asked(cell) == MOST_MOVES
 
 
-def test_nothing_else_is_gone_on_from(tmp_path: Path) -> None:
+def test_the_case_does_not_continue_after_the_patient_moved(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     assert not MovedCart(localizing(cell)).agreed_to_go_on(PatientMoved("the head has moved"))
     assert moves_asked(cell) == 0
@@ -161,7 +161,7 @@ def half_done(cell: ClinicalCell, last: str) -> Engine:
 
 
 @pytest.mark.parametrize("last", [f"target:{FIRST}", f"out:{FIRST}"])
-def test_what_was_done_at_a_finished_target_stands_and_is_not_done_again(tmp_path: Path, last: str) -> None:
+def test_work_at_a_finished_target_remains_valid_and_is_not_repeated(tmp_path: Path, last: str) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, last)
     stands = [str(key) for key in engine.order.sequence if engine.case.stands(key)]
@@ -170,7 +170,7 @@ def test_what_was_done_at_a_finished_target_stands_and_is_not_done_again(tmp_pat
     assert [name for _, name in cell.entries("result")][-3:] == ["place", f"target:{LAST}", f"out:{LAST}"]
 
 
-def test_nothing_is_done_with_what_was_made_before_the_move(tmp_path: Path) -> None:
+def test_a_step_refuses_results_from_before_the_move(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"target:{FIRST}")
     engine.run_step(engine.order.find("place"))
@@ -179,7 +179,7 @@ def test_nothing_is_done_with_what_was_made_before_the_move(tmp_path: Path) -> N
     assert engine.context(engine.order.find("place")).standing(Target) == ()
 
 
-def test_a_run_that_is_taken_up_again_knows_what_was_finished(tmp_path: Path) -> None:
+def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"out:{FIRST}")
     engine.close("left")
@@ -191,7 +191,7 @@ def test_a_run_that_is_taken_up_again_knows_what_was_finished(tmp_path: Path) ->
     ]
 
 
-def test_another_plan_undoes_what_was_finished_as_well(tmp_path: Path) -> None:
+def test_another_plan_voids_finished_targets_as_well(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"out:{FIRST}")
     engine.void(StepKey("plan"), InputChanged("the plan was changed"))
@@ -199,11 +199,11 @@ def test_another_plan_undoes_what_was_finished_as_well(tmp_path: Path) -> None:
     assert engine.case.past_trajectories == frozenset()
 
 
-def test_when_all_is_finished_nothing_is_left_to_lead_there_again(tmp_path: Path) -> None:
+def test_no_step_remains_once_all_targets_are_finished(tmp_path: Path) -> None:
     assert half_done(ClinicalCell(tmp_path), f"out:{LAST}").upcoming is None
 
 
-def test_a_step_that_is_repeated_leaves_a_finished_target_alone_unless_it_is_its_own(tmp_path: Path) -> None:
+def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_to_it(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = steps_of(cell)
     engine.run_to(engine.order.find(f"out:{FIRST}"))
@@ -217,7 +217,7 @@ def test_a_step_that_is_repeated_leaves_a_finished_target_alone_unless_it_is_its
     assert [one.record for one in case.standing] == [one.record for one in cell.case.standing]
 
 
-def test_an_order_ends_with_the_move_and_what_comes_then_is_ordered_anew(tmp_path: Path) -> None:
+def test_a_requested_run_ends_at_the_cart_move(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = localizing(cell)
     move_at(cell, f"relocalization:{FIRST}")

@@ -1,4 +1,4 @@
-"""Head and robot base after a restart: held against the record as a step holds them at rest."""
+"""Head and robot base after a restart, compared with the record as a step compares them at rest."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def compared(engine: Engine) -> tuple[bool, Comparison]:
 
 
 @pytest.mark.parametrize("count", [1, 2])  # results that stand: the localization, and what is matched
-def test_a_room_in_which_nothing_moved_is_told_with_its_figures(cell: ClinicalCell, count: int) -> None:
+def test_an_unchanged_room_is_reported_with_its_figures(cell: ClinicalCell, count: int) -> None:
     seen, comparison = compared(localized(cell, count))
     assert seen
     assert comparison.differences == []
@@ -68,7 +68,7 @@ def move_frame(tracker: SeeingTracker) -> None:
         (move_frame, "the cart of the robot was moved by 1.0 mm"),
     ],
 )
-def test_what_a_step_would_refuse_is_a_difference(
+def test_a_change_that_a_step_would_refuse_is_a_difference(
     cell: ClinicalCell, move: Callable[[SeeingTracker], None], told: str
 ) -> None:
     engine = localized(cell)
@@ -79,7 +79,7 @@ def test_what_a_step_would_refuse_is_a_difference(
     assert told in comparison.differences[0]
 
 
-def test_two_spheres_are_too_few_to_say_anything(cell: ClinicalCell) -> None:
+def test_two_spheres_are_too_few_for_a_comparison(cell: ClinicalCell) -> None:
     engine = localized(cell)
     cell.tracker.spheres_mm = cell.tracker.spheres_mm[:2]
     seen, comparison = compared(engine)
@@ -95,14 +95,14 @@ class WithoutFrame(SeeingTracker):
         return replace(frame, tools=(replace(frame.tools[0], validity=Validity.MISSING),))
 
 
-def test_with_the_arm_home_the_frame_on_it_must_be_seen(cell: ClinicalCell) -> None:
+def test_the_frame_on_the_arm_must_be_seen_when_the_arm_is_home(cell: ClinicalCell) -> None:
     engine = localized(cell)
     cell.opened.replace_tracker(WithoutFrame("tracker", state=cell.tracker.state, cell=cell))
     _, comparison = compared(engine)
     assert "the tracker does not see it" in comparison.differences[0]
 
 
-def test_elsewhere_the_base_is_not_told_from_the_arm_s_own_errors(cell: ClinicalCell) -> None:
+def test_the_base_is_not_compared_while_the_arm_is_away_from_home(cell: ClinicalCell) -> None:
     engine = localized(cell)
     cell.arm.joints_rad = HOME
     cell.tracker.frame_shift_mm = (3.0, 0.0, 0.0)
@@ -111,7 +111,7 @@ def test_elsewhere_the_base_is_not_told_from_the_arm_s_own_errors(cell: Clinical
     assert "robot base: not compared in this pose" in comparison.findings
 
 
-def test_before_the_localization_there_is_nothing_to_compare(cell: ClinicalCell) -> None:
+def test_nothing_is_compared_before_the_localization(cell: ClinicalCell) -> None:
     seen, comparison = compared(cell.begin(*coarse()))
     assert seen
     assert comparison.differences == []

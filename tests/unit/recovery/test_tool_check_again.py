@@ -1,4 +1,4 @@
-"""Hazard 47: after a restart or a fault of the arm the guide goes to the gauge again before the head.
+"""Hazard 47: after a restart or a fault of the arm the guide returns to the gauge before the head.
 
 The controller reports a number, which the same guide bent, or another one, has too.
 """
@@ -90,7 +90,7 @@ def steps_done(cell: ClinicalCell) -> list[str]:
 
 
 @pytest.mark.hazard(2)
-def test_after_a_restart_the_guide_is_checked_again_before_it_goes_to_the_head(cell: ClinicalCell) -> None:
+def test_the_guide_is_checked_again_after_a_restart_before_it_goes_to_the_head(cell: ClinicalCell) -> None:
     again, engine = restarted(cell, operation(cell), "tool_check")
     assert str(engine.upcoming) == "tool_check"
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
@@ -98,7 +98,7 @@ def test_after_a_restart_the_guide_is_checked_again_before_it_goes_to_the_head(c
 
 
 @pytest.mark.hazard(2)
-def test_a_guide_that_was_bent_while_the_program_was_down_does_not_go_to_the_head(cell: ClinicalCell) -> None:
+def test_a_guide_bent_while_the_program_was_down_does_not_go_to_the_head(cell: ClinicalCell) -> None:
     again, engine = restarted(cell, operation(cell), "tool_check")
     again.room.dials_mm = (2.0, 2.0, 0.0, 2.0, 2.0)
     with pytest.raises(ToolBesideGauge):
@@ -106,20 +106,20 @@ def test_a_guide_that_was_bent_while_the_program_was_down_does_not_go_to_the_hea
     assert again.motions("insert") == []
 
 
-def test_without_the_new_check_no_positioning_may_begin(cell: ClinicalCell) -> None:
+def test_positioning_is_refused_before_the_new_check(cell: ClinicalCell) -> None:
     _, engine = restarted(cell, operation(cell), "tool_check")
     with pytest.raises(StepRefused, match="tool_check comes first"):
         engine.run_step(engine.order.find(f"positioning:{FIRST}"))
 
 
-def test_who_accepts_the_restart_reads_that_the_guide_is_checked_again(cell: ClinicalCell) -> None:
+def test_the_restart_question_announces_the_repeated_tool_check(cell: ClinicalCell) -> None:
     again, _ = restarted(cell, operation(cell, FIRST), f"positioning:{FIRST}")
     told = again.operator.asked[0].value.split("\n")
     assert f"remaining steps: tool_check, positioning:{FIRST}, at_target:{FIRST}, retreat:{FIRST}" in told
     assert any("tool_check is repeated" in line for line in told)
 
 
-def test_with_an_instrument_in_the_guide_the_way_out_comes_first(cell: ClinicalCell) -> None:
+def test_an_instrument_in_the_guide_comes_out_before_the_check(cell: ClinicalCell) -> None:
     order, ask = operation(cell), cell.operator.ask
 
     def killed(question: Question) -> str:
@@ -139,7 +139,9 @@ def test_with_an_instrument_in_the_guide_the_way_out_comes_first(cell: ClinicalC
     assert str(engine.upcoming) == "tool_check"
 
 
-def test_a_finished_target_is_left_first_and_not_done_again(cell: ClinicalCell) -> None:
+def test_the_retreat_from_a_finished_target_comes_before_the_check_and_its_work_is_not_repeated(
+    cell: ClinicalCell,
+) -> None:
     again, engine = restarted(cell, operation(cell), f"at_target:{FIRST}")
     engine.run_to()
     since = steps_done(again)[steps_done(again).index(f"at_target:{FIRST}") + 1 :]
@@ -150,7 +152,7 @@ def test_a_finished_target_is_left_first_and_not_done_again(cell: ClinicalCell) 
     assert engine.over
 
 
-def test_when_every_target_is_finished_nothing_is_checked_any_more(cell: ClinicalCell) -> None:
+def test_nothing_is_checked_once_every_target_is_finished(cell: ClinicalCell) -> None:
     again, engine = restarted(cell, operation(cell, FIRST), f"at_target:{FIRST}")
     engine.run_to()
     assert engine.over
@@ -165,7 +167,7 @@ def fault(cell: ClinicalCell, engine: Engine) -> None:
 
 
 @pytest.mark.hazard(12)
-def test_after_a_fault_of_the_arm_the_guide_is_checked_again(cell: ClinicalCell) -> None:
+def test_the_guide_is_checked_again_after_a_fault_of_the_arm(cell: ClinicalCell) -> None:
     engine = cell.engine(operation(cell))
     engine.run_to(engine.order.find("tool_check"))
     fault(cell, engine)
@@ -176,7 +178,7 @@ def test_after_a_fault_of_the_arm_the_guide_is_checked_again(cell: ClinicalCell)
 
 
 @pytest.mark.hazard(12)
-def test_after_a_fault_before_an_entry_the_work_there_is_ended_first(cell: ClinicalCell) -> None:
+def test_work_at_an_entry_is_finished_before_the_check_after_a_fault(cell: ClinicalCell) -> None:
     engine = cell.engine(operation(cell))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     fault(cell, engine)
@@ -189,7 +191,7 @@ def test_after_a_fault_before_an_entry_the_work_there_is_ended_first(cell: Clini
 
 
 @pytest.mark.hazard(12)
-def test_after_a_fault_before_an_entry_the_way_home_leads_to_the_gauge(cell: ClinicalCell) -> None:
+def test_the_way_home_after_a_fault_at_an_entry_leads_to_the_gauge(cell: ClinicalCell) -> None:
     engine = cell.engine(operation(cell))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     fault(cell, engine)
@@ -198,7 +200,7 @@ def test_after_a_fault_before_an_entry_the_way_home_leads_to_the_gauge(cell: Cli
 
 
 @pytest.mark.hazard(12)
-def test_the_doubt_about_the_guide_outlasts_the_program(cell: ClinicalCell) -> None:
+def test_the_doubt_about_the_guide_survives_a_restart(cell: ClinicalCell) -> None:
     order = operation(cell)
     engine = cell.engine(order)
     engine.run_to(order.find(f"positioning:{FIRST}"))

@@ -1,4 +1,4 @@
-"""Clouds without partners: found again from any pose, and refused where the shape leaves the pose open."""
+"""Clouds without correspondences: registered from any pose, or refused where the shape leaves it open."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def apart(found: RigidTransform, truth: RigidTransform, points: np.ndarray) -> f
     return float(np.linalg.norm(found.apply(points) - truth.apply(points), axis=1).max())
 
 
-def test_a_cloud_is_found_again_from_any_pose(random, any_pose):
+def test_a_cloud_is_registered_from_any_pose(random, any_pose):
     for _ in range(5):
         points, truth = head(500, random), any_pose(random)
         found = register_clouds(points, random.permutation(truth.apply(points)))
@@ -48,7 +48,7 @@ def test_two_samplings_of_one_surface_agree_within_their_spacing(random, any_pos
     assert np.sqrt(np.mean(errors_mm**2)) < found.residual_mm < 6.0
 
 
-def test_a_start_and_an_overlap_register_a_part(random, any_pose):
+def test_a_partial_cloud_is_registered_with_a_start_and_an_overlap(random, any_pose):
     points, truth = head(800, random), any_pose(random)
     seen = truth.apply(points[points[:, 2] > -20.0])
     rough = RigidTransform.from_components(
@@ -74,7 +74,7 @@ def test_a_symmetric_cloud_is_refused(shape, random, any_pose):
         register_clouds(cloud, any_pose(random).apply(cloud))
 
 
-def test_a_start_ends_the_symmetry(random, any_pose):
+def test_a_start_resolves_the_symmetry(random, any_pose):
     truth = any_pose(random)
     found = register_clouds(BOX, truth.apply(BOX), start=truth)
     assert apart(found.transform, truth, BOX) < 1e-6
@@ -93,7 +93,7 @@ def test_malformed_clouds_are_refused(bad, random):
             register_clouds(*pair)
 
 
-def test_two_points_a_line_and_one_point_repeated_fix_no_pose(random):
+def test_two_points_a_line_or_a_repeated_point_fix_no_pose(random):
     points = head(10, random)
     with pytest.raises(TooFewPoints, match="REG-002"):
         register_clouds(points[:2], points)
@@ -114,7 +114,7 @@ def test_several_starts_are_refused(random):
         register_clouds(head(10, random), head(10, random), start=RigidTransform.identity(2))
 
 
-def test_steps_that_do_not_settle_are_said_so(random, any_pose, monkeypatch):
+def test_a_registration_that_does_not_converge_is_reported(random, any_pose, monkeypatch):
     monkeypatch.setattr("procedures.registration.cloud_registration.MOST_STEPS", 1)
     with pytest.raises(NotConverged, match="REG-006"):
         register_clouds(head(50, random), any_pose(random).apply(head(60, random)))

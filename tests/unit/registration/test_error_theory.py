@@ -46,7 +46,7 @@ def test_target_error_is_predicted_within_two_percent(simulated):
     assert predicted == pytest.approx(np.sqrt(np.square(error).mean()), rel=0.02)
 
 
-def test_the_stated_limit_holds_the_stated_share_of_errors(simulated):
+def test_the_stated_limit_contains_the_stated_share_of_errors(simulated):
     points, _, error = simulated
     pose = pose_covariance(points, np.tile(np.eye(3) * FLE_MM**2 / 3, (len(points), 1, 1)), weighted=False)
     limit = error_limit_mm(target_covariance_mm2(TARGET, points, pose), 0.95)[0]
@@ -60,12 +60,12 @@ def test_the_gate_rejects_five_percent_of_sound_registrations(simulated):
 
 
 @pytest.mark.hazard(28)
-def test_fre_tells_nothing_about_the_target_error(simulated):
+def test_fre_is_uncorrelated_with_the_target_error(simulated):
     _, squares, error = simulated
     assert abs(np.corrcoef(np.sqrt(squares), error)[0, 1]) < 0.05
 
 
-def test_principal_axes_and_covariance_propagation_are_one_formula(random, fiducials):
+def test_principal_axes_and_covariance_propagation_agree(random, fiducials):
     points, targets = fiducials(5, random), random.normal(size=(20, 3)) * 60.0
     isotropic = np.tile(np.eye(3) * FLE_MM**2 / 3.0, (5, 1, 1))
     for weighted in (False, True):
@@ -92,7 +92,7 @@ def test_gate_limits_are_the_known_multiples_of_fle():
     assert np.round(limits, 2).tolist() == [0.93, 1.02, 1.06, 1.08, 1.10]
 
 
-def test_the_gate_lets_small_residuals_pass_and_refuses_large_ones():
+def test_the_gate_passes_small_residuals_and_refuses_large_ones():
     fre_gate(0.2, 0.3, 5).require()
     gate = fre_gate(0.5, 0.3, 5)
     assert not gate.passed
@@ -146,7 +146,7 @@ def test_an_estimated_error_widens_the_limit(random, fiducials):
     assert "eq. 39" in estimated.formula
 
 
-def test_the_limit_from_an_estimated_error_holds_the_stated_share_of_errors(simulated):
+def test_the_limit_from_an_estimated_error_contains_the_stated_share_of_errors(simulated):
     """FLE is known from the same few residuals only; the limit must be honest about that too."""
     points, squares, error = simulated
     pose = pose_covariance(points, np.tile(np.eye(3) / 3.0, (len(points), 1, 1)), weighted=False)
@@ -155,7 +155,7 @@ def test_the_limit_from_an_estimated_error_holds_the_stated_share_of_errors(simu
     assert np.mean(error < unit_limit * estimated_fle_mm) == pytest.approx(0.95, abs=0.01)
 
 
-def test_the_prediction_from_covariances_holds_the_errors(random, fiducials):
+def test_the_prediction_from_covariances_matches_the_errors(random, fiducials):
     points, target = fiducials(5, random), np.array([10.0, 20.0, -30.0])
     spread = np.array([0.1, 0.1, 0.4])
     covariance = np.tile(np.diag(spread**2), (5, 1, 1))

@@ -1,4 +1,4 @@
-"""A layout is found among the spheres of a scan whole and in one way, or refused."""
+"""A layout is found among the spheres of a scan completely and unambiguously, or refused."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_the_frame_is_found_among_other_spheres_in_its_own_order(seed: int) -> N
         np.vstack([FRAME_MM, FRAME_MM + np.array([0.0, 0.0, 60.0])]),  # two frames
     ],
 )
-def test_a_scan_without_the_whole_frame_or_with_two_is_refused(spheres_mm: np.ndarray) -> None:
+def test_a_scan_with_an_incomplete_frame_or_with_two_frames_is_refused(spheres_mm: np.ndarray) -> None:
     with pytest.raises(LayoutNotFound, match="REG-012"):
         find_layout(FRAME_MM, scan_of(spheres_mm, 1)[0])
 

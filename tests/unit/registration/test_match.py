@@ -1,4 +1,4 @@
-"""Correspondence: the right pairs or an honest no, each with its reason."""
+"""Correspondence: the right pairs or a refusal with its reason."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_pairs_are_ordered_by_image_index(random, fiducials, reading):
 
 
 @pytest.mark.hazard(10)
-def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both(random, any_pose):
+def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both_pairings(random, any_pose):
     physical = any_pose(random).apply(ISOSCELES)
     result = match(ISOSCELES, physical, **SIGMAS)
     assert result.status is MatchStatus.AMBIGUOUS
@@ -56,7 +56,7 @@ def test_a_triangle_with_two_equal_sides_is_ambiguous_and_shows_both(random, any
         assert shown in str(refused.value)
 
 
-def test_a_coarse_orientation_ends_the_ambiguity(random, any_pose):
+def test_a_coarse_orientation_resolves_the_ambiguity(random, any_pose):
     truth = any_pose(random)
     disturbed = Rotation.from_rotvec([0.2, -0.1, 0.2]) * truth.rotation
     for prior in (disturbed, Prior(disturbed), Prior(disturbed, np.radians(30.0))):
@@ -65,7 +65,7 @@ def test_a_coarse_orientation_ends_the_ambiguity(random, any_pose):
         assert pairs_of(result) == {(0, 0), (1, 1), (2, 2)}
 
 
-def test_a_prior_that_excludes_the_only_fit_refuses_it(random, fiducials, any_pose):
+def test_the_only_fit_is_refused_when_the_prior_excludes_it(random, fiducials, any_pose):
     points, truth = fiducials(5, random), any_pose(random)
     away = Rotation.from_rotvec([0.0, np.pi / 2, 0.0]) * truth.rotation
     result = match(points, truth.apply(points), prior=away, **SIGMAS)
@@ -119,7 +119,7 @@ def test_a_nearly_flat_set_is_refused_when_its_mirror_image_fits_far_better(rand
 
 
 @pytest.mark.parametrize("expected", [None, 5])
-def test_a_sphere_that_was_detected_twice_is_ambiguous(expected, random, fiducials, any_pose):
+def test_a_sphere_detected_twice_is_ambiguous(expected, random, fiducials, any_pose):
     points = fiducials(5, random)
     twice = np.vstack([points, points[:1] + 0.2])
     result = match(twice, any_pose(random).apply(points), expected=expected, **SIGMAS)
@@ -136,7 +136,7 @@ def test_fewer_than_three_points_are_too_few(image, physical, random, fiducials)
     assert result.transform is None
 
 
-def test_fewer_points_than_expected_show_what_agrees_among_them(random, fiducials, any_pose):
+def test_fewer_points_than_expected_show_the_pairs_that_agree(random, fiducials, any_pose):
     points = fiducials(6, random)
     result = match(points, any_pose(random).apply(points[[3, 0, 5, 1]]), expected=6, **SIGMAS)
     assert result.status is MatchStatus.TOO_FEW
@@ -146,7 +146,7 @@ def test_fewer_points_than_expected_show_what_agrees_among_them(random, fiducial
     assert pairs_of(result.runner_up) == {(3, 0), (0, 1), (5, 2), (1, 3)}
 
 
-def test_no_common_distances_are_inconsistent(random):
+def test_sets_without_common_distances_are_inconsistent(random):
     small, large = SCALENE, SCALENE * 1.5
     result = match(small, large, **SIGMAS)
     assert result.status is MatchStatus.INCONSISTENT
@@ -194,7 +194,7 @@ def test_one_pair_too_many_is_judged_by_every_subset(random, fiducials, any_pose
     assert pairs_of(result) == {(k, k) for k in range(6) if k != 2}
 
 
-def test_errors_whose_length_is_normal_split_no_set(random, fiducials, any_pose):
+def test_two_large_but_normal_errors_do_not_split_a_set(random, fiducials, any_pose):
     """Two spheres 2.6 standard deviations off, towards each other: their distance is 6 of its own off."""
     length_mm = 0.56
     for _ in range(20):
@@ -208,7 +208,7 @@ def test_errors_whose_length_is_normal_split_no_set(random, fiducials, any_pose)
 
 
 @pytest.mark.parametrize(("off_mm", "taken"), [(0.5, True), (6.0, False)])
-def test_strays_that_nearly_meet_are_a_pair_only_while_they_earn_more_than_they_cost(
+def test_strays_that_nearly_coincide_are_paired_only_when_close_enough(
     off_mm, taken, random, fiducials, any_pose
 ):
     for _ in range(20):
@@ -224,7 +224,7 @@ def test_strays_that_nearly_meet_are_a_pair_only_while_they_earn_more_than_they_
 
 
 @pytest.mark.parametrize(("far_mm", "taken"), [(100.0, True), (280.0, False)])
-def test_a_pair_that_no_head_is_wide_enough_for_must_agree_better(far_mm, taken, random, fiducials, any_pose):
+def test_a_pair_wider_than_any_head_must_agree_more_closely(far_mm, taken, random, fiducials, any_pose):
     """Strays far away nearly meet by chance more often: a small turn of the head brings them together."""
     for _ in range(20):
         points, truth = fiducials(6, random), any_pose(random)
@@ -242,7 +242,7 @@ def test_a_pair_that_no_head_is_wide_enough_for_must_agree_better(far_mm, taken,
             assert {len(pairs_of(result)), len(pairs_of(result.runner_up))} == {6, 7}
 
 
-def test_points_wider_than_a_head_are_paired_all_the_same(random, reading):
+def test_points_wider_than_a_head_are_still_paired(random, reading):
     for _ in range(20):
         seen = reading(random.uniform(-200.0, 200.0, (6, 3)), 2, random)
         result = match(seen.image_mm, seen.physical_mm, **SIGMAS)
@@ -250,7 +250,7 @@ def test_points_wider_than_a_head_are_paired_all_the_same(random, reading):
         assert pairs_of(result) == seen.pairs
 
 
-def test_between_the_two_it_is_left_open(random, fiducials, any_pose):
+def test_a_pair_between_a_clear_fit_and_a_clear_outlier_is_ambiguous(random, fiducials, any_pose):
     points, truth = fiducials(6, random), any_pose(random)
     physical = truth.apply(points)
     physical[5] += [3.5, 2.0, -2.0]
@@ -261,7 +261,7 @@ def test_between_the_two_it_is_left_open(random, fiducials, any_pose):
 
 
 @pytest.mark.hazard(11)
-def test_a_marker_that_moved_is_left_out_after_the_fine_localization(random, fiducials, any_pose):
+def test_a_marker_that_moved_is_excluded_after_the_fine_localization(random, fiducials, any_pose):
     points, truth = fiducials(5, random), any_pose(random)
     physical = truth.apply(points)
     physical[1] += [1.5, -1.0, 0.5]
@@ -271,7 +271,7 @@ def test_a_marker_that_moved_is_left_out_after_the_fine_localization(random, fid
     assert match(points, physical, expected=5, **FINE).status is MatchStatus.INCONSISTENT
 
 
-def test_swapped_neighbours_are_not_taken_for_each_other(random, fiducials, any_pose):
+def test_close_neighbours_are_not_swapped(random, fiducials, any_pose):
     for _ in range(20):
         points = fiducials(5, random)
         points[4] = points[3] + [9.0, 6.0, 5.0]  # 12 mm apart
@@ -282,7 +282,7 @@ def test_swapped_neighbours_are_not_taken_for_each_other(random, fiducials, any_
         assert pairs_of(result) == {(k, k) for k in range(5)}
 
 
-def test_noise_larger_than_the_spacing_is_answered_quickly(random):
+def test_noise_larger_than_the_spacing_is_answered_within_five_seconds(random):
     points = random.normal(size=(12, 3)) * 20.0
     start = time.process_time()
     result = match(points, points, sigma_image_mm=20.0, sigma_physical_mm=20.0)
@@ -290,7 +290,7 @@ def test_noise_larger_than_the_spacing_is_answered_quickly(random):
     assert time.process_time() - start < 5.0
 
 
-def test_one_solve_at_twelve_by_twelve_takes_at_most_two_milliseconds(random, fiducials, reading):
+def test_a_twelve_by_twelve_match_takes_at_most_two_milliseconds(random, fiducials, reading):
     readings = [reading(fiducials(8, random), 4, random) for _ in range(30)]
     spent = []
     for seen in readings:
@@ -301,7 +301,7 @@ def test_one_solve_at_twelve_by_twelve_takes_at_most_two_milliseconds(random, fi
 
 
 @pytest.mark.parametrize("bad", [np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None])
-def test_malformed_points_raise_one_line(bad, random, fiducials):
+def test_malformed_points_raise_a_one_line_error(bad, random, fiducials):
     points = fiducials(4, random)
     for image, physical in ((bad, points), (points, bad)):
         with pytest.raises(BadPoints, match="REG-001") as caught:
@@ -310,7 +310,7 @@ def test_malformed_points_raise_one_line(bad, random, fiducials):
         assert "\n" not in str(caught.value)
 
 
-def test_more_points_than_any_head_carries_are_refused(random):
+def test_more_points_than_any_head_can_carry_are_refused(random):
     with pytest.raises(BadPoints, match="REG-001"):
         match(random.normal(size=(200, 3)), random.normal(size=(200, 3)), **SIGMAS)
 
@@ -342,14 +342,14 @@ def test_an_impossible_prior_is_refused(tolerance_rad):
 
 
 @pytest.mark.parametrize("kind", [complex, object, bool, str])
-def test_points_that_are_no_real_numbers_are_refused_by_their_type(kind, random, fiducials):
+def test_points_that_are_not_real_numbers_are_refused_by_type(kind, random, fiducials):
     points = fiducials(4, random)
     for image, physical in ((points.astype(kind), points), (points, points.astype(kind))):
         with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
             match(image, physical, **SIGMAS)
 
 
-def test_a_sigma_of_three_axes_counts_by_its_rms(random, fiducials, reading):
+def test_a_sigma_per_axis_counts_by_its_rms(random, fiducials, reading):
     seen = reading(fiducials(6, random), 2, random)
     three = match(seen.image_mm, seen.physical_mm, sigma_image_mm=[0.06, 0.06, 0.3], sigma_physical_mm=0.2)
     rms_mm = float(np.sqrt(np.mean(np.square([0.06, 0.06, 0.3]))))
@@ -361,7 +361,7 @@ def test_a_sigma_of_three_axes_counts_by_its_rms(random, fiducials, reading):
 @pytest.mark.parametrize(
     "sigma_mm", [[0.1, 0.1], [0.1] * 4, [0.1, 0.1, -0.1], [0.1, 0.1, np.inf], [[0.1] * 3] * 3, [[1], [1, 2]]]
 )
-def test_another_number_of_sigmas_is_refused_in_clear_words(sigma_mm, random, fiducials):
+def test_a_wrong_number_of_sigmas_is_refused_with_the_expected_number(sigma_mm, random, fiducials):
     points = fiducials(4, random)
     with pytest.raises(BadParameter, match=r"REG-007.*one number or three") as caught:
         match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)
@@ -369,7 +369,7 @@ def test_another_number_of_sigmas_is_refused_in_clear_words(sigma_mm, random, fi
 
 
 @pytest.mark.parametrize("sigma_mm", [True, 0.1 + 0j, None])
-def test_a_sigma_that_is_no_real_number_is_refused(sigma_mm, random, fiducials):
+def test_a_sigma_that_is_not_a_real_number_is_refused(sigma_mm, random, fiducials):
     points = fiducials(4, random)
     with pytest.raises(BadParameter, match="REG-007"):
         match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)

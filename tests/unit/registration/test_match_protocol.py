@@ -53,19 +53,19 @@ def share(seen: Counter[str], what: str) -> float:
     return seen[what] / seen.total()
 
 
-def test_five_to_eight_fiducials_succeed(tools):
+def test_five_to_eight_fiducials_are_paired(tools):
     seen = outcomes(range(5, 9), 60, tools)
     assert seen["false"] == 0
     assert share(seen, "unsuccessful") <= 0.002
 
 
-def test_four_fiducials_nearly_always_succeed(tools):
+def test_four_fiducials_are_nearly_always_paired(tools):
     seen = outcomes([4], 200, tools)
     assert seen["false"] == 0
     assert share(seen, "unsuccessful") <= 0.015
 
 
-def test_three_fiducials_fail_rather_than_guess_and_a_prior_helps(tools):
+def test_three_fiducials_are_rarely_mispaired_and_a_prior_helps(tools):
     plain, helped = outcomes([3], 120, tools), outcomes([3], 120, tools, prior=True)
     assert plain["false"] <= 1
     assert share(plain, "unsuccessful") <= 0.20
@@ -90,23 +90,21 @@ def test_three_fiducials_whose_sides_differ_by_six_millimetres_are_paired(tools)
 
 
 @pytest.mark.slow
-def test_the_planned_count_leaves_no_false_pairing(tools):
+def test_the_expected_count_prevents_false_pairings(tools):
     seen = outcomes(range(5, 9), 500, tools, expected=True)
     assert seen["false"] == 0
     assert share(seen, "unsuccessful") <= 0.0005
 
 
 @pytest.mark.slow
-def test_four_fiducials_over_many_runs(tools):
+def test_four_fiducials_are_nearly_always_paired_over_many_runs(tools):
     seen = outcomes([4], 2000, tools)
     assert share(seen, "unsuccessful") <= 0.007
     assert share(seen, "false") <= 0.0005
 
 
 @pytest.mark.parametrize("count", [3, 4])
-def test_without_outliers_it_is_sure_exactly_when_every_other_order_is_ten_thousand_times_less_likely(
-    count, tools
-):
+def test_a_match_without_outliers_is_unique_exactly_when_all_other_orders_are_far_less_likely(count, tools):
     """An oracle tries every order: what is left open is open for anybody, not lost by the search."""
     fiducials, reading, _ = tools
     random = np.random.default_rng(4711)

@@ -1,4 +1,4 @@
-"""The thesis' pairing held against the stated errors of both devices."""
+"""The thesis pairing, checked against the stated errors of both devices."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_swapped_pair_is_refused_and_the_true_pairs_are_kept(random, fiducials
 
 
 @pytest.mark.parametrize("count", [3, 8])
-def test_true_pairings_are_refused_as_rarely_as_stated(random, fiducials, count):
+def test_true_pairings_are_refused_no_more_often_than_stated(random, fiducials, count):
     runs = 4000
     points = np.array([fiducials(count, random)] * runs)
     seen = points + random.normal(size=points.shape) * SIGMA_MM
@@ -35,7 +35,7 @@ def test_true_pairings_are_refused_as_rarely_as_stated(random, fiducials, count)
     assert refused <= FALSE_ALARM * runs + 5
 
 
-def test_what_was_not_found_stays_as_it_is(random):
+def test_a_pairing_that_was_not_found_stays_unchanged(random):
     image, physical = random.normal(size=(2, 4, 3)) * 100, random.normal(size=(2, 5, 3)) * 100
     found = match_many_by_similarity(image, physical, np.full(2, 0.01))
     assert validate_many(image, physical, found, SIGMA_MM**2) == found

@@ -39,7 +39,7 @@ def test_coplanar_points_give_a_proper_rotation(count, random, any_pose):
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), count=st.integers(3, 10))
-def test_no_points_whatever_give_a_reflection(seed, count):
+def test_no_point_set_gives_a_reflection(seed, count):
     random = np.random.default_rng(seed)
     image, physical = random.normal(size=(2, count, 3)) * 100.0
     try:
@@ -49,7 +49,7 @@ def test_no_points_whatever_give_a_reflection(seed, count):
     assert np.linalg.det(found.transform.as_matrix()[:3, :3]) == pytest.approx(1.0)
 
 
-def test_agrees_with_an_independent_solution(random, fiducials, any_pose):
+def test_the_fit_agrees_with_an_independent_solution(random, fiducials, any_pose):
     for _ in range(20):
         points = fiducials(6, random)
         measured = any_pose(random).apply(points) + random.normal(size=points.shape)
@@ -60,7 +60,7 @@ def test_agrees_with_an_independent_solution(random, fiducials, any_pose):
         assert np.abs(found.transform.translation - shift).max() < 1e-7
 
 
-def test_the_result_moves_with_the_frames(random, fiducials, any_pose):
+def test_the_result_transforms_with_the_frames(random, fiducials, any_pose):
     points, measured = fiducials(5, random), any_pose(random).apply(fiducials(5, random))
     plain, left, right = register(points, measured), any_pose(random), any_pose(random)
     moved = register(right.apply(points), left.apply(measured))
@@ -79,7 +79,7 @@ def test_residuals_are_measured_minus_mapped_and_fre_is_their_rms(random, fiduci
     assert np.abs(found.residuals_mm.sum(axis=0)).max() < 1e-9  # gradient of the cost along the shift
 
 
-def test_equal_covariances_change_nothing(random, fiducials, any_pose):
+def test_equal_covariances_do_not_change_the_fit(random, fiducials, any_pose):
     points = fiducials(5, random)
     measured = any_pose(random).apply(points) + random.normal(size=points.shape) * 0.4
     plain = register(points, measured)
@@ -88,7 +88,7 @@ def test_equal_covariances_change_nothing(random, fiducials, any_pose):
     assert weighted.chi_square == pytest.approx(5 * plain.fre_mm**2 / 0.16)
 
 
-def test_the_weighted_fit_is_stationary(random, fiducials, any_pose):
+def test_the_weighted_fit_minimises_its_cost(random, fiducials, any_pose):
     points, truth = fiducials(5, random), any_pose(random)
     axes = np.linalg.qr(random.normal(size=(5, 3, 3)))[0]
     spread = np.array([0.2, 0.2, 0.6]) * random.uniform(0.5, 3.0, size=(5, 1))
@@ -134,7 +134,7 @@ def test_weighting_lowers_the_target_error(spread_mm, least_gain, random, fiduci
 
 
 @pytest.mark.hazard(11)
-def test_leave_one_out_shows_the_fiducial_that_moved(random, fiducials, any_pose):
+def test_leave_one_out_reveals_the_fiducial_that_moved(random, fiducials, any_pose):
     points = fiducials(5, random)
     measured = any_pose(random).apply(points) + random.normal(size=points.shape) * 0.05
     measured[3] += [0.0, 2.0, 1.0]
@@ -150,7 +150,7 @@ def test_three_pairs_have_no_leave_one_out(random, fiducials):
 
 
 @pytest.mark.hazard(7)
-def test_a_mirrored_set_is_fitted_properly_but_not_sound(random, fiducials):
+def test_a_mirrored_set_gets_a_proper_rotation_but_is_not_sound(random, fiducials):
     points = fiducials(6, random)
     found = register(points, points * [-1.0, 1.0, 1.0])
     assert np.linalg.det(found.transform.as_matrix()[:3, :3]) == pytest.approx(1.0)
@@ -169,19 +169,19 @@ def test_a_sound_registration_passes(random, fiducials):
     register(points, points + random.normal(size=points.shape) * 0.3).require_sound()
 
 
-def test_nearly_collinear_points_are_named():
+def test_nearly_collinear_points_are_reported():
     points = np.array([[0, 0, 0], [50, 6, 0], [100, 0, 0], [150, 5, 0]], dtype=float)
     assert register(points, points).caveats == (Caveat.NEARLY_COLLINEAR,)
 
 
-def test_the_transform_is_named_on_demand(random, fiducials):
+def test_the_transform_can_be_given_named_frames(random, fiducials):
     points = fiducials(4, random)
     named = register(points, points + 5.0).between(Frame.ROBOT, Frame.CT)
     assert (named.target, named.source) == (Frame.ROBOT, Frame.CT)
     assert np.allclose(named.apply(points), points + 5.0)
 
 
-def test_inputs_are_left_untouched(random, fiducials):
+def test_the_result_keeps_its_own_copy_of_the_points(random, fiducials):
     points = fiducials(4, random)
     before, measured = points.copy(), points + 1.0
     found = register(points, measured)

@@ -1,4 +1,4 @@
-"""Malformed input gives a one-line error that is ours and a ValueError."""
+"""Malformed input raises a one-line RonnaError that is also a ValueError."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ def test_targets_are_checked_like_fiducials():
         register(GOOD, GOOD).predict_tre_mm([[0.0, np.nan, 0.0]])
 
 
-def test_a_weighted_fit_that_cannot_settle_says_so(monkeypatch):
+def test_a_weighted_fit_that_does_not_converge_is_reported(monkeypatch):
     monkeypatch.setattr("procedures.registration.weighted_rigid_fit.MOST_STEPS", 1)
     with pytest.raises(NotConverged, match="REG-006"):
         fit_weighted(GOOD, GOOD @ np.diag([1.0, 1.1, 0.9]) + 5.0, UNIT, np.eye(3), np.zeros(3))
 
 
 @pytest.mark.parametrize("kind", [complex, object, bool, str])
-def test_numbers_that_are_not_real_are_refused_by_their_type(kind):
+def test_numbers_that_are_not_real_are_refused_by_type(kind):
     for image, physical in ((GOOD.astype(kind), GOOD), (GOOD, GOOD.astype(kind))):
         with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
             register(image, physical)
@@ -99,6 +99,6 @@ def test_numbers_that_are_not_real_are_refused_by_their_type(kind):
 
 
 @pytest.mark.parametrize(("image", "physical"), [(GOOD / 1000.0, GOOD), (GOOD, GOOD / 1000.0)])
-def test_points_that_look_like_metres_are_asked_about(image, physical):
+def test_the_refusal_of_very_small_points_asks_whether_they_are_metres(image, physical):
     with pytest.raises(DuplicatePoints, match=r"REG-004: .* are these metres\?"):
         register(image, physical)

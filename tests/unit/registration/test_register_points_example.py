@@ -1,4 +1,4 @@
-"""The example runs and prints what it promises."""
+"""The example runs and prints the expected results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a body has moved, and how well that is known."""
+"""How a body moved, and how well that is known."""
 
 import numpy as np
 import pytest
@@ -31,18 +31,18 @@ def moves() -> list[RigidMove]:
     ]
 
 
-def test_the_error_of_a_followed_place_is_what_it_says(moves: list[RigidMove]) -> None:
+def test_the_predicted_error_of_a_followed_point_matches_its_scatter(moves: list[RigidMove]) -> None:
     errors_mm = [np.linalg.norm(one.fit.transform.apply(TARGET_MM) - MOVE.apply(TARGET_MM)) for one in moves]
     told_mm = [one.error_mm(TARGET_MM) for one in moves]
     assert np.sqrt(np.mean(np.square(errors_mm))) == pytest.approx(np.mean(told_mm), rel=0.1)
     assert [one.way_mm for one in moves] == pytest.approx([2.3] * TRIALS, abs=0.3)
 
 
-def test_noise_hardly_ever_fails_the_gate(moves: list[RigidMove]) -> None:
+def test_noise_rarely_fails_the_gate(moves: list[RigidMove]) -> None:
     assert np.mean([one.gate.passed for one in moves]) >= 0.99
 
 
-def test_a_sphere_that_went_its_own_way_fails_the_gate() -> None:
+def test_a_sphere_that_moved_on_its_own_fails_the_gate() -> None:
     generator = np.random.default_rng(6)
     for _ in range(MOVED_TRIALS):
         before, after = measured(generator, SPHERES_MM), measured(generator, MOVE.apply(SPHERES_MM))

@@ -14,7 +14,7 @@ SIGMA_MM = 0.1
 COVARIANCE_MM2 = np.tile(np.eye(3) * SIGMA_MM**2, (5, 1, 1))
 
 
-def test_without_anything_shared_it_is_that_of_the_fit() -> None:
+def test_the_chi_square_equals_that_of_the_fit_without_shared_errors() -> None:
     generator = np.random.default_rng(1)
     fit = register(POINTS_MM, POINTS_MM + generator.normal(0.0, 0.1, (5, 3)), covariance_mm2=COVARIANCE_MM2)
     mapped = fit.transform.apply(POINTS_MM)
@@ -22,7 +22,7 @@ def test_without_anything_shared_it_is_that_of_the_fit() -> None:
     assert found == pytest.approx(fit.chi_square, rel=1e-3)
 
 
-def test_with_shared_errors_it_is_distributed_as_chi_square() -> None:
+def test_residuals_with_shared_errors_follow_a_chi_square_distribution() -> None:
     generator = np.random.default_rng(2)
     shared_mm = generator.normal(0.0, 0.3, (5, 3, 2))
     shares = []

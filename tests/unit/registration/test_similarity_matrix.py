@@ -1,4 +1,4 @@
-"""The thesis' correspondence as a baseline: it finds easy sets, and fails where the thesis says it does."""
+"""The thesis correspondence as a baseline: it pairs easy sets and fails where the thesis says it does."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_head_with_outliers_is_paired(random, fiducials, reading):
     assert pairs_of(found) == seen.pairs
 
 
-def test_many_readings_at_once_are_the_same_as_one_by_one(random, fiducials, reading):
+def test_batched_readings_give_the_same_result_as_one_by_one(random, fiducials, reading):
     seen = [reading(fiducials(4, random), 3, random) for _ in range(30)]
     images, physicals = np.array([s.image_mm for s in seen]), np.array([s.physical_mm for s in seen])
     tolerances = random.uniform(1.0, 6.0, 30)

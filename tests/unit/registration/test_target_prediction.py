@@ -1,4 +1,4 @@
-"""Prediction with shared errors: what cancels, what a fit makes of the rest, and the region that holds it."""
+"""Prediction with shared errors: which cancel, how the rest passes through the fit, and the error region."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ TARGET = np.array([5.0, 10.0, -40.0])
 NOTHING = np.zeros((3, 3))
 
 
-def test_what_displaces_all_poses_alike_cancels() -> None:
+def test_an_error_that_displaces_all_poses_alike_cancels() -> None:
     shift = SharedErrors("tool frame", np.tile(2.0 * np.eye(3), (4, 1, 1)), 2.0 * np.eye(3))
     assert predict_target_error(SPHERES, TARGET, [shift]).rms_mm == pytest.approx(0.0, abs=1e-12)
 
 
-def test_what_turns_about_the_base_cancels_too_as_the_fit_turns_with_it() -> None:
+def test_an_error_that_turns_all_poses_about_the_base_cancels_too() -> None:
     def turned(point: np.ndarray) -> np.ndarray:
         return np.cross([0.0, 0.0, 1e-3], point)[:, None]
 
@@ -32,7 +32,7 @@ def test_what_turns_about_the_base_cancels_too_as_the_fit_turns_with_it() -> Non
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-def test_a_recorded_sphere_moves_the_target_as_the_fit_says(weighted: bool) -> None:
+def test_a_displaced_sphere_moves_the_target_as_the_fit_says(weighted: bool) -> None:
     own = np.array([np.diag([0.01, 0.02, 0.09]), *(np.diag([0.01, 0.01, 0.01]) for _ in range(3))])
     influence = influence_of_spheres(SPHERES, TARGET, np.linalg.inv(own) if weighted else None)
     step_mm = 1e-3
@@ -45,7 +45,7 @@ def test_a_recorded_sphere_moves_the_target_as_the_fit_says(weighted: bool) -> N
             np.testing.assert_allclose(moved, influence[sphere, :, axis], atol=1e-4)
 
 
-def test_the_region_holds_the_errors_of_many_registrations() -> None:
+def test_the_region_contains_the_errors_of_many_registrations() -> None:
     random = np.random.default_rng(5)
     own = np.tile(np.diag([0.01, 0.02, 0.09]), (4, 1, 1))
     columns = 0.1 * random.normal(size=(5, 3, 2))

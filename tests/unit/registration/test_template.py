@@ -1,4 +1,4 @@
-"""Correspondence through the x-shaped frame: what is not of the frame is left out, on either side."""
+"""Correspondence through the x-shaped frame: points outside the frame are left unmatched on either side."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_the_frame_is_paired_among_free_spheres_and_strays(random, any_pose, bal
 
 
 @pytest.mark.parametrize(("missing", "side"), [("image", "image"), ("physical", "physical")])
-def test_a_hidden_sphere_of_the_frame_is_said_with_its_side(random, any_pose, missing, side):
+def test_a_hidden_sphere_of_the_frame_is_reported_with_its_side(random, any_pose, missing, side):
     image, physical = FRAME, any_pose(random).apply(FRAME)
     found = match_by_template(
         FRAME,
@@ -41,13 +41,13 @@ def test_a_hidden_sphere_of_the_frame_is_said_with_its_side(random, any_pose, mi
     assert found.transform is None
 
 
-def test_two_frames_in_sight_are_ambiguous(random, any_pose):
+def test_two_visible_frames_are_ambiguous(random, any_pose):
     physical = np.vstack([any_pose(random).apply(FRAME), any_pose(random).apply(FRAME) + 400.0])
     found = match_by_template(FRAME, FRAME, physical, **SIGMAS)
     assert found.status is MatchStatus.AMBIGUOUS
 
 
-def test_an_orientation_that_cannot_be_is_refused(random, any_pose):
+def test_an_orientation_excluded_by_the_prior_is_refused(random, any_pose):
     turn = any_pose(random)
     prior = Prior(Rotation.from_rotvec([0.0, 0.0, np.pi]) * turn.rotation)
     found = match_by_template(FRAME, FRAME, turn.apply(FRAME), prior=prior, **SIGMAS)
@@ -56,7 +56,7 @@ def test_an_orientation_that_cannot_be_is_refused(random, any_pose):
     assert found.runner_up.pairs.tolist() == [[0, 0], [1, 1], [2, 2], [3, 3]]
 
 
-def test_a_known_orientation_tells_two_frames_in_sight_apart(random, any_pose):
+def test_a_known_orientation_distinguishes_two_visible_frames(random, any_pose):
     turn = any_pose(random)
     other = Rotation.from_rotvec([np.pi, 0.0, 0.0]) * turn.rotation
     physical = np.vstack([turn.apply(FRAME), other.apply(FRAME) + 900.0])
@@ -83,6 +83,6 @@ def test_sides_that_fit_the_template_but_not_each_other_are_refused(random, any_
     assert found.runner_up.chi_square > found.runner_up.chi_square_limit
 
 
-def test_a_template_with_holes_is_refused():
+def test_a_template_with_missing_values_is_refused():
     with pytest.raises(BadPoints, match="REG-001"):
         match_by_template(np.full((4, 3), np.nan), FRAME, FRAME, **SIGMAS)

@@ -1,4 +1,4 @@
-"""The two-way table: each fiducial looked for in the room, each reading looked for in the CT."""
+"""The two-way table: each fiducial is sought in the room, each reading is sought in the CT."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_each_fiducial_carries_the_evidence_of_every_instrument(case):
     assert row.partner_is_nearest
 
 
-def test_what_was_not_measured_is_none(case):
+def test_a_missing_measurement_is_none(case):
     table = case[2]
     assert table.ct_to_room[2].ct_disagreement_mm is None
     missing = table.ct_to_room[4]
@@ -75,7 +75,7 @@ def test_a_wrong_pairing_disagrees(random, fiducials, any_pose):
     assert [row.partner_is_nearest for row in table.ct_to_room] == [False, False, True, True]
 
 
-def test_nothing_to_compare_is_an_empty_table(any_pose, random):
+def test_nothing_to_compare_gives_an_empty_table(any_pose, random):
     table = verify_two_way([], [], [], any_pose(random))
     assert table.ct_to_room == table.room_to_ct == ()
 
@@ -88,7 +88,7 @@ def test_nothing_to_compare_is_an_empty_table(any_pose, random):
         {"stereo": [RoomPoint(9, (0.0, 0.0, 0.0))]},
     ],
 )
-def test_names_of_absent_points_are_refused(wrong, random, fiducials, any_pose):
+def test_indices_of_absent_points_are_refused(wrong, random, fiducials, any_pose):
     image, room = fiducials(4, random), any_pose(random)
     options = {"pairs": [[0, 0]], "stereo": (), **wrong}
     with pytest.raises(BadPoints, match="REG-001"):

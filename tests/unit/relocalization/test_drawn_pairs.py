@@ -1,4 +1,4 @@
-"""Triangulated centres from the simulated cameras' pictures, with the true calibration: a few by default."""
+"""Triangulated centres from the simulated cameras' images with the true calibration: a few by default."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from benchmarks.stereo_pictures import Studio
 @pytest.mark.parametrize(
     ("case", "limit_um"), [(CENTRED, 2.0), (DEFOCUSED, 2.0), (OFF_AXIS, 1.0), (OCCLUDED, 10.0)]
 )
-def test_a_few_pairs_give_points_within_the_goal(case, limit_um):
+def test_a_few_pairs_give_points_within_the_accuracy_goal(case, limit_um):
     tally = campaign(Studio(), case, 4)
     assert tally.trusted == tally.images
     assert tally.rms_um <= limit_um
 
 
 @pytest.mark.hazard(27)
-def test_beyond_38_percent_of_lost_rim_no_centre_is_trusted():
+def test_no_centre_is_trusted_beyond_38_percent_of_hidden_rim():
     tally = campaign(Studio(), JUST_HIDDEN, 5)
     assert tally.trusted == 0
 
@@ -39,7 +39,7 @@ def test_beyond_38_percent_of_lost_rim_no_centre_is_trusted():
 @pytest.mark.parametrize(
     ("case", "limit_um"), [(CENTRED, 2.0), (DEFOCUSED, 2.0), (OFF_AXIS, 1.0), (OCCLUDED, 10.0)]
 )
-def test_hundreds_of_pairs_give_points_within_the_goal_and_honest_covariances(case, limit_um):
+def test_hundreds_of_pairs_give_points_within_the_accuracy_goal_and_honest_covariances(case, limit_um):
     tally = campaign(Studio(), case, 300, seed=11)
     assert tally.rms_um <= limit_um
     assert tally.largest_um <= 3 * limit_um
@@ -62,7 +62,7 @@ def test_hundreds_of_half_hidden_spheres_are_not_trusted(case):
 @pytest.mark.timeout(1800)
 @pytest.mark.hazard(27)
 @pytest.mark.parametrize("case", [*DECEIVING, SPHERE_SIZED_GLARE], ids=lambda case: case.name)
-def test_of_what_deceives_nothing_becomes_a_wrong_point(case):
+def test_no_deceptive_image_leads_to_a_wrong_point(case):
     verdicts = deceive(Studio(), case, 150, seed=12)
     assert verdicts.wrong == 0
     assert verdicts.right + verdicts.second > verdicts.pairs // 4

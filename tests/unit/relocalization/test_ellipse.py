@@ -1,4 +1,4 @@
-"""The robust ellipse: exact points, partial arcs, outliers, and points that define nothing."""
+"""The robust ellipse: exact points, partial arcs, outliers, and points that define no ellipse."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def test_two_thirds_of_the_rim_are_enough():
     assert fit.ellipse.centre_px == pytest.approx(CENTRE, abs=1e-4)
 
 
-def test_a_fifth_of_outliers_on_one_side_does_not_pull_the_centre():
+def test_outliers_on_a_fifth_of_the_rim_do_not_pull_the_centre():
     points = rim(major=261.4, minor=261.0)  # as round as a sphere's outline
     generator = np.random.default_rng(1)
     points += generator.normal(0, 0.03, points.shape)

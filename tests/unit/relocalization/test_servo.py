@@ -71,7 +71,7 @@ def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, dire
     assert np.linalg.norm(recorded_point(pose, residual) - SPHERE_MM) < 0.003
 
 
-def test_random_errors_at_rest_do_not_drive_the_servo_about():
+def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest():
     """With 0.015 mm of repeatability per axis, 999 of 1,000 starts at 5 mm end within 8 steps."""
     generator = np.random.default_rng(11)
     steps = []
@@ -86,21 +86,21 @@ def test_random_errors_at_rest_do_not_drive_the_servo_about():
     assert np.mean(steps) < 2.25  # 2.3 with the last near looks alone
 
 
-def test_the_next_pose_is_on_the_mean_of_the_near_looks() -> None:
+def test_the_next_pose_aims_at_the_mean_of_the_near_measurements() -> None:
     at, state = Transform.of(Frame.ROBOT, Frame.TOOL), ServoState()
     for x_mm in (0.04, 0.06, 0.05):
         state = state.measured(at, [x_mm, 0.0, 0.0])
     assert state.next_pose(at).translation_mm == pytest.approx([0.05, 0.0, 0.0], abs=1e-4)
 
 
-def test_a_look_from_afar_counts_less_than_one_from_near() -> None:
+def test_a_distant_measurement_counts_less_than_a_near_one() -> None:
     far = Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=[5.0, 0.0, 0.0])
     near = Transform.of(Frame.ROBOT, Frame.TOOL)
     state = ServoState().measured(far, [-5.2, 0.0, 0.0]).measured(near, [0.1, 0.0, 0.0])
     assert 0.0 < state.next_pose(near).translation_mm[0] < 0.1
 
 
-def test_before_the_first_look_there_is_nowhere_to_go() -> None:
+def test_the_next_pose_is_refused_before_the_first_measurement() -> None:
     with pytest.raises(BadMeasurement, match="STE-004: the sphere has not been measured yet"):
         ServoState().next_pose(tool_pose())
 
@@ -117,12 +117,12 @@ def test_one_step_never_exceeds_its_limit():
     assert np.linalg.norm(moved.translation_mm - tool_pose().translation_mm) == pytest.approx(10.0)
 
 
-def test_a_reversed_head_is_noticed_after_two_steps():
+def test_a_reversed_head_is_detected_as_divergence():
     with pytest.raises(ServoDiverges, match="STE-007"):
         run(ServoSettings(), Rotation.from_euler("x", 180, degrees=True))
 
 
-def test_a_servo_that_stays_above_its_end_is_exhausted():
+def test_a_servo_that_stays_above_its_limit_is_exhausted():
     state = ServoState(ServoSettings(steps=5))
     for _ in range(5):
         state = state.measured(tool_pose(), [0.0, 0.0, 0.05])
@@ -131,12 +131,12 @@ def test_a_servo_that_stays_above_its_end_is_exhausted():
 
 
 @pytest.mark.parametrize("residual", [[np.nan, 0.0, 0.0], [1.0, 2.0], [[0.0, 0.0, 0.0]]])
-def test_a_residual_that_is_none_is_refused(residual):
+def test_an_invalid_residual_is_refused(residual):
     with pytest.raises(BadMeasurement, match="STE-004"):
         ServoState().measured(tool_pose(), residual)
 
 
-def test_the_recorded_point_is_pose_applied_to_residual():
+def test_the_recorded_point_is_the_residual_mapped_by_the_pose():
     pose = tool_pose()
     assert recorded_point(pose, pose.inverse().apply(SPHERE_MM)) == pytest.approx(SPHERE_MM)
 
@@ -158,7 +158,7 @@ def test_the_search_goes_outwards_in_rings_across_the_tool_axis():
     assert sorted(set(np.round(radius, 9))) == [5.0, 10.0, 15.0]
 
 
-def test_the_search_never_jumps_and_leaves_no_hole():
+def test_the_search_makes_no_jumps_and_leaves_no_gaps():
     offsets = search_offsets_mm()
     assert np.linalg.norm(np.diff(offsets, axis=0), axis=1).max() < 5.5
     x, y = np.meshgrid(np.linspace(-15, 15, 61), np.linspace(-15, 15, 61))
@@ -176,6 +176,6 @@ def test_a_search_pose_keeps_the_orientation_and_shifts_in_the_tool_frame():
     assert look.quaternion_wxyz == pytest.approx(start.quaternion_wxyz)
 
 
-def test_after_the_last_look_the_sphere_is_not_in_view():
+def test_the_sphere_is_reported_as_not_in_view_after_the_last_search_pose():
     with pytest.raises(SphereNotInView, match="STE-009"):
         search_pose(tool_pose(), 36)

@@ -1,4 +1,4 @@
-"""One sphere in both images, among things that look like it in one of them."""
+"""One sphere in both images, among look-alikes in one of them."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ def error_um(sighting, point=PLACE_MM):
     return 1e3 * float(np.linalg.norm(sighting.point.position_mm - point))
 
 
-def test_a_sphere_alone_is_located(renderer, head, look):
+def test_a_single_sphere_is_located(renderer, head, look):
     assert error_um(locate_sphere(*pair(renderer, head, look), head.calibration)) < 2.0
 
 
 @pytest.mark.hazard(27)
-def test_a_glare_as_large_as_the_sphere_in_one_image_does_not_take_its_place(renderer, head, look):
+def test_a_glare_as_large_as_the_sphere_in_one_image_is_not_taken_for_it(renderer, head, look):
     left, right = pair(
         renderer,
         head,
@@ -50,7 +50,7 @@ def test_a_glare_as_large_as_the_sphere_in_one_image_does_not_take_its_place(ren
 
 
 @pytest.mark.hazard(27)
-def test_a_glare_of_another_size_is_not_even_looked_at(renderer, head, look):
+def test_a_glare_of_another_size_does_not_disturb_the_sphere(renderer, head, look):
     left, right = pair(renderer, head, look, scenes=(disc(300, 500, 180), disc(1700, 600, 190)))
     low, high = radius_range_px(head.calibration.left, 11.5)
     assert 190 < low < 261.4 < high
@@ -59,7 +59,7 @@ def test_a_glare_of_another_size_is_not_even_looked_at(renderer, head, look):
 
 
 @pytest.mark.hazard(27)
-def test_two_spheres_are_told_apart_by_where_the_lines_of_sight_meet(renderer, head, look):
+def test_two_spheres_are_distinguished_by_where_the_lines_of_sight_meet(renderer, head, look):
     other = np.array([-14.0, 3.0, 5.0])
     scenes = [renderer.sphere(head.in_camera(side, other), look()) for side in ("left", "right")]
     left, right = pair(renderer, head, look, scenes=scenes, looks={"left": look(), "right": look(post=True)})
@@ -69,7 +69,7 @@ def test_two_spheres_are_told_apart_by_where_the_lines_of_sight_meet(renderer, h
 
 
 @pytest.mark.hazard(27)
-def test_what_no_two_images_agree_on_is_refused(renderer, head, look):
+def test_images_of_two_different_spheres_are_refused(renderer, head, look):
     far = np.array([0.0, 7.0, 0.0])
     left = pair(renderer, head, look)[0]
     right = pair(renderer, head, look, point=far)[1]
@@ -87,7 +87,7 @@ def test_too_little_rim_in_one_image_gives_outlines_but_no_point(renderer, head,
     assert found.doubt == "right camera: too much of the rim is hidden"
 
 
-def test_areas_of_interest_give_the_point_of_the_whole_sensors(renderer, head, look):
+def test_areas_of_interest_give_the_same_point_as_the_whole_sensors(renderer, head, look):
     whole = pair(renderer, head, look)
     cut = [AreaImage(image.pixels[32:1056, 512:1536], 512, 32) for image in whole]
     points = [locate_sphere(*images, head.calibration).point.position_mm for images in (whole, cut)]
@@ -100,7 +100,7 @@ def test_an_image_without_a_sphere_is_refused(renderer, head, look):
         locate_sphere(left, AreaImage(disc(1000, 500, 100).astype(np.uint8)), head.calibration)
 
 
-def test_what_is_wrong_with_either_image_is_told_by_its_camera(renderer, head, look):
+def test_a_fault_in_either_image_is_reported_with_its_camera(renderer, head, look):
     black, white = (AreaImage(np.full((1088, 2048), level, np.uint8)) for level in (3, 255))
     good = pair(renderer, head, look)[0]
     for images, kind, told in (

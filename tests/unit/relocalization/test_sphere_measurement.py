@@ -1,4 +1,4 @@
-"""measure_sphere on pictures whose truth is known, and on pictures that hold no sphere."""
+"""measure_sphere on images with known truth, and on images without a sphere."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def error_um(sphere, centre_mm, size=(2048, 1088)):
     return MICROMETRES_PER_PX * float(np.linalg.norm(sphere.centre_px - ellipse_centre(centre_mm, size)))
 
 
-def test_a_clean_sphere_is_measured_to_half_a_micrometre(renderer, look):
+def test_a_clean_sphere_is_measured_to_one_micrometre(renderer, look):
     sphere = measure_sphere(renderer.sphere(NOMINAL, look()))
     assert sphere.status is SphereStatus.OK
     assert error_um(sphere, NOMINAL) < 1.0
@@ -51,21 +51,21 @@ def test_a_clean_sphere_is_measured_to_half_a_micrometre(renderer, look):
     ],
     ids=["post", "stains", "defocus", "uneven light", "occluded", "12 bits", "saturated"],
 )
-def test_what_hides_or_softens_the_rim_does_not_pull_the_centre(renderer, look, changes):
+def test_a_partly_hidden_or_blurred_rim_does_not_pull_the_centre(renderer, look, changes):
     sphere = measure_sphere(renderer.sphere(NOMINAL, look(**changes)))
     assert sphere.status is SphereStatus.OK
     assert error_um(sphere, NOMINAL) < 3.0
 
 
 @pytest.mark.hazard(27)
-def test_an_occluder_over_more_than_a_third_of_the_rim_makes_it_unreliable(renderer, look):
+def test_a_sphere_with_more_than_a_third_of_its_rim_hidden_is_unreliable(renderer, look):
     statuses = [
         measure_sphere(renderer.sphere(NOMINAL, look(occluded_width=0.36, stains=1))).status for _ in range(6)
     ]
     assert statuses == [SphereStatus.UNRELIABLE] * 6
 
 
-def test_the_visible_share_of_the_rim_is_counted(renderer, look):
+def test_the_visible_share_of_the_rim_is_measured(renderer, look):
     visible = measure_sphere(renderer.sphere(NOMINAL, look(occluded_width=0.2))).rim_fraction
     assert visible == pytest.approx(1.0 - np.arccos(1.0 - 0.4) / np.pi, abs=0.02)
 
@@ -77,7 +77,7 @@ def with_blood_up_to(picture, column):
     return np.rint(np.clip(stained, 0, 255)).astype(np.uint8)
 
 
-def test_rim_that_a_stain_dims_is_still_rim_in_view(renderer, look):
+def test_a_rim_dimmed_by_a_stain_still_counts_as_visible(renderer, look):
     column = round(ellipse_centre(NOMINAL)[0]) - 100
     sphere = measure_sphere(with_blood_up_to(renderer.sphere(NOMINAL, look()), column))
     assert sphere.status is SphereStatus.OK
@@ -86,7 +86,7 @@ def test_rim_that_a_stain_dims_is_still_rim_in_view(renderer, look):
 
 
 @pytest.mark.hazard(27)
-def test_an_outline_that_too_little_undimmed_rim_carries_is_unreliable(renderer, look):
+def test_an_outline_with_too_little_undimmed_rim_is_unreliable(renderer, look):
     picture = renderer.sphere(NOMINAL, look())
     u, v = ellipse_centre(NOMINAL)
     rows, columns = np.mgrid[:1088, :2048]
@@ -103,7 +103,7 @@ def test_half_a_sphere_at_the_border_is_unreliable(renderer, look):
 
 
 @pytest.mark.hazard(27)
-def test_a_glare_and_a_second_sphere_at_the_border_are_not_taken(renderer, look):
+def test_a_glare_and_a_second_sphere_at_the_border_are_ignored(renderer, look):
     rows, columns = np.mgrid[:1088, :2048]
     scene = np.where(np.hypot(columns - 300, rows - 300) < 60, 255.0, 12.0)
     other = renderer.sphere(np.array([22.0, 3.0, 255.0]), look(), scene=gaussian_filter(scene, 1.0))
@@ -125,7 +125,7 @@ def test_an_area_of_interest_is_as_good_as_the_full_frame(renderer, look, size):
     assert error_um(sphere, centre, size) < 1.5
 
 
-def test_any_strides_give_the_same_result_and_the_image_is_left_untouched(renderer, look):
+def test_any_strides_give_the_same_result_and_the_image_is_left_unchanged(renderer, look):
     picture = renderer.sphere(NOMINAL, look())
     before = picture.copy()
     picture.flags.writeable = False
@@ -137,14 +137,14 @@ def test_any_strides_give_the_same_result_and_the_image_is_left_untouched(render
     assert np.array_equal(picture, before)
 
 
-def test_a_sphere_is_followed_through_a_flip_of_the_image(renderer, look):
+def test_a_flipped_image_gives_the_flipped_centre(renderer, look):
     picture = renderer.sphere(NOMINAL, look(grain=0.0))
     x, y = measure_sphere(picture).centre_px
     flipped_x, flipped_y = measure_sphere(picture[::-1, ::-1]).centre_px
     assert (2047 - flipped_x, 1087 - flipped_y) == pytest.approx((x, y), abs=0.02)
 
 
-def test_the_covariance_predicts_the_scatter_of_the_centre(renderer, look):
+def test_the_scatter_of_the_centre_stays_within_twice_its_predicted_sigma(renderer, look):
     found = [measure_sphere(renderer.sphere(NOMINAL, look(bright=60.0), size=(800, 800))) for _ in range(12)]
     scatter = np.var([sphere.centre_px for sphere in found], axis=0).mean()
     predicted = np.mean([np.trace(np.array(sphere.covariance_px2)) / 2 for sphere in found])
@@ -164,7 +164,7 @@ def test_the_covariance_predicts_the_scatter_of_the_centre(renderer, look):
         None,
     ],
 )
-def test_an_input_that_is_no_grey_image_is_refused_in_one_line(image):
+def test_an_input_that_is_not_a_grey_image_is_refused_in_one_line(image):
     with pytest.raises(BadImage) as caught:
         measure_sphere(image)
     assert caught.value.code == "STE-001"
@@ -172,20 +172,20 @@ def test_an_input_that_is_no_grey_image_is_refused_in_one_line(image):
 
 
 @pytest.mark.parametrize(("level", "said"), [(0, "completely dark"), (120, "no contrast")])
-def test_an_even_image_has_no_contrast(level, said):
+def test_a_uniform_image_has_no_contrast(level, said):
     with pytest.raises(NoContrast, match=f"STE-002.*{said}"):
         measure_sphere(np.full((1088, 2048), level, np.uint8))
 
 
 @pytest.mark.parametrize(("level", "kind"), [(255, np.uint8), (4095, np.uint16)])
-def test_a_saturated_image_is_told_from_a_dark_one(level, kind):
+def test_a_saturated_image_is_distinguished_from_a_dark_one(level, kind):
     with pytest.raises(Saturated, match="STE-011: the image is saturated") as caught:
         measure_sphere(np.full((1088, 2048), level, kind))
     assert "exposure" in caught.value.action
 
 
 @pytest.mark.hazard(27)
-def test_shapes_that_are_no_sphere_are_refused():
+def test_shapes_other_than_spheres_are_refused():
     rows, columns = np.mgrid[:1088, :2048]
     distance = np.hypot(columns - 1000, rows - 500)
     square = (np.abs(columns - 1000) < 200) & (np.abs(rows - 500) < 200)
@@ -196,7 +196,7 @@ def test_shapes_that_are_no_sphere_are_refused():
             measure_sphere(picture)
 
 
-def test_clutter_without_a_sphere_is_refused_and_with_one_it_is_found(renderer, look):
+def test_clutter_without_a_sphere_is_refused_and_a_sphere_in_clutter_is_found(renderer, look):
     rows, columns = np.mgrid[:1088, :2048]
     scene = np.full((1088, 2048), 12.0)
     for _ in range(120):
@@ -209,7 +209,7 @@ def test_clutter_without_a_sphere_is_refused_and_with_one_it_is_found(renderer, 
     assert error_um(measure_sphere(renderer.sphere(NOMINAL, look(), scene=scene)), NOMINAL) < 5.0
 
 
-def test_a_full_frame_takes_at_most_twelve_milliseconds_of_cpu(renderer, look):
+def test_a_full_frame_takes_less_than_twice_its_cpu_budget(renderer, look):
     picture = renderer.sphere(NOMINAL, look(post=True, stains=3))
     spent = []
     for _ in range(15):
@@ -220,12 +220,12 @@ def test_a_full_frame_takes_at_most_twelve_milliseconds_of_cpu(renderer, look):
     assert float(np.median(spent)) < 2 * CPU_LIMIT_S
 
 
-def test_a_status_is_the_word_of_the_interface():
+def test_the_status_names_match_the_interface():
     assert [str(status) for status in SphereStatus] == ["OK", "UNRELIABLE"]
 
 
 @pytest.mark.parametrize("order", ["<u2", ">u2", "=u2"])
-def test_any_byte_order_gives_the_same_centre_and_stays_as_it_was(renderer, look, order):
+def test_any_byte_order_gives_the_same_centre_and_is_left_unchanged(renderer, look, order):
     image = renderer.sphere(NOMINAL, look(bits=12)).astype(order)
     before = image.tobytes()
     image.flags.writeable = False

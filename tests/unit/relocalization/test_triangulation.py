@@ -1,4 +1,4 @@
-"""From two outlines to a point in the tool frame: bias, distortion, checks, and pictures with known truth."""
+"""From two outlines to a point in the tool frame: bias, distortion, checks, and images with known truth."""
 
 from __future__ import annotations
 
@@ -68,20 +68,20 @@ def test_the_perspective_bias_is_removed_exactly(x_mm):
     assert found == pytest.approx(centre[:2] / centre[2], abs=1e-9)
 
 
-def test_without_the_correction_three_millimetres_off_axis_cost_one_and_a_half_micrometres():
+def test_the_bias_three_millimetres_off_axis_is_one_and_a_half_micrometres():
     camera = bare_camera()
     raw = camera.undistorted(exact_outline(camera, np.array([3.0, 0.0, 250.0])).centre_px)
     assert (raw[0] * 250.0 - 3.0) * 1e3 == pytest.approx(1.6, abs=0.2)
 
 
-def test_the_angular_radius_is_that_of_the_sphere():
+def test_the_angular_radius_matches_the_sphere():
     camera = bare_camera()
     centre = np.array([12.0, 5.0, 240.0])
     sine = np.sin(camera.angular_radius_rad(exact_outline(camera, centre)))
     assert sine * np.linalg.norm(centre) == pytest.approx(RADIUS_MM, abs=1e-6)
 
 
-def test_distortion_is_undone():
+def test_distortion_is_removed():
     camera = bare_camera(distortion=(-0.08, 0.02, 4e-4, -3e-4, 0.001))
     ideal = np.array([0.085, -0.045])
     assert camera.undistorted(camera.pixel_of(ideal)) == pytest.approx(ideal, abs=1e-12)
@@ -111,7 +111,7 @@ def test_exact_outlines_give_the_exact_point(head, point):
     assert found.radius_mm == pytest.approx(RADIUS_MM, abs=1e-5)
 
 
-def test_the_covariance_is_that_of_repeated_noise(head):
+def test_the_covariance_matches_repeated_noise(head):
     generator = np.random.default_rng(2)
     pair = exact_pair(head, np.array([1.0, 2.0, -1.0]))
     points = []
@@ -168,7 +168,7 @@ def test_a_sphere_of_another_diameter_is_refused(head, radius_mm):
 
 
 @pytest.mark.hazard(27)
-def test_outlines_whose_sizes_do_not_agree_are_not_one_sphere(head):
+def test_outlines_of_different_sizes_are_not_taken_for_one_sphere(head):
     left, right = exact_pair(head, np.zeros(3))
     larger = replace(right, axes_px=tuple(1.02 * axis for axis in right.axes_px))
     with pytest.raises(WrongSize, match="STE-006: the two images do not show the same sphere"):
@@ -176,14 +176,14 @@ def test_outlines_whose_sizes_do_not_agree_are_not_one_sphere(head):
 
 
 @pytest.mark.parametrize("centre", [(np.nan, 0.0), (np.inf, 3.0)])
-def test_numbers_that_are_none_are_refused(head, centre):
+def test_non_finite_coordinates_are_refused(head, centre):
     left, right = exact_pair(head, np.zeros(3))
     with pytest.raises(BadMeasurement, match="STE-004"):
         triangulate(replace(left, centre_px=centre), right, head.calibration)
 
 
 @pytest.mark.hazard(25)
-def test_a_calibration_of_another_camera_is_refused(head):
+def test_a_calibration_for_another_camera_is_refused(head):
     check_serial(head.calibration.left, "left")
     with pytest.raises(WrongCamera, match="STE-010"):
         check_serial(head.calibration.left, "24000001")
@@ -199,7 +199,7 @@ def test_a_calibration_of_another_camera_is_refused(head):
     ],
     ids=["centred", "stained", "defocused", "occluded"],
 )
-def test_pictures_give_the_point_to_a_few_micrometres(renderer, head, look, changes, reach_mm, limit_um):
+def test_images_give_the_point_to_a_few_micrometres(renderer, head, look, changes, reach_mm, limit_um):
     errors = []
     for _ in range(3):
         point = renderer.random.uniform(-reach_mm, reach_mm, 3)

@@ -1,4 +1,4 @@
-"""The report of a calibration, a check and a look shows every figure with its spread."""
+"""The report of a calibration, a check or a single measurement shows every figure with its spread."""
 
 from __future__ import annotations
 
@@ -60,27 +60,27 @@ def page(cell: ClinicalCell, content: str, error: RunError | None = None) -> str
     [(HEAD, "217.574", "0.020"), (CHECK, "0.03210", "0.00110"), (LOOK, "-0.3526", "0.0200")],
     ids=["calibration", "check", "look"],
 )
-def test_every_figure_stands_beside_its_spread(
+def test_every_figure_is_shown_next_to_its_spread(
     cell: ClinicalCell, figures: dict[str, Any], value: str, spread: str
 ) -> None:
     assert f'<td class="free">{value}</td><td>{spread}</td>' in page(cell, json.dumps(figures))
 
 
-def test_looks_that_were_left_out_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:
+def test_excluded_acquisitions_are_drawn_and_listed_as_such(cell: ClinicalCell) -> None:
     page(cell, json.dumps(HEAD))
     rows = list(csv.DictReader((cell.folder / "report" / "looks.csv").read_text().splitlines()))
     assert [(row["rms_px"], row["used"]) for row in rows] == [("0.1", "True"), ("3.0", "False")]
     assert (cell.folder / "report" / "looks.svg").exists()
 
 
-def test_a_check_that_found_a_change_did_not_end_well(cell: ClinicalCell) -> None:
+def test_a_check_that_found_a_change_is_reported_as_failed(cell: ClinicalCell) -> None:
     text = page(cell, json.dumps(CHECK), RunError(code="CAL-006", what="the stereo head has changed"))
     assert "changed: chi-square 851.0, limit 10.8" in text
     assert "<strong>Failed.</strong> Every step was done, but the stereo head has changed (CAL-006)" in text
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"position_mm": [NaN, 0, 0]}'])
-def test_figures_that_cannot_be_read_keep_nothing_else_from_being_shown(
+def test_unreadable_figures_do_not_keep_the_rest_of_the_report_from_being_shown(
     cell: ClinicalCell, content: str
 ) -> None:
     text = page(cell, content)

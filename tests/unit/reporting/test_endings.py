@@ -1,4 +1,4 @@
-"""How a run ended is said in its report, whatever became of it."""
+"""The report states how a run ended, whatever became of it."""
 
 from __future__ import annotations
 
@@ -44,11 +44,11 @@ def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None
     return ending.word, ending.code
 
 
-def test_a_case_that_was_done(cell: ClinicalCell) -> None:
+def test_a_completed_case_is_reported_as_done(cell: ClinicalCell) -> None:
     assert ended(cell, "done") == ("done", "")
 
 
-def test_what_a_case_went_through_before_it_was_done_is_said(cell: ClinicalCell) -> None:
+def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(cell: ClinicalCell) -> None:
     engine = cell.engine(plain_order())
     for code, what in (("EKI-010", "the arm was stopped: emergency stop is active"), ("TOOL-005", "bent")):
         cell.journal.write(Entry.FAILED, 1.0, step="tool_check", code=code, what=what)
@@ -65,15 +65,15 @@ def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
     assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
 
 
-def test_a_case_that_the_operator_ended_was_aborted(cell: ClinicalCell) -> None:
+def test_a_case_ended_by_the_operator_is_reported_as_aborted(cell: ClinicalCell) -> None:
     assert ended(cell, "failed", OperatorAborted("enough")) == ("aborted", "")
 
 
-def test_a_case_that_a_signal_ended_was_interrupted(cell: ClinicalCell) -> None:
+def test_a_case_ended_by_a_signal_is_reported_as_interrupted(cell: ClinicalCell) -> None:
     assert ended(cell, "interrupted", KeyboardInterrupt()) == ("interrupted", "")
 
 
-def test_a_case_whose_last_step_may_not_begin_was_refused(cell: ClinicalCell) -> None:
+def test_a_case_whose_last_step_may_not_begin_is_reported_as_refused(cell: ClinicalCell) -> None:
     engine: Engine = cell.engine(plain_order())
     with pytest.raises(StepRefused):
         engine.run_step(engine.order.find("fit:T1"))
@@ -82,7 +82,7 @@ def test_a_case_whose_last_step_may_not_begin_was_refused(cell: ClinicalCell) ->
     assert "Refused.</strong> fit:T1 was refused: image comes first" in text
 
 
-def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
+def test_the_report_of_a_case_that_was_left_names_the_last_step(cell: ClinicalCell) -> None:
     engine = cell.engine(plain_order())
     engine.run_step(engine.order.find("image"))
     engine.close("left")
@@ -90,7 +90,7 @@ def test_a_case_that_was_left_says_after_which_step(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(41)
-def test_what_was_found_wrong_after_the_last_step_is_how_the_run_ended(cell: ClinicalCell) -> None:
+def test_a_fault_found_after_the_last_step_is_reported_as_the_ending(cell: ClinicalCell) -> None:
     engine = cell.engine(plain_order())
     engine.run_to()
     engine.close("failed", GateFailed("the head has changed"))
@@ -100,20 +100,20 @@ def test_what_was_found_wrong_after_the_last_step_is_how_the_run_ended(cell: Cli
 
 
 @pytest.mark.hazard(41)
-def test_a_run_that_was_killed_says_during_which_step(cell: ClinicalCell) -> None:
+def test_the_report_of_a_killed_run_names_the_step_it_was_in(cell: ClinicalCell) -> None:
     cell.journal.write(Entry.INTENT, 1.0, step="image", moves=False)
     text = write_report(cell.folder).read_text()
     assert "Killed.</strong> The program ended during image without closing the run" in text
 
 
-def test_a_run_that_ended_before_its_theatre_was_open_says_why(tmp_path: Path) -> None:
+def test_the_report_of_a_run_that_ended_before_its_theatre_was_open_gives_the_reason(tmp_path: Path) -> None:
     text = write_report(tmp_path, error=RunError(code="PRC-001", what="no theatre")).read_text()
     assert "before its theatre was open. no theatre (PRC-001)" in text
     assert "There is no journal" in text
 
 
 @pytest.mark.hazard(39)
-def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registered: Path) -> None:
+def test_records_before_a_broken_journal_line_are_shown_and_the_break_is_reported(registered: Path) -> None:
     path = registered / JOURNAL_FILE
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join([*lines[:-3], *lines[-2:]]))
@@ -123,14 +123,14 @@ def test_what_stands_before_a_broken_line_is_shown_and_the_break_is_said(registe
     assert "01-ct_import" in text
 
 
-def test_a_torn_last_line_is_said(registered: Path) -> None:
+def test_a_torn_last_line_is_reported(registered: Path) -> None:
     path = registered / JOURNAL_FILE
     path.write_bytes(path.read_bytes()[:-5])
     assert "The last line of the journal is truncated" in write_report(registered).read_text()
 
 
 @pytest.mark.hazard(39)
-def test_a_changed_record_is_left_out_and_named(registered: Path) -> None:
+def test_a_changed_record_is_named(registered: Path) -> None:
     (changed,) = (registered / "records").glob("*-registration-T1.json")
     changed.write_text(changed.read_text().replace('"confidence": 0.95', '"confidence": 0.99'))
     text = write_report(registered).read_text()

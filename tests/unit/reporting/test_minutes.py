@@ -1,4 +1,4 @@
-"""Where the time went: phases, steps and people, by the journal's own times."""
+"""Where the time went: phases, steps and people, from the journal's own times."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def run(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_steps_and_people_are_added_up_over_the_trajectories(run: Path) -> None:
+def test_times_of_steps_and_people_are_summed_over_the_trajectories(run: Path) -> None:
     times = {(one.kind, one.name): one for one in times_taken(tuple(read_journal(run / "journal.jsonl")))}
     seconds = {key: (one.count, one.theatre_s) for key, one in times.items()}
     assert seconds == {
@@ -44,12 +44,12 @@ def test_steps_and_people_are_added_up_over_the_trajectories(run: Path) -> None:
     assert times[QUESTION, "skin"] == TimeTaken(QUESTION, "skin", 2, 6.0, None)
 
 
-def test_a_campaign_shows_them_beside_the_times_of_the_thesis(run: Path) -> None:
+def test_a_campaign_shows_its_times_next_to_those_of_the_thesis(run: Path) -> None:
     times, beside = times_of([run, run])
     assert ("step", "at_target", 2.0, 30.0) in [tuple(row[:4]) for row in times.rows]
     assert beside.rows[0][:2] == (OPERATOR_S, ALGORITHM_S)
 
 
-def test_a_folder_that_is_no_run_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_a_run_is_refused(tmp_path: Path) -> None:
     with pytest.raises(NoRunToTime, match="STU-011"):
         times_of([tmp_path / "nowhere"])

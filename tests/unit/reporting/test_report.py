@@ -1,4 +1,4 @@
-"""The report shows the numbers of the records, whole, twice, and calls no fit an accuracy."""
+"""The report shows the numbers of the records in full, reads them twice, and calls no fit an accuracy."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Page(HTMLParser):
 FETCHING = ("src", "srcset", "href", "xlink:href", "data", "poster", "action", "formaction", "background")
 
 
-def test_the_page_needs_nothing_but_itself(registered: Path) -> None:
+def test_the_page_is_self_contained(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     page = Page(text)
     assert page.fetched == []
@@ -75,7 +75,7 @@ def test_the_page_needs_nothing_but_itself(registered: Path) -> None:
     assert "@import" not in style
 
 
-def test_on_a_phone_tables_scroll_and_drawings_are_as_wide_as_the_screen(registered: Path) -> None:
+def test_tables_scroll_and_drawings_fill_the_width_on_a_phone(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     page = Page(text)
     assert set(page.tables_in) == {"wide"}
@@ -86,7 +86,7 @@ def test_on_a_phone_tables_scroll_and_drawings_are_as_wide_as_the_screen(registe
     assert 'name="viewport" content="width=device-width' in text
 
 
-def test_on_paper_nothing_scrolls_and_the_paper_is_a4(registered: Path) -> None:
+def test_nothing_scrolls_on_paper_and_the_paper_is_a4(registered: Path) -> None:
     style = write_report(registered).read_text().partition("</style>")[0]
     screen, _, paper = style.partition("@media print")
     assert re.search(r"\.wide \{ overflow-x: auto", screen)
@@ -95,13 +95,13 @@ def test_on_paper_nothing_scrolls_and_the_paper_is_a4(registered: Path) -> None:
 
 
 @pytest.mark.hazard(28)
-def test_the_words_of_a_fit_are_nowhere_on_the_page(registered: Path) -> None:
+def test_fit_residuals_are_not_mentioned_on_the_page(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text().lower()
     assert not re.search(r"\bfre\b|residual", text)
     assert "says nothing about the error at a target" in text
 
 
-def test_prediction_error_and_budget_of_each_target_stand_there(registered: Path) -> None:
+def test_prediction_error_and_budget_of_each_target_are_shown(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     for stored in read_for_report(registered).standing(RegisteredRobot):
         (predicted,) = stored.result.predictions
@@ -119,7 +119,7 @@ def test_the_numbers_are_read_twice_and_both_ways_agree(registered: Path) -> Non
     assert "these figures differ" not in text
 
 
-def test_a_registration_that_was_voided_and_made_again_stands_there_once(engine: Engine) -> None:
+def test_a_registration_voided_and_made_again_does_not_make_the_two_readings_differ(engine: Engine) -> None:
     engine.run_to(StepKey("registration", FIRST))
     engine.context(StepKey("registration", FIRST)).void(
         GlobalLocalization, PatientMoved("the head has moved")
@@ -130,7 +130,9 @@ def test_a_registration_that_was_voided_and_made_again_stands_there_once(engine:
 
 
 @pytest.mark.hazard(6)
-def test_a_formatter_that_drops_a_digit_is_noticed(registered: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_formatter_that_drops_a_digit_is_detected(
+    registered: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(
         target_table, "millimetres", lambda value: "–" if value is None else f"{value:.3f}"[1:]
     )
@@ -138,7 +140,7 @@ def test_a_formatter_that_drops_a_digit_is_noticed(registered: Path, monkeypatch
 
 
 @pytest.mark.hazard(6)
-def test_no_cell_that_holds_a_number_may_break_inside_it(registered: Path) -> None:
+def test_cells_that_hold_numbers_do_not_break_inside_them(registered: Path) -> None:
     style = write_report(registered).read_text().partition("</style>")[0]
     cells = re.search(r"\nth, td \{([^}]*)\}", style)
     assert cells is not None
@@ -147,7 +149,7 @@ def test_no_cell_that_holds_a_number_may_break_inside_it(registered: Path) -> No
     assert "overflow: hidden" not in style
 
 
-def test_every_picture_has_its_data_beside_it(registered: Path) -> None:
+def test_every_drawing_has_its_data_in_a_csv_file(registered: Path) -> None:
     write_report(registered, truth=TRUTH)
     folder = registered / "report"
     pictures = {path.stem for path in folder.glob("*.svg")}
@@ -161,7 +163,7 @@ def test_every_picture_has_its_data_beside_it(registered: Path) -> None:
     assert len((folder / "timeline.csv").read_text().splitlines()) == 1 + len(spans)
 
 
-def test_made_anew_it_says_the_same_from_the_folder_alone(registered: Path, tmp_path: Path) -> None:
+def test_a_report_made_again_from_the_folder_alone_is_identical(registered: Path, tmp_path: Path) -> None:
     first = write_report(registered, truth=TRUTH).read_text()
     again = write_report(registered, out=tmp_path / "elsewhere").read_text()
     made = r"Report made [^<]*"
@@ -172,13 +174,13 @@ def test_made_anew_it_says_the_same_from_the_folder_alone(registered: Path, tmp_
     )
 
 
-def test_questions_stand_there_with_the_value_that_was_shown_and_the_answer(registered: Path) -> None:
+def test_questions_are_listed_with_the_displayed_value_and_the_answer(registered: Path) -> None:
     text = write_report(registered).read_text()
     shown = r'</td><td class="free">predicted target error .* at 95%</td><td>yes</td>'
     assert re.search(f"accept the registration for {FIRST}{shown}", text)
 
 
-def test_a_rehearsal_without_truth_does_not_say_that_its_errors_were_measured(registered: Path) -> None:
+def test_a_rehearsal_without_truth_does_not_claim_measured_errors(registered: Path) -> None:
     measured, predicted = "Errors are measured against", "Errors are predicted"
     assert predicted in (text := write_report(registered).read_text())
     assert measured not in text
@@ -192,7 +194,7 @@ def test_the_commit_and_the_lock_of_each_session_are_in_the_report(cell: Clinica
     assert f"{first}; after a restart {second}." in write_report(cell.folder).read_text()
 
 
-def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_plain_course(
+def test_incidents_are_listed_with_the_time_and_routine_entries_are_left_out(
     cell: ClinicalCell,
 ) -> None:
     cell.journal.write(Entry.INTENT, 1.0, step="at_target:T1")
@@ -213,7 +215,7 @@ def test_what_happened_is_told_in_sentences_with_the_clock_and_nothing_of_the_pl
     assert text.count("the head was hidden") == 1
 
 
-def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
+def test_exclusions_are_listed_with_their_reasons(cell: ClinicalCell) -> None:
     spheres = (LeftOutSphere(fiducial=2, reason="no rim"),)
     done = registered_robot().model_copy(update={"left_out": {"T2": "too deep"}, "left_out_spheres": spheres})
     cell.begin(done).run_to()
@@ -230,7 +232,7 @@ def test_what_was_left_out_is_said_with_its_reason(cell: ClinicalCell) -> None:
         ((), 0.0123, "<td>0.012</td>"),
     ],
 )
-def test_how_the_guide_was_held_is_told_only_of_work_that_was_watched(
+def test_displacement_of_the_guide_is_reported_only_for_watched_work(
     cell: ClinicalCell, done_before: tuple[str, ...], pushed_mm: float | None, said: str
 ) -> None:
     stop = DepthStop(bore_mm=1.0, standoff_mm=30.0, depth_mm=1.0, computed_mm=32.0, read_mm=32.0)
@@ -252,7 +254,7 @@ def test_how_the_guide_was_held_is_told_only_of_work_that_was_watched(
     assert said in write_report(cell.folder).read_text()
 
 
-def test_the_plan_stands_first_with_its_clearance_and_the_turn_of_the_free_angle(cell: ClinicalCell) -> None:
+def test_the_plan_comes_first_with_its_clearance_and_its_turn_about_the_axis(cell: ClinicalCell) -> None:
     near = ClosestApproach(first="tube of the guide", second="fiducial", distance_mm=16.24, at=1.0)
     motions = tuple(
         MotionPreview(
@@ -289,7 +291,7 @@ def test_the_plan_stands_first_with_its_clearance_and_the_turn_of_the_free_angle
     assert len(lines) == 1 + 2
 
 
-def test_a_budget_of_ten_targets_has_a_row_for_each_share_so_that_it_fits_paper(registered: Path) -> None:
+def test_the_budget_has_a_row_for_each_share_and_a_column_for_each_target(registered: Path) -> None:
     text = write_report(registered, truth=TRUTH).read_text()
     (predicted,) = read_for_report(registered).standing(RegisteredRobot)[0].result.predictions
     table = text.partition("What the prediction is made of")[2].partition("</table>")[0]

@@ -1,4 +1,4 @@
-"""Free address pairs are found, taken ones are told."""
+"""Free address pairs are found; addresses in use are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def close(*sockets: socket.socket) -> None:
         each.close()
 
 
-def test_two_simulators_side_by_side_get_different_addresses() -> None:
+def test_two_simulators_at_once_get_different_addresses() -> None:
     first, second = bind_pair(()), bind_pair(())
     addresses = {each.getsockname() for each in (*first, *second)}
     close(*first, *second)
@@ -24,7 +24,7 @@ def test_two_simulators_side_by_side_get_different_addresses() -> None:
     assert all(address.startswith("127.77.") for address, _ in addresses)
 
 
-def test_a_taken_address_is_refused_and_nothing_stays_bound() -> None:
+def test_an_address_in_use_is_refused_and_nothing_stays_bound() -> None:
     first = bind_pair(())
     taken = first[1].getsockname()[0]
     with pytest.raises(EndpointTaken, match=r"SIM-004.*3956"):

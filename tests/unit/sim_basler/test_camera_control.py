@@ -1,4 +1,4 @@
-"""What the control protocol of the simulated camera does beyond the cases of the conformance suite."""
+"""The control protocol of the simulated camera, beyond the cases of the conformance suite."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read_memory(bench: Any, address: int, count: int) -> tuple[int, bytes]:
     return status, content[4:]
 
 
-def test_discovery_names_maker_model_and_address(bench: Any) -> None:
+def test_discovery_names_vendor_model_and_address(bench: Any) -> None:
     content = bench.ask(DISCOVERY)[2]
     assert content[0x0A:0x0D] == bytes((0x00, 0x30, 0x53))  # the maker's MAC addresses
     assert content[0x48:].startswith(b"Basler\0")
@@ -32,26 +32,26 @@ def test_discovery_names_maker_model_and_address(bench: Any) -> None:
     assert content[0x24:0x28] == bytes([127, 0, 0, 1])
 
 
-def test_a_command_of_a_wrong_length_or_without_a_request_id_is_ignored(bench: Any) -> None:
+def test_a_command_with_a_wrong_length_or_without_a_request_id_is_ignored(bench: Any) -> None:
     whole = bench.datagram(READREG, struct.pack(">I", 0))
     assert bench.camera.port.answer(whole[:-1], CLIENT) is None
     assert bench.camera.port.answer(whole + b"\0", CLIENT) is None
     assert bench.camera.port.answer(whole[:6] + b"\0\0" + whole[8:], CLIENT) is None
 
 
-def test_without_the_acknowledge_flag_nothing_is_answered_but_done(bench: Any) -> None:
+def test_a_command_without_the_acknowledge_flag_is_executed_but_not_answered(bench: Any) -> None:
     bench.take_control()
     datagram = bench.datagram(WRITEREG, struct.pack(">II", address_of("GainRaw"), 100), flags=0)
     assert bench.camera.port.answer(datagram, CLIENT) is None
     assert bench.get("GainRaw") == 100
 
 
-def test_memory_is_read_in_at_most_536_bytes_and_whole_words(bench: Any) -> None:
+def test_memory_reads_are_limited_to_536_bytes_and_whole_words(bench: Any) -> None:
     assert read_memory(bench, XML_ADDRESS, 540)[0] == INVALID_PARAMETER
     assert read_memory(bench, XML_ADDRESS, 6)[0] == BAD_ALIGNMENT
 
 
-def test_under_the_control_of_another_nothing_can_be_written(bench: Any) -> None:
+def test_nothing_can_be_written_while_another_client_has_control(bench: Any) -> None:
     bench.take_control()
     assert bench.write(address_of("GainRaw"), 100, peer=OTHER) == ACCESS_DENIED
     assert bench.write(Bootstrap.CCP, 0, peer=OTHER) == ACCESS_DENIED
@@ -59,12 +59,12 @@ def test_under_the_control_of_another_nothing_can_be_written(bench: Any) -> None
     assert bench.get("GainRaw") == 36
 
 
-def test_control_may_be_taken_by_a_memory_write_too(bench: Any) -> None:
+def test_control_can_also_be_taken_by_a_memory_write(bench: Any) -> None:
     assert bench.ask(WRITEMEM, struct.pack(">II", Bootstrap.CCP, 2))[0] == OK
     assert bench.set("GainRaw", 40) == OK
 
 
-def test_exclusive_control_keeps_others_from_reading_memory_but_not_from_finding_the_camera(
+def test_exclusive_control_blocks_memory_reads_by_others_but_not_discovery(
     bench: Any,
 ) -> None:
     assert bench.write(Bootstrap.CCP, 1) == OK
@@ -72,7 +72,7 @@ def test_exclusive_control_keeps_others_from_reading_memory_but_not_from_finding
     assert bench.ask(DISCOVERY, peer=OTHER)[0] == OK
 
 
-def test_every_command_of_the_owner_is_a_heartbeat_and_no_other(bench: Any) -> None:
+def test_every_command_of_the_owner_is_a_heartbeat_and_commands_of_others_are_not(bench: Any) -> None:
     bench.take_control()
     for _ in range(5):
         bench.host_s.now += 2.0
@@ -124,7 +124,7 @@ def test_values_out_of_range_are_refused_and_not_stored(
     assert bench.get(name) == before
 
 
-def test_while_acquiring_the_packet_size_is_locked_and_exposure_and_offset_are_not(bench: Any) -> None:
+def test_acquisition_locks_the_packet_size_but_not_exposure_and_offset(bench: Any) -> None:
     bench.take_control(stream=True)
     bench.small_frames()
     assert bench.set("TriggerMode", 1) == OK
@@ -137,7 +137,7 @@ def test_while_acquiring_the_packet_size_is_locked_and_exposure_and_offset_are_n
     assert bench.set("Width", 128) == OK
 
 
-def test_a_repeated_command_is_answered_but_not_done_again(bench: Any) -> None:
+def test_a_repeated_command_gets_the_same_answer(bench: Any) -> None:
     bench.take_control()
     datagram = bench.datagram(WRITEREG, struct.pack(">II", address_of("GainRaw"), 100), request_id=77)
     first = bench.camera.port.answer(datagram, CLIENT)
@@ -160,7 +160,7 @@ def test_user_sets_keep_and_restore_settings(bench: Any) -> None:
     assert (bench.get("Width"), bench.get("GainRaw")) == (640, 77)
 
 
-def test_the_user_may_name_the_camera(bench: Any) -> None:
+def test_the_user_can_name_the_camera(bench: Any) -> None:
     bench.take_control()
     assert (
         bench.ask(WRITEMEM, struct.pack(">I", Bootstrap.USER_DEFINED_NAME) + b"above".ljust(16, b"\0"))[0]
@@ -178,7 +178,7 @@ def test_exposure_is_one_value_under_two_names(bench: Any) -> None:
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(1e6 / 60_000)
 
 
-def test_the_link_limits_twelve_bit_frames(bench: Any) -> None:
+def test_the_link_limits_the_rate_of_twelve_bit_frames(bench: Any) -> None:
     bench.take_control()
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(50.0)
     assert bench.set("PixelFormat", PixelFormat.MONO12) == OK
@@ -188,7 +188,7 @@ def test_the_link_limits_twelve_bit_frames(bench: Any) -> None:
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(10.0)
 
 
-def test_each_trigger_has_settings_of_its_own(bench: Any) -> None:
+def test_each_trigger_has_its_own_settings(bench: Any) -> None:
     bench.take_control()
     assert bench.set("TriggerSelector", 1) == bench.set("TriggerMode", 1) == OK
     assert bench.set("TriggerSelector", 0) == OK
@@ -197,7 +197,7 @@ def test_each_trigger_has_settings_of_its_own(bench: Any) -> None:
     assert bench.get("TriggerMode") == 1
 
 
-def test_force_ip_is_answered_only_by_the_camera_that_is_meant(bench: Any) -> None:
+def test_force_ip_is_answered_only_by_the_addressed_camera(bench: Any) -> None:
     def force(mac: bytes, address: bytes) -> bytes:
         payload = bytearray(56)
         payload[2:8], payload[20:24] = mac, address
@@ -212,13 +212,13 @@ def test_force_ip_is_answered_only_by_the_camera_that_is_meant(bench: Any) -> No
     assert bench.ask(FORCEIP, force(own, bytes([127, 0, 0, 1])))[0] == ACCESS_DENIED
 
 
-def test_capabilities_name_what_is_there(bench: Any) -> None:
+def test_the_capability_registers_list_the_supported_features(bench: Any) -> None:
     assert bench.read(Bootstrap.GVCP_CAPABILITY) == CAPABILITIES
     assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
     assert CAPABILITIES & 0b111000 == 0b011000  # events with and without data, no PENDING
 
 
-def test_no_datagram_whatever_breaks_the_camera(bench: Any) -> None:
+def test_no_random_datagram_breaks_the_camera(bench: Any) -> None:
     bench.take_control()
     chance = random.Random(5)
     commands = (READREG, WRITEREG, READMEM, WRITEMEM, DISCOVERY, FORCEIP, 0x40, 0x100, 0x89, 0xFFFF)

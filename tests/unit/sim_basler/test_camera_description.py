@@ -1,4 +1,4 @@
-"""The XML that the camera gives away, read as a client reads it, against the registers it speaks of."""
+"""The camera's XML description, read as a client reads it, against the registers it describes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def description(bench: Any) -> ElementTree.Element:
     return root
 
 
-def test_every_reference_of_the_description_leads_somewhere(description: ElementTree.Element) -> None:
+def test_every_reference_in_the_description_resolves(description: ElementTree.Element) -> None:
     names = {node.get("Name") for node in description}
     assert len(names) == len(list(description)), "a name occurs twice"
     for element in description.iter():
@@ -66,7 +66,7 @@ def test_every_reference_of_the_description_leads_somewhere(description: Element
             assert element.text in names, f"{element.tag} names {element.text}"
 
 
-def test_what_is_read_only_cannot_be_written_and_what_is_not_can(
+def test_only_registers_described_as_read_only_refuse_writes(
     bench: Any, description: ElementTree.Element
 ) -> None:
     bench.take_control()
@@ -81,7 +81,7 @@ def test_what_is_read_only_cannot_be_written_and_what_is_not_can(
         assert (status == 0x8004) == (access == "RO"), node.get("Name")
 
 
-def test_the_family_s_names_are_there_and_can_be_found_from_the_root(
+def test_the_names_of_the_camera_family_are_present_and_reachable_from_the_root(
     description: ElementTree.Element,
 ) -> None:
     nodes = {node.get("Name"): node for node in description}
@@ -96,9 +96,7 @@ def test_the_family_s_names_are_there_and_can_be_found_from_the_root(
         assert nodes[name].findtext("pIsLocked") == "TLParamsLocked"
 
 
-def test_the_limits_of_the_description_are_those_of_the_camera(
-    bench: Any, description: ElementTree.Element
-) -> None:
+def test_the_limits_in_the_description_match_the_camera(bench: Any, description: ElementTree.Element) -> None:
     bench.take_control()
     nodes = {node.get("Name"): node for node in description}
 
@@ -115,7 +113,7 @@ def test_the_limits_of_the_description_are_those_of_the_camera(
             assert bench.set(name, low - 1) == 0x8002
 
 
-def test_the_description_names_a_version_of_its_own(description: ElementTree.Element) -> None:
+def test_the_description_has_its_own_version_guid(description: ElementTree.Element) -> None:
     assert description.get("VendorName") == "Basler"
     assert description.get("ModelName") == "acA2000-50gmNIR"
     version = description.get("VersionGuid", "")

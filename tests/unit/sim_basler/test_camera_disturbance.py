@@ -1,4 +1,4 @@
-"""Stains, occluders, glare and a camera turned in its mount, held against geometry worked out here."""
+"""Stains, occluders, glare and a camera turned in its mount, checked against independent geometry."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def light(disturbance: Disturbance, spheres: list[Sphere] | None = None) -> Arra
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.6])
-def test_a_stain_lies_where_projection_puts_it_and_has_its_size(tilt_rad: float) -> None:
+def test_a_stain_has_its_projected_place_and_size(tilt_rad: float) -> None:
     half_angle = 0.12
     # the sphere's frame looks at the camera: its z axis is the camera's -z
     stain = Stain((float(np.sin(tilt_rad)), 0.0, float(np.cos(tilt_rad))), half_angle)
@@ -75,7 +75,7 @@ def test_a_stain_lies_where_projection_puts_it_and_has_its_size(tilt_rad: float)
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
-def test_drawn_stains_cover_the_share_that_was_asked_for(share: float) -> None:
+def test_drawn_stains_cover_the_requested_share(share: float) -> None:
     areas = [(1.0 - np.cos(stain.half_angle_rad)) / 2.0 for stain in drawn_stains(3, 2, share)]
     assert share <= sum(areas) < share + 0.006
     assert drawn_stains(3, 2, share) == drawn_stains(3, 2, share) != drawn_stains(3, 1, share)
@@ -95,7 +95,7 @@ def test_an_occluder_hides_its_share_of_the_rim(share: float, direction: float) 
     assert middle == pytest.approx(direction, abs=0.02)
 
 
-def test_a_glare_saturates_its_place_and_nothing_else() -> None:
+def test_a_glare_saturates_its_own_place_and_nothing_else() -> None:
     glare = Glare((300.5, 200.0), 60.0)
     seen, clean = light(Disturbance(glares=(glare,)), []), light(Disturbance(), [])
     extra = seen - clean
@@ -142,7 +142,7 @@ def picture(world: World, truth: CameraTruth, number: int) -> NDArray[np.int16]:
         ("camera twist right -0.1 deg", "right"),
     ],
 )
-def test_a_fault_changes_the_pictures_of_its_cameras_while_it_acts(line: str, sides: str) -> None:
+def test_a_fault_changes_the_pictures_of_its_cameras_only_while_it_is_active(line: str, sides: str) -> None:
     world = World.create(named_scene("bench"), paced=False)
     cameras = {"left": world.scene.left, "right": world.scene.right}
     before = {side: picture(world, truth, 1) for side, truth in cameras.items()}
@@ -173,7 +173,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
         assert abs(moved_in_tool[0]) < 1e-6
 
 
-def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
+def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
     world = World.create(named_scene("bench"), paced=False)
     left, right = (Disturbances.of(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
@@ -195,6 +195,6 @@ def test_a_creeping_camera_turns_on_with_the_time_of_the_theatre() -> None:
         ("camera twist top 0.1 deg", "got top"),
     ],
 )
-def test_a_fault_of_sight_that_names_nothing_real_is_refused(line: str, mistake: str) -> None:
+def test_a_vision_fault_with_an_invalid_target_or_amount_is_refused(line: str, mistake: str) -> None:
     with pytest.raises(BadFaultScript, match=mistake):
         check_faults(parse_faults(f"now: {line}"), named_scene("default"))

@@ -1,4 +1,4 @@
-"""Events of one camera on its message channel: what is told, when it is told again, what is lost."""
+"""Events of one camera on its message channel: sent, repeated and lost."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def streaming(bench: Any, *, triggers: bool = True) -> None:
     assert bench.set("TriggerMode", int(triggers)) == bench.set("AcquisitionStart", 1) == OK
 
 
-def test_the_camera_says_that_it_has_a_message_channel(bench: Any) -> None:
+def test_the_camera_reports_its_message_channel(bench: Any) -> None:
     assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
     assert bench.read(Bootstrap.MESSAGE_CHANNEL_CAPABILITY) == 0x8000_0000
     wanted = GvcpCapability.EVENT | GvcpCapability.EVENTDATA
@@ -100,7 +100,7 @@ def test_the_camera_says_that_it_has_a_message_channel(bench: Any) -> None:
     assert bench.read(Bootstrap.MCSP) == bench.camera.messages.source_port
 
 
-def test_the_message_channel_belongs_to_whoever_is_in_control(bench: Any) -> None:
+def test_the_message_channel_belongs_to_the_client_in_control(bench: Any) -> None:
     assert bench.write(Bootstrap.MCP, 5000) == ACCESS_DENIED
     bench.take_control()
     assert bench.write(Bootstrap.MCP, 5000) == OK
@@ -110,20 +110,20 @@ def test_the_message_channel_belongs_to_whoever_is_in_control(bench: Any) -> Non
     assert bench.read(Bootstrap.MCP) == 0
 
 
-def test_a_time_out_out_of_range_is_refused(bench: Any) -> None:
+def test_a_timeout_or_retry_count_out_of_range_is_refused(bench: Any) -> None:
     bench.take_control()
     assert bench.write(Bootstrap.MCTT_MS, 60_001) == INVALID_PARAMETER
     assert bench.write(Bootstrap.MCRC, 101) == INVALID_PARAMETER
 
 
-def test_who_is_in_control_can_be_read(bench: Any) -> None:
+def test_the_client_in_control_can_be_read(bench: Any) -> None:
     assert bench.read(Bootstrap.PRIMARY_APPLICATION_PORT) == 0
     bench.take_control()
     assert bench.read(Bootstrap.PRIMARY_APPLICATION_PORT, peer=OTHER) == 40001
     assert bench.read(Bootstrap.PRIMARY_APPLICATION_ADDRESS, peer=OTHER) == 0x7F000001
 
 
-def test_the_end_of_an_exposure_is_told_with_its_frame_and_moment(bench: Any, listener: Listener) -> None:
+def test_the_end_of_an_exposure_is_reported_with_its_frame_and_time(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
     streaming(bench)
     exposure_us = bench.get("ExposureTimeRaw")
@@ -141,7 +141,7 @@ def test_the_end_of_an_exposure_is_told_with_its_frame_and_moment(bench: Any, li
         bench.camera.messages.receive()
 
 
-def test_a_trigger_that_comes_too_early_is_told(bench: Any, listener: Listener) -> None:
+def test_a_trigger_that_comes_too_early_is_reported(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
     streaming(bench)
     bench.images.gate.clear()
@@ -155,7 +155,9 @@ def test_a_trigger_that_comes_too_early_is_told(bench: Any, listener: Listener) 
     assert bench.get("OvertriggerCount") == 2
 
 
-def test_triggers_of_the_acquisition_are_told_obeyed_or_not(bench: Any, listener: Listener) -> None:
+def test_acquisition_and_frame_triggers_are_reported_whether_obeyed_or_not(
+    bench: Any, listener: Listener
+) -> None:
     subscribe(
         bench,
         listener,
@@ -183,7 +185,7 @@ def test_triggers_of_the_acquisition_are_told_obeyed_or_not(bench: Any, listener
     ]
 
 
-def test_only_what_was_asked_for_is_told(bench: Any, listener: Listener) -> None:
+def test_only_enabled_events_are_sent(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
     assert bench.set("EventNotification", 0) == OK
     streaming(bench)
@@ -193,13 +195,13 @@ def test_only_what_was_asked_for_is_told(bench: Any, listener: Listener) -> None
     assert bench.get("EventNotification") == 0
 
 
-def test_a_free_running_camera_tells_its_exposures_too(bench: Any, listener: Listener) -> None:
+def test_a_free_running_camera_reports_its_exposures_too(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
     streaming(bench, triggers=False)
     assert listener.message().items[0][:2] == (EventKind.EXPOSURE_END, 1)
 
 
-def test_after_control_is_given_back_nothing_is_told(bench: Any, listener: Listener) -> None:
+def test_nothing_is_sent_after_control_is_released(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.camera.messages.receiver is None
@@ -234,7 +236,7 @@ def channel(listener: Listener) -> Iterator[Channel]:
     made.channel.close()
 
 
-def test_without_an_acknowledge_a_message_is_repeated_and_then_given_up(channel: Channel) -> None:
+def test_an_unacknowledged_message_is_repeated_and_then_given_up(channel: Channel) -> None:
     channel.tell(block=1)
     channel.tell(block=2)
     first = channel.listener.message()
@@ -250,7 +252,7 @@ def test_without_an_acknowledge_a_message_is_repeated_and_then_given_up(channel:
     assert [item[1] for item in following.items] == [2]
 
 
-def test_an_acknowledge_ends_the_repetitions_and_lets_the_next_go(channel: Channel) -> None:
+def test_an_acknowledge_ends_the_repeats_and_releases_the_next_message(channel: Channel) -> None:
     channel.tell(block=1)
     for block in (2, 3):
         channel.tell(block=block)
@@ -268,7 +270,7 @@ def test_an_acknowledge_ends_the_repetitions_and_lets_the_next_go(channel: Chann
     assert channel.channel.due_s() is None
 
 
-def test_without_a_time_out_no_acknowledge_is_asked_for(channel: Channel) -> None:
+def test_no_acknowledge_is_requested_without_a_timeout(channel: Channel) -> None:
     channel.channel.timeout_ms = 0
     for block in (1, 2):
         channel.tell(block=block)
@@ -276,7 +278,7 @@ def test_without_a_time_out_no_acknowledge_is_asked_for(channel: Channel) -> Non
         assert (message.flags, message.items[0][1]) == (0, block)
 
 
-def test_an_event_with_data_travels_alone(channel: Channel) -> None:
+def test_an_event_with_data_is_sent_alone(channel: Channel) -> None:
     channel.tell(block=1)
     for block, data in ((2, b""), (3, b"abcd"), (4, b"")):
         channel.tell(block=block, data=data)
@@ -289,12 +291,12 @@ def test_an_event_with_data_travels_alone(channel: Channel) -> None:
     assert found == [(EVENT, [1], b""), (EVENT, [2], b""), (EVENTDATA, [3], b"abcd"), (EVENT, [4], b"")]
 
 
-def test_a_message_holds_no_more_than_a_datagram_may(channel: Channel) -> None:
+def test_the_events_of_one_message_fit_the_datagram_limit(channel: Channel) -> None:
     assert EVENTS_PER_MESSAGE * 16 <= 540 < (EVENTS_PER_MESSAGE + 1) * 16
 
 
 @pytest.mark.parametrize("overruns", [True, False])
-def test_too_many_events_are_lost_and_one_warning_says_so(
+def test_excess_events_are_lost_and_at_most_one_overrun_event_reports_it(
     bench: Any, listener: Listener, overruns: bool
 ) -> None:
     kinds = [EventKind.FRAME_START_OVERTRIGGER] + [EventKind.EVENT_OVERRUN] * overruns
@@ -326,7 +328,7 @@ class LosesFirst(NoFaults):
         return self.messages == 1
 
 
-def test_a_message_that_the_network_loses_comes_again(listener: Listener) -> None:
+def test_a_message_lost_on_the_network_is_sent_again(listener: Listener) -> None:
     channel = Channel(listener, LosesFirst())
     channel.tell(block=7)
     assert listener.nothing()

@@ -1,4 +1,4 @@
-"""The setting that halves the cost of an image must take hold."""
+"""The allocator setting that halves the cost of an image must take effect."""
 
 import subprocess
 import sys
@@ -24,7 +24,7 @@ print(kept, found[0])
 """
 
 
-def test_memory_that_was_freed_is_used_again_without_the_kernel() -> None:
+def test_freed_memory_is_reused_with_few_page_faults() -> None:
     ended = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True)
     kept, faults = ended.stdout.split()
     assert kept == "True"

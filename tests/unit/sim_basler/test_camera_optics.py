@@ -1,4 +1,4 @@
-"""Rendered spheres against the analytic projection, worked out here from the conic, not from the renderer."""
+"""Rendered spheres against the analytic projection, derived here from the conic, not from the renderer."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ PLACES = [(0.0, 0.0, 250.0), (3.0, -2.0, 251.0), (10.0, 4.0, 246.0), (-12.0, -4.
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_the_covered_area_is_the_ellipse_that_projection_predicts(place: tuple[float, float, float]) -> None:
+def test_the_covered_area_is_the_ellipse_predicted_by_projection(place: tuple[float, float, float]) -> None:
     image = sphere_image.image_of(ball(place), lens(), FULL, Grain(0, 1))
     centre, axes = moments(image.cover)
     wanted_centre, wanted_axes = expected_ellipse(place)
@@ -101,7 +101,7 @@ def test_the_ellipse_centre_lies_outside_the_projected_centre_by_the_known_bias(
     assert found == pytest.approx(shift * FOCAL_PX, abs=0.002)
 
 
-def test_a_distorting_lens_moves_every_point_of_the_rim_where_it_should_be() -> None:
+def test_a_distorting_lens_moves_the_outline_as_computed() -> None:
     k1, k2, p1, p2, k3 = distortion = (0.06, -0.4, 2e-4, -1e-4, 0.1)
     place = (10.0, 3.0, 248.0)
     image = sphere_image.image_of(ball(place), lens(distortion), FULL, Grain(0, 1))
@@ -197,7 +197,7 @@ def thin_lens_sigma_px(depth_mm: float) -> float:
 
 
 @pytest.mark.parametrize("depth_mm", [250.0, 244.0, 256.0, 264.0])
-def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_that_depth(depth_mm: float) -> None:
+def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_its_depth(depth_mm: float) -> None:
     # across the post's axis nothing but film and background meets at the rim
     light = Optics(bare_camera(), 0).light_on(FULL, [ball((0.0, 0.0, depth_mm))]).astype(float)
     centre, axes = expected_ellipse((0.0, 0.0, depth_mm))
@@ -215,7 +215,7 @@ def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_that_depth(depth_mm: floa
     assert found[1] == pytest.approx(np.hypot(thin_lens_sigma_px(depth_mm), 12**-0.5), rel=0.06)
 
 
-def test_the_light_is_uneven_in_a_way_of_each_camera_and_darker_in_the_corners() -> None:
+def test_the_light_is_uneven_differently_for_each_camera_and_darker_in_the_corners() -> None:
     scene = named_scene("default", seed=3)
     left, right = (Lighting(3, camera.serial, (2048, 1088)) for camera in (scene.left, scene.right))
     for light in (left, right):
@@ -228,7 +228,7 @@ def test_the_light_is_uneven_in_a_way_of_each_camera_and_darker_in_the_corners()
     assert np.abs(left.on_film(FULL) - right.on_film(FULL)).max() > 0.01
 
 
-def test_a_sphere_is_as_bright_as_the_light_where_it_stands() -> None:
+def test_the_brightness_of_a_sphere_follows_the_light_at_its_place() -> None:
     camera = bare_camera()
     optics, lighting = Optics(camera, 3), Lighting(3, camera.serial, camera.sensor_px)
     seen, falling = [], []
@@ -294,7 +294,7 @@ def test_the_flange_cuts_the_rim_only_when_seen_from_the_side() -> None:
     assert 0.1 < on_post < 0.5
 
 
-def test_of_two_spheres_the_nearer_hides_the_further() -> None:
+def test_the_nearer_of_two_spheres_hides_the_farther_one() -> None:
     near, far = ball((0.0, 0.0, 240.0)), ball((1.0, 0.0, 280.0))
     optics = Optics(bare_camera(), 0)
     both = optics.light_on(FULL, [near, far])
@@ -315,7 +315,7 @@ def test_an_area_of_interest_shows_its_part_of_the_full_image() -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.65, 1.7, 4.0, 11.0])
-def test_blur_has_its_width_and_keeps_the_light(sigma: float) -> None:
+def test_blur_has_its_width_and_preserves_the_light(sigma: float) -> None:
     patch = np.zeros((161, 161), np.float32)
     patch[80, 80] = 1.0
     spread = blurred(patch, sigma)
@@ -332,7 +332,7 @@ def test_a_sphere_behind_or_inside_the_lens_is_not_drawn() -> None:
     assert dark.max() < 0.1
 
 
-def test_a_servo_image_costs_less_than_the_budget() -> None:
+def test_a_servo_image_renders_within_its_time_budget() -> None:
     optics = Optics(bare_camera(), 0)
     area = Area(512, 32, 1024, 1024)
     optics.light_on(area, [ball((0.0, 0.0, 250.0))])
@@ -344,7 +344,7 @@ def test_a_servo_image_costs_less_than_the_budget() -> None:
     assert min(costs) < 0.040
 
 
-def test_any_sphere_in_any_area_gives_light_that_a_sensor_can_take() -> None:
+def test_any_sphere_in_any_area_gives_finite_non_negative_light() -> None:
     optics = Optics(bare_camera(), 0)
     chance = noise(1, "spheres and areas", 0)
     for _ in range(60):

@@ -1,4 +1,4 @@
-"""How fast a camera sends: as rows leave its sensor, never faster than its link, even after a stall."""
+"""How fast a camera sends: at the pace of its rows, never faster than its link, even after a stall."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def busiest_bytes(times: list[float], window_s: float) -> int:
     return most * PACKET_BYTES
 
 
-def test_a_frame_takes_as_long_as_its_rows_need(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_frame_takes_the_time_its_rows_need(monkeypatch: pytest.MonkeyPatch) -> None:
     times = sent_by(monkeypatch, StallingComputer(-1, 0.0), READOUT_S)
     assert times[-1] - times[0] == pytest.approx(READOUT_S, rel=0.05)
     assert all(later >= earlier for earlier, later in itertools.pairwise(times))
 
 
 @pytest.mark.parametrize("stall_s", [0.001, 0.01, 0.1])
-def test_what_a_stall_held_back_goes_no_faster_than_the_link(
+def test_packets_held_back_by_a_stall_are_sent_no_faster_than_the_link(
     monkeypatch: pytest.MonkeyPatch, stall_s: float
 ) -> None:
     times = sent_by(monkeypatch, StallingComputer(100, stall_s), 0.0)
@@ -75,6 +75,6 @@ def test_what_a_stall_held_back_goes_no_faster_than_the_link(
     assert times[-1] - times[0] >= free + stall_s - LONGEST_CREDIT_S - 0.001
 
 
-def test_a_short_delay_is_made_up_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_short_delay_is_caught_up(monkeypatch: pytest.MonkeyPatch) -> None:
     times = sent_by(monkeypatch, StallingComputer(100, LONGEST_CREDIT_S / 2), READOUT_S)
     assert times[-1] - times[0] == pytest.approx(READOUT_S, rel=0.05)

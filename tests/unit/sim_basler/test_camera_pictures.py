@@ -72,11 +72,11 @@ def test_gain_multiplies_the_signal_but_not_the_black_level() -> None:
     assert double.mean() == pytest.approx(2 * single.mean(), rel=0.01)
 
 
-def test_eight_bits_are_twelve_bits_without_the_last_four() -> None:
+def test_eight_bit_pixels_are_twelve_bit_pixels_without_the_last_four_bits() -> None:
     assert read(3000.0, bits=8).mean() == pytest.approx(read(3000.0).mean() / 4095 * 255, abs=0.6)
 
 
-def test_packed_pixels_are_two_in_three_bytes() -> None:
+def test_packed_pixels_hold_two_pixels_in_three_bytes() -> None:
     pixels = np.array([[0xABC, 0x123, 0xFFF, 0x000]], np.uint16)
     assert to_wire(pixels, PixelFormat.MONO12_PACKED).hex() == "ab3c12" + "ff0f00"
     assert to_wire(pixels, PixelFormat.MONO12).hex() == "bc0a2301ff0f0000"
@@ -112,7 +112,7 @@ def test_the_bench_shows_a_sphere_to_both_cameras() -> None:
         assert pixels[:100, :100].mean() < 20
 
 
-def test_without_an_arm_nothing_is_in_view() -> None:
+def test_nothing_is_in_view_without_an_arm() -> None:
     world = World.create(named_scene("default"), paced=False)
     assert brightest(Photographer(world, world.scene.left).triggered(frame(), 1)) < 30
 
@@ -126,7 +126,7 @@ def at_first_fiducial(world: World, offset_mm: tuple[float, float, float] = (0.0
     world.publish_arm(ArmState((0.0,) * 6, flange, 1, True))
 
 
-def test_the_sphere_at_the_tool_centre_point_is_where_projection_puts_it() -> None:
+def test_a_sphere_near_the_tool_centre_point_has_its_computed_place_in_both_cameras() -> None:
     world = World.create(named_scene("default", seed=4), paced=False)
     for offset in ((0.0, 0.0, 0.0), (4.0, -3.0, 2.0)):
         at_first_fiducial(world, offset)
@@ -141,7 +141,7 @@ def test_the_sphere_at_the_tool_centre_point_is_where_projection_puts_it() -> No
             )
 
 
-def test_with_the_guide_mounted_the_cameras_see_nothing() -> None:
+def test_a_camera_sees_nothing_while_the_guide_is_mounted() -> None:
     world = World.create(named_scene("default"), paced=False)
     at_first_fiducial(world)
     camera = Photographer(world, world.scene.left)
@@ -150,7 +150,7 @@ def test_with_the_guide_mounted_the_cameras_see_nothing() -> None:
     assert brightest(camera.triggered(frame(), 2)) < 30
 
 
-def test_a_free_running_camera_repeats_ready_pictures_until_the_sight_changes() -> None:
+def test_a_free_running_camera_repeats_prepared_pictures_until_the_view_changes() -> None:
     world = World.create(named_scene("default"), paced=False)
     at_first_fiducial(world)
     camera = Photographer(world, world.scene.left)
@@ -164,7 +164,7 @@ def test_a_free_running_camera_repeats_ready_pictures_until_the_sight_changes() 
     pytest.fail("the pictures were never renewed")
 
 
-def test_a_picture_of_the_ring_says_what_it_was_taken_with() -> None:
+def test_a_prepared_picture_carries_the_settings_it_was_taken_with() -> None:
     world = World.create(named_scene("bench"), paced=False)
     camera = Photographer(world, world.scene.left)
     small = frame(width=64, height=32)

@@ -37,7 +37,7 @@ def stamp(frame: list[bytes]) -> int:
     return int(struct.unpack_from(LEADER_LAYOUT, frame[0], 8)[2])
 
 
-def test_a_frame_carries_the_picture_and_its_trailer_the_rows(bench: Any) -> None:
+def test_a_frame_carries_the_picture_and_its_trailer_the_number_of_rows(bench: Any) -> None:
     triggered(bench)
     assert bench.set("TriggerSoftware", 1) == OK
     frame = bench.frame()
@@ -45,7 +45,7 @@ def test_a_frame_carries_the_picture_and_its_trailer_the_rows(bench: Any) -> Non
     assert struct.unpack_from(">HHI", frame[-1], 8) == (0, 1, 48)
 
 
-def test_the_leader_tells_geometry_format_and_time(bench: Any) -> None:
+def test_the_leader_carries_geometry_format_and_time(bench: Any) -> None:
     bench.take_control(stream=True)
     bench.small_frames()
     for name, value in (("OffsetX", 160), ("OffsetY", 33), ("PixelFormat", PixelFormat.MONO12)):
@@ -57,7 +57,7 @@ def test_the_leader_tells_geometry_format_and_time(bench: Any) -> None:
     assert leader == (0, 1, moment_ns // 8, PixelFormat.MONO12, 64, 48, 160, 33, 0, 0)
 
 
-def test_blocks_count_from_one_again_with_every_start(bench: Any) -> None:
+def test_block_ids_restart_at_one_with_every_acquisition(bench: Any) -> None:
     triggered(bench)
     for round_number in range(2):
         for expected in (1, 2, 3):
@@ -81,7 +81,7 @@ def restart(bench: Any) -> None:
     assert bench.set("AcquisitionStop", 1) == bench.set("AcquisitionStart", 1) == OK
 
 
-def test_a_picture_that_is_taken_again_is_the_same_picture(bench: Any) -> None:
+def test_restarting_an_acquisition_at_the_same_position_repeats_its_last_picture(bench: Any) -> None:
     bench.images.where = b"here"
     triggered(bench)
     assert pictures(bench, 3) == [1, 2, 3]
@@ -91,7 +91,9 @@ def test_a_picture_that_is_taken_again_is_the_same_picture(bench: Any) -> None:
 
 
 @pytest.mark.parametrize("change", [("place", b"there"), ("Width", 96), ("ExposureTimeRaw", 5000)])
-def test_an_acquisition_of_something_else_counts_from_one(bench: Any, change: tuple[str, Any]) -> None:
+def test_an_acquisition_at_another_position_or_setting_counts_from_one(
+    bench: Any, change: tuple[str, Any]
+) -> None:
     bench.images.where = b"here"
     triggered(bench)
     assert pictures(bench, 2) == [1, 2]
@@ -115,7 +117,7 @@ def test_block_ids_wrap_to_one(bench: Any) -> None:
     assert found == [65535, 1]
 
 
-def test_one_software_trigger_gives_one_frame_and_none_without(bench: Any) -> None:
+def test_one_software_trigger_gives_exactly_one_frame(bench: Any) -> None:
     triggered(bench)
     assert bench.nothing_comes()
     assert bench.set("TriggerSoftware", 1) == OK
@@ -137,7 +139,7 @@ def test_triggers_while_busy_are_dropped_and_counted(bench: Any) -> None:
 
 
 @pytest.mark.parametrize("spoil", [("TriggerMode", 0), ("TriggerSource", 1), ("TriggerSelector", 0)])
-def test_a_trigger_that_is_not_listened_to_does_nothing(bench: Any, spoil: tuple[str, int]) -> None:
+def test_a_trigger_that_is_not_enabled_does_nothing(bench: Any, spoil: tuple[str, int]) -> None:
     bench.take_control(stream=True)
     bench.small_frames()
     assert bench.set("TriggerMode", 1) == OK
@@ -152,7 +154,7 @@ def test_a_trigger_that_is_not_listened_to_does_nothing(bench: Any, spoil: tuple
     assert bench.nothing_comes()
 
 
-def test_time_stamps_grow_even_when_theatre_time_stands_still(bench: Any) -> None:
+def test_timestamps_grow_even_when_theatre_time_stops(bench: Any) -> None:
     bench.take_control(stream=True)
     bench.small_frames()
     assert bench.set("AcquisitionStart", 1) == OK
@@ -192,7 +194,7 @@ def test_an_acquisition_start_trigger_permits_a_number_of_frames(bench: Any) -> 
     assert bench.nothing_comes()
 
 
-def test_a_trigger_delay_moves_the_exposure(bench: Any) -> None:
+def test_a_trigger_delay_postpones_the_exposure(bench: Any) -> None:
     bench.take_control(stream=True)
     bench.small_frames()
     assert bench.set("TriggerMode", 1) == bench.set("TriggerDelayAbs", 800.0) == OK
@@ -202,7 +204,7 @@ def test_a_trigger_delay_moves_the_exposure(bench: Any) -> None:
     assert stamp(bench.frame()) == (moment_ns + 800_000) // 8
 
 
-def test_in_lock_step_a_trigger_advances_the_theatre_by_exposure_and_read_out(bench: Any) -> None:
+def test_a_trigger_in_lock_step_advances_the_theatre_by_exposure_and_readout(bench: Any) -> None:
     triggered(bench)
     begun_ns = bench.clock.time_ns
     assert bench.set("TriggerSoftware", 1) == OK
@@ -211,7 +213,7 @@ def test_in_lock_step_a_trigger_advances_the_theatre_by_exposure_and_read_out(be
     assert bench.clock.time_ns - begun_ns == frame.exposure_us * 1000 + round(readout_us(frame) * 1e3)
 
 
-def test_in_lock_step_a_pair_takes_the_time_of_one_frame(make_bench: Any) -> None:
+def test_a_pair_in_lock_step_takes_the_time_of_one_frame(make_bench: Any) -> None:
     left = make_bench()
     right = make_bench("right", "21904412", beside=left)
     for camera in (left, right):
@@ -228,7 +230,7 @@ def test_in_lock_step_a_pair_takes_the_time_of_one_frame(make_bench: Any) -> Non
         assert left.clock.time_ns - begun_ns <= (number + 1) * (one_ns + SOFTWARE_TRIGGER_SKEW_NS)
 
 
-def test_an_action_is_acknowledged_by_the_cameras_that_are_meant(bench: Any) -> None:
+def test_an_action_is_acknowledged_only_by_the_addressed_cameras(bench: Any) -> None:
     bench.take_control(stream=True)
     for name, value in (("ActionDeviceKey", 0xABCD), ("ActionGroupKey", 7), ("ActionGroupMask", 1)):
         assert bench.set(name, value) == OK
@@ -250,7 +252,7 @@ def test_a_scheduled_action_is_refused_without_a_common_clock(bench: Any) -> Non
     assert status == 0x8013
 
 
-def test_a_range_of_packets_is_repeated_and_nothing_else(bench: Any) -> None:
+def test_only_the_requested_range_of_packets_is_resent(bench: Any) -> None:
     triggered(bench)
     assert bench.set("TriggerSoftware", 1) == OK
     frame = bench.frame()
@@ -263,7 +265,7 @@ def test_a_range_of_packets_is_repeated_and_nothing_else(bench: Any) -> None:
         assert bench.nothing_comes()
 
 
-def test_what_is_gone_is_answered_by_a_header_that_says_so(bench: Any) -> None:
+def test_a_request_for_an_unavailable_packet_is_answered_by_a_header_that_says_so(bench: Any) -> None:
     triggered(bench)
     for _ in range(KEPT_BLOCKS + 1):
         assert bench.set("TriggerSoftware", 1) == OK
@@ -276,7 +278,7 @@ def test_what_is_gone_is_answered_by_a_header_that_says_so(bench: Any) -> None:
         assert header(answer) == (0x800C, block, PAYLOAD, packet)
 
 
-def test_nobody_else_can_ask_for_packets(bench: Any) -> None:
+def test_another_host_cannot_request_packets(bench: Any) -> None:
     triggered(bench)
     assert bench.set("TriggerSoftware", 1) == OK
     bench.frame()
@@ -285,7 +287,7 @@ def test_nobody_else_can_ask_for_packets(bench: Any) -> None:
     assert bench.nothing_comes()
 
 
-def test_losing_control_ends_the_stream_and_the_next_client_starts_afresh(bench: Any) -> None:
+def test_losing_control_ends_the_stream_and_the_next_client_starts_from_one(bench: Any) -> None:
     triggered(bench)
     assert bench.write(Bootstrap.CCP, 0) == OK
     assert bench.read(Bootstrap.SCP) == 0

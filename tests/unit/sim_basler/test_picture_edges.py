@@ -12,7 +12,7 @@ from sim.world.world import ArmState, World
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_picture_is_drawn_wherever_the_head_stands_over_a_sphere(seed: int) -> None:
+def test_a_picture_is_rendered_wherever_the_head_is_over_a_sphere(seed: int) -> None:
     scene = named_scene("default", seed=seed)
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)

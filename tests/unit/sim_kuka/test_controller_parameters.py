@@ -1,4 +1,4 @@
-"""Parameters of the controller, set by name."""
+"""Controller parameters, set by name."""
 
 from __future__ import annotations
 
@@ -36,13 +36,15 @@ def test_parameters_are_set_by_name() -> None:
         ("streams_after_stop=perhaps", "streams_after_stop cannot be 'perhaps'; expected true or false"),
     ],
 )
-def test_a_wrong_parameter_is_refused_with_what_may_stand_there(assignment: str, told: str) -> None:
+def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, told: str) -> None:
     with pytest.raises(UnknownParameter, match=told) as caught:
         changed_parameters([assignment])
     assert caught.value.code == "KRC-003"
 
 
-def test_all_parameters_are_told_with_best_estimate_and_meaning(capsys: pytest.CaptureFixture[str]) -> None:
+def test_list_parameters_shows_every_best_estimate_with_its_meaning(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     kuka(list_parameters=True)
     told = capsys.readouterr().out.splitlines()
     assert len(told) == len(fields(ControllerParameters))

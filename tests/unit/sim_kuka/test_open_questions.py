@@ -1,4 +1,4 @@
-"""What no public source settles has a name each, and every name changes what the controller does."""
+"""Every question that no public source settles has named parameters that change the behaviour."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def bench_with(make_bench: Callable[..., Any]) -> Callable[..., Any]:
     return make
 
 
-def test_every_open_question_is_answered_by_names_that_exist() -> None:
+def test_every_open_question_names_existing_parameters_and_options() -> None:
     parameters = {entry.name for entry in fields(ControllerParameters)}
     options = {f"--{name.replace('_', '-')}" for name in kuka.__annotations__}
     context = load_context()
@@ -73,7 +73,7 @@ def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone()
 # -- drives
 
 
-def test_the_filter_of_12_ms_runs_smooths_corrections_and_ends_exactly_there(
+def test_the_12_ms_filter_smooths_corrections_and_settles_exactly_on_them(
     bench_with: Callable[..., Any],
 ) -> None:
     behind = {}
@@ -89,7 +89,7 @@ def test_the_filter_of_12_ms_runs_smooths_corrections_and_ends_exactly_there(
     assert behind[4, 0.05] == behind[4, 0.0001]
 
 
-def test_axes_are_told_in_steps_of_the_read_out_and_held_exactly(bench_with: Callable[..., Any]) -> None:
+def test_axes_are_reported_in_readout_steps_but_held_exactly(bench_with: Callable[..., Any]) -> None:
     bench = bench_with(readout_step_deg=0.01)
     bench.enter_movecorr()
     bench.ramp(on_a1(1.2345))
@@ -104,7 +104,7 @@ def test_axes_are_told_in_steps_of_the_read_out_and_held_exactly(bench_with: Cal
 
 
 @pytest.mark.parametrize(("answer", "rests_deg"), [("stop", None), ("clamp", 170.0)])
-def test_a_software_end_switch_stops_or_cuts(
+def test_a_software_end_switch_stops_the_arm_or_clamps_the_correction(
     bench_with: Callable[..., Any],
     context_with: Callable[..., RsiContext],
     answer: str,
@@ -133,7 +133,7 @@ def test_a_software_end_switch_stops_or_cuts(
 # -- telegrams
 
 
-def test_the_time_stamp_begins_where_it_is_told_to_and_wraps_at_its_width(
+def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(
     bench_with: Callable[..., Any],
 ) -> None:
     stamps: dict[int, list[int]] = {32: [], 64: []}
@@ -156,7 +156,7 @@ def test_the_time_stamp_begins_where_it_is_told_to_and_wraps_at_its_width(
         ("nothing", 0, [0, 0, 0, 0, 0]),
     ],
 )
-def test_D_tells_late_replies_in_each_way(
+def test_delay_d_counts_late_replies_as_configured(
     bench_with: Callable[..., Any], tells: str, lag: int, told: list[int]
 ) -> None:
     bench = bench_with(delay_tells=tells, delay_lag_cycles=lag)
@@ -168,7 +168,7 @@ def test_D_tells_late_replies_in_each_way(
     assert seen == told
 
 
-def test_Stat_may_tell_that_corrections_act_and_nothing_more(
+def test_stat_reports_limits_only_when_configured(
     bench_with: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     for tells, stats in ((True, (0b11, 0)), (False, (0b1, 0))):
@@ -182,7 +182,7 @@ def test_Stat_may_tell_that_corrections_act_and_nothing_more(
 
 
 @pytest.mark.parametrize(("lacking", "value"), [("holdon", 1.0), ("kept", 1.0), ("zero", 0.0)])
-def test_what_a_reply_lacks_is_kept_or_zeroed(
+def test_values_missing_from_a_reply_are_held_or_zeroed(
     bench_with: Callable[..., Any], lacking: str, value: float
 ) -> None:
     bench = bench_with(missing_element=lacking, step_share=10.0)
@@ -198,7 +198,7 @@ def test_what_a_reply_lacks_is_kept_or_zeroed(
     assert bench.controller.arm.axes_deg[0] == pytest.approx(value, abs=1e-3)
 
 
-def test_exponents_and_bad_numbers_are_read_as_told() -> None:
+def test_exponents_and_bad_numbers_are_read_as_configured() -> None:
     context = load_context()
     reply = '<Sen Type="KROSHU"><AK A1="{}"/><IPOC>8</IPOC></Sen>'
 
@@ -218,7 +218,9 @@ def test_exponents_and_bad_numbers_are_read_as_told() -> None:
 # -- the run
 
 
-def test_telegrams_may_begin_with_movecorr_and_nothing_is_late_before(bench_with: Callable[..., Any]) -> None:
+def test_telegrams_can_start_with_movecorr_and_nothing_is_late_before_that(
+    bench_with: Callable[..., Any],
+) -> None:
     bench = bench_with(streams_from="movecorr", movecorr_after_cycles=10)
     run = bench.controller.run
     first = run.ipoc
@@ -231,7 +233,7 @@ def test_telegrams_may_begin_with_movecorr_and_nothing_is_late_before(bench_with
     assert bench.controller.arm.axes_deg[0] == 1.0
 
 
-def test_in_T1_telegrams_may_wait_for_the_confirmation(make_bench: Callable[..., Any]) -> None:
+def test_in_t1_telegrams_can_wait_for_the_confirmation(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(parameters=ControllerParameters(streams_from="movecorr"), start=False)
     bench.controller.turn_key(OperationMode.T1)
     bench.controller.hold_start_key(True)
@@ -303,9 +305,7 @@ def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
 
 
 @pytest.mark.parametrize("asks", [False, True])
-def test_a_client_that_asks_for_nothing_does_not_keep_the_channel(
-    make_bench: Callable[..., Any], asks: bool
-) -> None:
+def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Callable[..., Any], asks: bool) -> None:
     bench = make_bench(parameters=ControllerParameters(first_request_s=3.0), start=False)
     heard: Any = Heard()
     channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
@@ -321,7 +321,7 @@ def test_a_client_that_asks_for_nothing_does_not_keep_the_channel(
 
 
 @pytest.mark.parametrize("inverted", [0, 2, 7])
-def test_bits_of_the_status_may_mean_the_opposite_when_told_and_when_taken(
+def test_inverted_status_bits_apply_when_reported_and_when_received(
     make_bench: Callable[..., Any], inverted: int
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(inverted_status=inverted), start=False)
@@ -338,7 +338,7 @@ def test_bits_of_the_status_may_mean_the_opposite_when_told_and_when_taken(
     assert bench.controller.arm.axes_deg == pytest.approx(home_deg, abs=1e-3)
 
 
-def test_a_text_ends_where_a_KRL_string_does(make_bench: Callable[..., Any]) -> None:
+def test_a_text_is_cut_at_the_longest_krl_string(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(parameters=ControllerParameters(longest_text=10), start=False)
     acknowledged = _ask(bench, f'<Cmd Id="{"7" * 30}" Name="NONSENSE"></Cmd>')[0]
     assert acknowledged.get("Id") == "7" * 10
@@ -348,7 +348,7 @@ def test_a_text_ends_where_a_KRL_string_does(make_bench: Callable[..., Any]) -> 
 # -- the true arm
 
 
-def test_an_arm_that_has_moved_for_long_is_displaced_by_its_warmth_and_a_cold_one_is_not(
+def test_thermal_drift_grows_with_time_in_motion_and_is_zero_when_cold(
     perfect_arm: Callable[..., ArmTruth],
 ) -> None:
     warm = TrueArm(perfect_arm(thermal_drift_mm=0.04, thermal_time_s=1000.0), seed=3)
@@ -362,7 +362,7 @@ def test_an_arm_that_has_moved_for_long_is_displaced_by_its_warmth_and_a_cold_on
     assert perfect_arm().thermal_drift_mm == 0.0  # results must not depend on the time before them
 
 
-def test_time_counts_as_warming_while_the_arm_moves(bench_with: Callable[..., Any]) -> None:
+def test_only_time_in_motion_counts_as_warming(bench_with: Callable[..., Any]) -> None:
     bench = bench_with()
     bench.enter_movecorr()
     for _ in range(100):

@@ -1,4 +1,4 @@
-"""What is written: series, plan and truth, byte for byte from the seed."""
+"""The files of a phantom case: series, plan and truth, byte for byte from the seed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def digest(folder: Path) -> dict[str, str]:
     }
 
 
-def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_series(
+def test_the_same_scene_gives_the_same_bytes_and_another_seed_a_different_series(
     coarse_scene: Scene, tmp_path: Path
 ) -> None:
     write_case(coarse_scene, tmp_path / "a")
@@ -33,7 +33,7 @@ def test_the_same_scene_gives_the_same_bytes_and_another_seed_another_series(
     assert first["series_instance_uid"] != other.series_instance_uid
 
 
-def test_the_series_is_a_ct_with_whole_geometry(coarse_scene: Scene, tmp_path: Path) -> None:
+def test_the_series_is_a_ct_with_complete_geometry(coarse_scene: Scene, tmp_path: Path) -> None:
     case = write_case(coarse_scene, tmp_path)
     truth = json.loads(case.truth.read_text())
     slices = [pydicom.dcmread(path) for path in sorted(case.series.glob("*.dcm"))]
@@ -53,7 +53,7 @@ def test_the_series_is_a_ct_with_whole_geometry(coarse_scene: Scene, tmp_path: P
         assert one.pixel_array.max() <= 4095
 
 
-def test_the_plan_says_what_the_scene_holds(coarse_scene: Scene, tmp_path: Path) -> None:
+def test_the_plan_matches_the_scene(coarse_scene: Scene, tmp_path: Path) -> None:
     case = write_case(coarse_scene, tmp_path)
     plan = tomllib.loads(case.plan.read_text())
     target = coarse_scene.head.targets[0]
@@ -73,14 +73,14 @@ def test_the_plan_says_what_the_scene_holds(coarse_scene: Scene, tmp_path: Path)
     }
 
 
-def test_the_truth_names_every_sphere(coarse_scene: Scene, tmp_path: Path) -> None:
+def test_the_truth_lists_every_sphere(coarse_scene: Scene, tmp_path: Path) -> None:
     truth = json.loads(write_case(coarse_scene, tmp_path).truth.read_text())
     wanted = [list(fiducial.centre_ct_mm) for fiducial in coarse_scene.head.fiducials]
     assert [fiducial["centre_mm"] for fiducial in truth["fiducials"]] == wanted
     assert {fiducial["post_material"] for fiducial in truth["fiducials"]} <= {"metal", "polymer"}
 
 
-def test_slices_of_an_earlier_scan_do_not_stay_behind(coarse_scene: Scene, tmp_path: Path) -> None:
+def test_slices_of_an_earlier_scan_are_removed(coarse_scene: Scene, tmp_path: Path) -> None:
     (tmp_path / "ct").mkdir()
     (tmp_path / "ct" / "slice-0999.dcm").write_bytes(b"old")
     (tmp_path / "ct" / "notes.txt").write_text("mine")
@@ -89,7 +89,7 @@ def test_slices_of_an_earlier_scan_do_not_stay_behind(coarse_scene: Scene, tmp_p
     assert (tmp_path / "ct" / "notes.txt").exists()
 
 
-def test_progress_runs_to_the_end(coarse_scene: Scene, tmp_path: Path) -> None:
+def test_progress_increases_to_one(coarse_scene: Scene, tmp_path: Path) -> None:
     shares: list[float] = []
     write_case(coarse_scene, tmp_path, shares.append)
     assert shares == sorted(shares)

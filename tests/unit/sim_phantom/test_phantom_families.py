@@ -1,4 +1,4 @@
-"""Every family holds what it says, truthfully, and the families for judging are not those for tuning."""
+"""Phantom families hold what they promise, and the families for judging are not those for tuning."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def deepest(scan: Scan, point: Point) -> float:
 
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("seed", range(3))
-def test_a_family_can_be_drawn_and_nothing_runs_into_its_spheres(name: str, seed: int) -> None:
+def test_a_drawn_family_has_its_markers_and_nothing_intersects_its_spheres(name: str, seed: int) -> None:
     scan = family_scan(name, "poor", seed=seed)
     assert len(scan.anatomy.markers) == FAMILIES[name].markers
     assert scan.scene.ct == PROTOCOLS["poor"]
@@ -43,13 +43,13 @@ def test_a_family_can_be_drawn_and_nothing_runs_into_its_spheres(name: str, seed
     assert spacing[spacing > 0].min() > (PAIR_DISTANCE_MM - 0.01 if FAMILIES[name].pairs else 25.0)
 
 
-def test_there_are_families_for_both_purposes_and_none_serves_both() -> None:
+def test_seven_families_are_for_tuning_and_fourteen_for_judging() -> None:
     purposes = [family.purpose for family in FAMILIES.values()]
     assert purposes.count(Purpose.TUNING) == 7
     assert purposes.count(Purpose.JUDGING) == 14
 
 
-def test_bare_spheres_are_nothing_but_polymer() -> None:
+def test_bare_spheres_have_no_post_and_no_other_shape() -> None:
     scan = family_scan("bare", "good", seed=1)
     for marker in scan.anatomy.markers:
         (ball,) = marker.shapes
@@ -69,7 +69,7 @@ def test_the_crowded_family_has_close_pairs_and_look_alikes_of_the_same_polymer(
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_field_of_the_edge_family_leaves_one_sphere_whole_and_cuts_another(seed: int) -> None:
+def test_the_edge_family_marks_exactly_the_spheres_cut_by_the_field(seed: int) -> None:
     scan = family_scan("edge", "usual", seed=seed)
     grid = scan.grid
     high = np.array([grid.x_mm[-1] + 0.3, grid.z_mm[-1] + 0.625])
@@ -80,7 +80,7 @@ def test_the_field_of_the_edge_family_leaves_one_sphere_whole_and_cuts_another(s
     assert (room > 1.4).all()
 
 
-def test_a_bandage_says_how_deep_it_buries() -> None:
+def test_the_dressing_family_states_the_buried_share_of_each_sphere() -> None:
     shares = [
         marks["buried_share"]
         for seed in range(6)
@@ -91,7 +91,7 @@ def test_a_bandage_says_how_deep_it_buries() -> None:
     assert min(shares) == 0.0
 
 
-def test_the_x_shaped_frame_keeps_its_distances_and_stands_on_the_skull() -> None:
+def test_the_x_shaped_frame_keeps_its_distances_and_its_spheres_lie_outside_the_head() -> None:
     scan = family_scan("narrow", "good", seed=2, fiducials=XFRAME)
     wanted, found = np.array(SPHERE_CENTRES_MM), centres(scan)
     for points in (wanted, found):
@@ -102,7 +102,7 @@ def test_the_x_shaped_frame_keeps_its_distances_and_stands_on_the_skull() -> Non
     assert (np.linalg.norm(inside, axis=1) > 1.1).all()
 
 
-def test_more_markers_stand_on_screws_beside_the_close_frame_clear_of_its_bars() -> None:
+def test_additional_markers_clear_the_bars_of_the_close_frame() -> None:
     scan = family_scan("plain", "good", seed=2, markers=8, fiducials=XFRAME_CLOSE)
     found = centres(scan)
     apart = np.linalg.norm(found[:, None] - found[None], axis=2)
@@ -123,12 +123,12 @@ def test_more_markers_stand_on_screws_beside_the_close_frame_clear_of_its_bars()
         ({"markers": 3, "fiducials": XFRAME}, "4 to 8 markers"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(arguments: dict[str, object], words: str) -> None:
+def test_an_impossible_family_is_refused(arguments: dict[str, object], words: str) -> None:
     with pytest.raises(BadScene, match=words):
         family_scan(**({"name": "plain", "protocol": "good"} | arguments))  # type: ignore[arg-type]
 
 
-def test_the_truth_of_a_family_is_written_beside_the_series(tmp_path: Path) -> None:
+def test_the_truth_of_a_family_is_written_with_the_series(tmp_path: Path) -> None:
     scan = family_scan("bandage", "poor", seed=3)
     coarse = Scan(
         scan.scene.model_copy(update={"ct": COARSE}),

@@ -1,4 +1,4 @@
-"""Where the voxels are, and what the bodies and their blur look like."""
+"""The CT grid and the painted bodies: voxel positions, depth, volume and blur."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_a_field_that_cannot_hold_the_spheres_is_refused(mini_scene: Scene) -> N
         place_grid(mini_scene.head, CtProtocol(pixel_mm=0.2, columns=256, rows=256))
 
 
-def test_indices_name_the_voxels_between_two_coordinates(mini_scene: Scene) -> None:
+def test_indices_select_the_voxels_between_two_coordinates(mini_scene: Scene) -> None:
     grid = place_grid(mini_scene.head, mini_scene.ct)
     inside = grid.indices(2, float(grid.z_mm[10]) - 0.01, float(grid.z_mm[20]) + 0.01)
     assert (inside.start, inside.stop) == (10, 21)
@@ -70,7 +70,7 @@ def test_depth_is_positive_inside_and_negative_outside(
         assert float(shape.depth(x, y, z)[0]) == pytest.approx(depth, abs=0.05)
 
 
-def test_a_painted_ball_has_its_volume_and_stays_in_its_bounds() -> None:
+def test_a_painted_ball_has_the_right_volume_and_centre() -> None:
     image = np.zeros((81, 81, 81), dtype=np.float32)
     paint(image, (AXIS, AXIS, AXIS), Ball(1.0, (1.3, -2.1, 0.7), 8.0), 0.5)
     assert float(image.sum()) * 0.5**3 == pytest.approx(4.0 / 3.0 * np.pi * 8.0**3, rel=2e-3)
@@ -78,7 +78,7 @@ def test_a_painted_ball_has_its_volume_and_stays_in_its_bounds() -> None:
     assert centre == pytest.approx((1.3, -2.1, 0.7), abs=1e-3)
 
 
-def test_a_body_beside_the_image_paints_nothing() -> None:
+def test_a_body_outside_the_image_paints_nothing() -> None:
     image = np.zeros((81, 81, 81), dtype=np.float32)
     paint(image, (AXIS, AXIS, AXIS), Ball(1.0, (100.0, 0.0, 0.0), 8.0), 0.5)
     assert not image.any()
@@ -121,7 +121,7 @@ def test_every_sphere_stands_on_a_post_that_enters_it_and_ends_in_bone(mini_scen
         assert 100.0 <= marker.hu <= 150.0
 
 
-def test_a_post_that_points_beside_the_head_is_refused(mini_scene: Scene) -> None:
+def test_a_post_that_points_away_from_the_head_is_refused(mini_scene: Scene) -> None:
     first = mini_scene.head.fiducials[0]
     wrong = first.model_copy(update={"post_ct": tuple(-value for value in first.post_ct)})
     head = mini_scene.head.model_copy(update={"fiducials": (wrong,)})

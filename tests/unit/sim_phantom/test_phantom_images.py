@@ -1,4 +1,4 @@
-"""What the scan shows: spheres where they are, noise as stated, the same for the same seed."""
+"""The painted scan: sphere positions, noise as specified, and reproducibility by seed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def bare(scene: Scene) -> Anatomy:
     return Anatomy((), (), markers, ())
 
 
-def test_a_sphere_lies_where_the_scene_says_to_a_few_micrometres(mini_scene: Scene) -> None:
+def test_a_sphere_is_within_a_few_micrometres_of_its_place_in_the_scene(mini_scene: Scene) -> None:
     grid, anatomy = place_grid(mini_scene.head, mini_scene.ct), bare(mini_scene)
     painter = SlicePainter(mini_scene, grid, anatomy)
     for number, marker in enumerate(anatomy.markers):
@@ -61,7 +61,7 @@ def test_patches_join_the_rest_of_the_slice_without_a_step(mini_scene: Scene) ->
     assert anatomy.markers
 
 
-def test_noise_has_its_size_and_is_correlated_in_the_slice_only(mini_scene: Scene) -> None:
+def test_noise_has_the_specified_level_and_is_correlated_only_within_the_slice(mini_scene: Scene) -> None:
     painter, _, _ = painter_of(mini_scene)
     first, second = (painter.paint(number) - painter.clean(number) for number in (40, 41))
     assert first.std() == pytest.approx(mini_scene.ct.noise_HU, rel=0.02)

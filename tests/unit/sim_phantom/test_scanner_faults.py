@@ -1,4 +1,4 @@
-"""Faults of a scanner change the slices and leave the truth alone; the file tells what was asked for."""
+"""Scanner faults change the slices, and the case records which faults were requested."""
 
 from __future__ import annotations
 
@@ -37,18 +37,18 @@ def sharpness(images: NDArray[np.float64], axis: int) -> float:
     return float(np.square(np.diff(images, axis=axis)).mean())
 
 
-def test_without_faults_nothing_is_told_and_each_is_told_by_its_name(coarse_scene: Scene) -> None:
+def test_only_requested_faults_are_recorded_by_name(coarse_scene: Scene) -> None:
     assert planes_of(coarse_scene).told() == {}
     assert planes_of(coarse_scene, table_scale=0.01).told() == {"scanner": {"table_scale": 0.01}}
 
 
-def test_a_table_that_feeds_too_far_shows_each_slice_of_a_place_further_on(coarse_scene: Scene) -> None:
+def test_a_table_that_overfeeds_shows_a_slice_from_further_along(coarse_scene: Scene) -> None:
     plain, fed = slices(coarse_scene), planes_of(coarse_scene, table_scale=0.5).paint(10)
     # The tenth slice lies where the fifteenth would.
     assert np.abs(fed - plain[15]).mean() < 0.1 * np.abs(fed - plain[10]).mean()
 
 
-def test_a_patient_who_moves_lies_elsewhere_from_one_slice_on(coarse_scene: Scene) -> None:
+def test_a_patient_motion_changes_the_slices_from_one_slice_on(coarse_scene: Scene) -> None:
     plain, moving = slices(coarse_scene), planes_of(coarse_scene, motion_mm=6.0)
     first = moving.moved_from
     assert np.linalg.norm(moving.moved_by_mm) == pytest.approx(6.0)
@@ -64,13 +64,13 @@ def test_thick_slices_blur_along_the_table_and_a_soft_kernel_in_the_slice(coarse
     assert sharpness(soft, 2) < sharpness(plain, 2) < sharpness(slices(coarse_scene, kernel="sharp"), 2)
 
 
-def test_hardening_darkens_the_middle_of_the_head(coarse_scene: Scene) -> None:
+def test_beam_hardening_darkens_the_tissue(coarse_scene: Scene) -> None:
     plain, hard = slices(coarse_scene), slices(coarse_scene, beam_hardening=3.0)
     tissue = (plain > 0.0) & (plain < 100.0)
     assert (hard - plain)[tissue].mean() < -1.0
 
 
 @pytest.mark.parametrize("faults", [{"tilt_deg": 31.0}, {"kernel": "crisp"}])
-def test_what_no_scanner_does_is_refused(faults: dict[str, Any]) -> None:
+def test_impossible_scanner_faults_are_refused(faults: dict[str, Any]) -> None:
     with pytest.raises(BadScene):
         ScannerFaults(**faults)

@@ -1,4 +1,4 @@
-"""Any commands in any order: each gets one well-formed answer, whatever state the unit is in."""
+"""Arbitrary commands in arbitrary order: each gets one well-formed answer in any state."""
 
 from __future__ import annotations
 
@@ -142,6 +142,8 @@ def test_any_command_in_any_state_gets_one_answer(well_equipped: Bench, pointer:
 @pytest.mark.soak
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("seed", range(5))
-def test_a_long_conversation_of_any_commands(well_equipped: Bench, pointer: TrackerTool, seed: int) -> None:
+def test_a_long_conversation_of_random_commands_gets_one_answer_each(
+    well_equipped: Bench, pointer: TrackerTool, seed: int
+) -> None:
     seen = converse(well_equipped, pointer, 100_000, seed)
     assert len(seen) > 60

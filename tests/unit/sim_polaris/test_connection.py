@@ -1,4 +1,4 @@
-"""A host on the network that reads no replies is gone, and so is what it had asked for."""
+"""A network host that reads no replies is disconnected, and its pending commands are dropped."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ MUCH = bytes(1 << 24)  # more than both sides keep for each other
 
 
 @pytest.mark.hazard(34)
-def test_what_a_host_had_sent_that_reads_nothing_is_not_carried_out() -> None:
+def test_pending_commands_of_a_host_that_reads_no_replies_are_not_executed() -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as listener,
         socket.create_connection(listener.getsockname()) as host,

@@ -1,4 +1,4 @@
-"""Tool definitions: what is written is read again, what is wrong is named."""
+"""Tool definitions: a written file is read back, and each defect is named."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def changed(offset: int, value: bytes) -> bytes:
     return bytes(content)
 
 
-def test_a_written_definition_is_read_again() -> None:
+def test_a_written_definition_is_read_back() -> None:
     tool = robot_frame()
     content = write_definition(tool)
     read = parse_definition(content)
@@ -33,13 +33,13 @@ def test_a_written_definition_is_read_again() -> None:
     assert read.serial != 0
 
 
-def test_the_bytes_that_clients_pad_with_do_not_matter() -> None:
+def test_client_padding_does_not_change_a_definition() -> None:
     content = write_definition(robot_frame())
     for size in (768, 1024, 2048):
         assert parse_definition(content.ljust(size, b"\0")).part_number == "RONNA-M"
 
 
-def test_the_serial_number_is_the_four_bytes_of_the_file() -> None:
+def test_the_serial_number_is_read_from_four_little_endian_bytes() -> None:
     content = changed(polaris_rom.SERIAL_OFFSET, bytes.fromhex("03148034"))
     assert parse_definition(content).serial == 0x34801403
 

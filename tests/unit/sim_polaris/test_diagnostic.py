@@ -1,4 +1,4 @@
-"""Diagnostic mode: single markers, firing, light from outside."""
+"""Diagnostic mode: single markers, illuminator firing, ambient infrared."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def diagnostic(bench: Bench, pointer: TrackerTool) -> Bench:
     return bench
 
 
-def test_the_mode_is_entered_from_setup_and_left_to_it(diagnostic: Bench) -> None:
+def test_diagnostic_mode_is_entered_from_setup_and_returns_to_it(diagnostic: Bench) -> None:
     assert diagnostic.send("GET Info.Status.System Mode").endswith("=Diagnostic")
     for line in ("DSTART ", "TSTART ", "TX 0001", "BX 0001", "TSTOP ", "PHSR 00", "PINIT 01"):
         assert diagnostic.send(line) == "ERROR0C"
@@ -35,7 +35,7 @@ def test_the_mode_is_entered_from_setup_and_left_to_it(diagnostic: Bench) -> Non
 
 
 @pytest.mark.parametrize("line", ["DSTOP ", "IRED 0100000001", "3D 015", "IRINIT ", "IRCHK 0001"])
-def test_its_commands_are_refused_outside_it(
+def test_diagnostic_commands_are_refused_outside_diagnostic_mode(
     make_bench: Callable[..., Bench], bench: Bench, line: str
 ) -> None:
     assert make_bench().send(line) == "ERROR10"
@@ -44,7 +44,7 @@ def test_its_commands_are_refused_outside_it(
     assert bench.send(line) == "ERROR0C"
 
 
-def test_3d_tells_every_marker_with_its_line_separation(diagnostic: Bench, pointer: TrackerTool) -> None:
+def test_3d_reports_every_marker_with_its_line_separation(diagnostic: Bench, pointer: TrackerTool) -> None:
     count, *records = diagnostic.send("3D 015").split("\n")
     assert count == "007"  # four of the tool, three strays
     assert {len(record) for record in records} == {3 * 9 + 4 + 1}
@@ -57,7 +57,7 @@ def test_3d_tells_every_marker_with_its_line_separation(diagnostic: Bench, point
     assert {record[31] for record in records} == {"0"}
 
 
-def test_3d_looks_at_one_tool_after_the_other(bench: Bench, pointer: TrackerTool) -> None:
+def test_3d_measures_one_tool_after_the_other(bench: Bench, pointer: TrackerTool) -> None:
     bench.enable(pointer)
     bench.enable(robot_frame())
     bench.send("DSTART ")
@@ -80,19 +80,19 @@ def test_arguments_are_checked(diagnostic: Bench, line: str, answer: str) -> Non
     assert diagnostic.send(line) == answer
 
 
-def test_light_from_outside_is_looked_for(diagnostic: Bench) -> None:
+def test_irchk_reports_no_ambient_infrared(diagnostic: Bench) -> None:
     assert diagnostic.send("IRINIT ") == "OKAY"
     assert diagnostic.send("IRCHK 0001") == "0"
     assert diagnostic.send("IRCHK ") == "0"
     assert diagnostic.send("IRCHK 0003") == "0" + "000" + "000"
 
 
-def test_the_sun_is_too_much(diagnostic: Bench) -> None:
+def test_irchk_reports_an_error_in_sunlight(diagnostic: Bench) -> None:
     diagnostic.send("IRINIT ")
     diagnostic.world.set_fault_script("now: tracker sunlight")
     assert diagnostic.send("IRCHK 0001") == "ERRORF1"
 
 
-def test_a_broken_unit_does_not_start_it(bench: Bench) -> None:
+def test_a_unit_with_a_hardware_fault_does_not_enter_diagnostic_mode(bench: Bench) -> None:
     bench.send("SET Param.Simulated Alerts=1")
     assert bench.send("DSTART ") == "ERROR16"

@@ -1,4 +1,4 @@
-"""Tools with several faces, the spread of the markers, and the order of the tracking rules."""
+"""Tools with several faces, the minimum marker spread, and the order of the tracking rules."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def followed(definition: ToolDefinition, turns_deg: list[float]) -> list[int]:
     return faces
 
 
-def test_the_face_that_looks_at_the_unit_is_tracked_and_the_other_is_not_used() -> None:
+def test_the_face_towards_the_unit_is_tracked_and_the_other_is_unused() -> None:
     definition = two_faces()
     tracked = track(definition, list(range(7)), seen_turned(definition, 25.0), [True] * 7)
     assert tracked.face == 1
@@ -60,7 +60,7 @@ def test_the_face_that_looks_at_the_unit_is_tracked_and_the_other_is_not_used() 
     assert other.marker_digits == (0, 0, 0, 0, 3, 3, 3)
 
 
-def test_another_face_takes_over_two_degrees_later() -> None:
+def test_switching_between_faces_has_a_hysteresis_of_two_degrees() -> None:
     definition = two_faces()
     turns = np.arange(-6.0, 6.01, 0.1)
     away = followed(definition, turns.tolist())
@@ -71,7 +71,7 @@ def test_another_face_takes_over_two_degrees_later() -> None:
     assert change_away - change_back == pytest.approx(2.0, abs=0.25)
 
 
-def test_a_face_that_is_switched_off_is_never_tracked() -> None:
+def test_a_disabled_face_is_never_tracked() -> None:
     definition = two_faces()
     measured = seen_turned(definition, 25.0)
     assert track(definition, list(range(7)), measured, [True] * 7, 0, 0b10).face == 2
@@ -80,7 +80,7 @@ def test_a_face_that_is_switched_off_is_never_tracked() -> None:
     assert none.information == 0x02
 
 
-def test_markers_too_close_together_do_not_make_a_pose() -> None:
+def test_markers_with_too_little_spread_give_no_pose() -> None:
     measured = np.array(FACE) + PLACE_MM
     wide = one_face(minimum_spread_mm=(100.0, 40.0, 0.0))
     assert track(wide, [0, 1, 2, 3], measured, [True] * 4).pose is not None
@@ -90,7 +90,7 @@ def test_markers_too_close_together_do_not_make_a_pose() -> None:
     assert narrow.information == 0x01
 
 
-def test_rules_act_in_their_order() -> None:
+def test_the_first_tracking_rule_that_a_marker_breaks_is_reported() -> None:
     """Beyond the angle and outside and badly placed: the first rule that a marker breaks is told."""
     normals = np.tile((0.0, 0.0, 1.0), (4, 1))
     normals[1] = (0.0, 1.0, 0.0)
@@ -104,7 +104,7 @@ def test_rules_act_in_their_order() -> None:
     assert dropped.volume_status == PortStatus(0)
 
 
-def test_markers_outside_are_used_only_when_they_are_needed_and_asked_for() -> None:
+def test_markers_outside_the_volume_are_used_only_if_needed_and_requested() -> None:
     measured = np.array(FACE) + PLACE_MM
     tracked = track(one_face(), [0, 1, 2, 3], measured, [True, False, False, True])
     assert tracked.volume_status == PortStatus.PARTIALLY_OUT_OF_VOLUME
@@ -116,7 +116,7 @@ def test_markers_outside_are_used_only_when_they_are_needed_and_asked_for() -> N
     assert unasked.information & 0x02
 
 
-def test_a_minimum_above_three_is_respected() -> None:
+def test_a_marker_minimum_above_three_is_respected() -> None:
     measured = np.array(FACE) + PLACE_MM
     tracked = track(one_face(minimum_markers=4), [0, 1, 3], measured[[0, 1, 3]], [True] * 3)
     assert tracked.pose is None
@@ -124,7 +124,7 @@ def test_a_minimum_above_three_is_respected() -> None:
     assert tracked.marker_digits == (0, 0, 0, 0)
 
 
-def test_a_marker_beyond_the_maximum_error_is_told_and_left_out() -> None:
+def test_a_marker_beyond_the_maximum_error_is_reported_and_left_out() -> None:
     markers = np.array([*FACE, (60.0, 40.0, 0.0), (-70.0, 80.0, 0.0)])
     definition = one_face(
         markers_mm=markers, normals=np.tile((0.0, 0.0, 1.0), (6, 1)), faces=(1,) * 6, maximum_error_mm=1.0

@@ -1,4 +1,4 @@
-"""Lines in, answers out."""
+"""Framing: command lines out of the byte stream, and replies with their CRC."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def test_commands_may_arrive_byte_by_byte_or_several_at_once() -> None:
     assert buffer.feed(b" 0001\r", 0.2) == [b"TX 0001"]
 
 
-def test_what_a_vanished_client_left_half_sent_does_not_spoil_the_next_command() -> None:
+def test_a_half_sent_command_is_dropped_after_a_pause() -> None:
     buffer = LineBuffer(LIMIT)
     assert buffer.feed(b"PVWR 0100", 0.0) == []
     assert buffer.feed(b"INIT \r", 5.0) == [b"INIT "]
 
 
-def test_an_endless_line_is_cut_and_the_next_one_is_whole() -> None:
+def test_an_overlong_line_is_cut_and_the_next_one_is_intact() -> None:
     buffer = LineBuffer(LIMIT)
     for _ in range(10):
         assert buffer.feed(b"x" * 30, 0.0) == []

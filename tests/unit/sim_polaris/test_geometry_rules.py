@@ -1,4 +1,4 @@
-"""PINIT judges definitions: bad ones are refused, ambiguous ones bring a warning."""
+"""PINIT judges tool definitions: bad ones are refused, ambiguous ones raise a warning."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def judged(bench: Bench, content: bytes) -> str:
     return bench.send(f"PINIT {bench.load(content):02X}")
 
 
-def test_a_good_tool_brings_no_warning(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_good_tool_raises_no_warning(bench: Bench, pointer: TrackerTool) -> None:
     assert judged(bench, write_definition(pointer)) == "OKAY"
     assert judged(bench, write_definition(robot_frame())) == "OKAY"
 
@@ -49,7 +49,7 @@ def test_equal_segments_break_unique_geometry(bench: Bench) -> None:
     assert bench.send("PHSR 03") == "0101011"  # a warning means that it was carried out
 
 
-def test_a_triangle_that_two_tools_share_is_a_conflict(bench: Bench) -> None:
+def test_a_triangle_shared_by_two_tools_is_a_conflict(bench: Bench) -> None:
     assert judged(bench, write_definition(tool(TRIANGLE))) == "OKAY"
     assert judged(bench, write_definition(tool((*TRIANGLE, (-40.0, 17.0, 90.0))))) == "WARNING03"
     assert bench.send("PINIT 01") == "WARNING03"
@@ -61,38 +61,40 @@ def test_a_freed_tool_no_longer_conflicts(bench: Bench) -> None:
     assert judged(bench, write_definition(tool(TRIANGLE))) == "OKAY"
 
 
-def test_both_at_once(bench: Bench) -> None:
+def test_a_tool_can_break_unique_geometry_and_conflict_at_once(bench: Bench) -> None:
     judged(bench, write_definition(tool(SQUARE)))
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING04"
 
 
-def test_one_shared_segment_is_a_conflict_where_the_unit_says_so(make_bench: Callable[..., Bench]) -> None:
+def test_one_shared_segment_is_a_conflict_if_so_configured(make_bench: Callable[..., Bench]) -> None:
     for rule, answer in (("triangle", "OKAY"), ("segment", "WARNING03")):
         bench = make_bench(conflict=rule).ready()
         judged(bench, write_definition(tool(TRIANGLE)))
         assert judged(bench, write_definition(tool(ONE_SIDE_SHARED))) == answer
 
 
-def test_definitions_without_the_flag_may_be_left_alone(make_bench: Callable[..., Bench]) -> None:
+def test_a_unit_can_be_set_to_judge_only_flagged_definitions(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(judges_only_flagged=True).ready()
     square = write_definition(tool(SQUARE))
     assert judged(bench, changed(square, rom.FLAGS_OFFSET, b"\0")) == "OKAY"
     assert judged(bench, square) == "WARNING02"
 
 
-def test_a_tool_without_a_wavelength_gets_the_default_one(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_tool_without_a_wavelength_gets_the_default_with_a_warning_that_can_be_disabled(
+    bench: Bench, pointer: TrackerTool
+) -> None:
     content = changed(write_definition(pointer), rom.MARKER_TYPE_OFFSET, b"\0")
     assert judged(bench, content) == "WARNING05"
     assert bench.send("SET Param.Default Wavelength.Return Warning=0") == "OKAY"
     assert bench.send("PINIT 01") == "OKAY"
 
 
-def test_older_firmware_says_warning_alone(make_bench: Callable[..., Bench]) -> None:
+def test_older_firmware_warns_without_a_code(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(warns_with_code=False).ready()
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING"
 
 
-def test_a_wavelength_that_no_volume_takes_prevents_tracking(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_wavelength_supported_by_no_volume_prevents_tracking(bench: Bench, pointer: TrackerTool) -> None:
     content = changed(write_definition(pointer), rom.MARKER_TYPE_OFFSET, b"\x2f")
     assert judged(bench, content) == "OKAY"
     assert bench.send("TSTART 80") == "OKAY"
@@ -110,7 +112,7 @@ def test_a_wavelength_that_no_volume_takes_prevents_tracking(bench: Bench, point
         (rom.MARKER_GROUPS_OFFSET, b"\x15", "definition_beyond_limits"),
     ],
 )
-def test_a_bad_definition_has_the_code_of_the_firmware(
+def test_a_bad_definition_gets_the_error_code_of_the_firmware(
     make_bench: Callable[..., Bench], pointer: TrackerTool, offset: int, value: bytes, parameter: str
 ) -> None:
     content = changed(write_definition(pointer), offset, value)

@@ -1,4 +1,4 @@
-"""How the unit spends its time: what it encodes once, what it drops, when it speaks unasked."""
+"""The command interpreter: frames measured and encoded once, and RESET sent unprompted after a restart."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def counted(
     return bench, now_ns, measured
 
 
-def test_a_frame_is_measured_once_however_often_and_in_whatever_form_it_is_asked_for(
+def test_a_frame_is_measured_once_for_any_number_of_tx_and_bx_requests(
     counted: tuple[Bench, list[int], list[int]],
 ) -> None:
     bench, now_ns, measured = counted
@@ -49,7 +49,7 @@ def test_a_frame_is_measured_once_however_often_and_in_whatever_form_it_is_asked
     assert measured == [0, 1, 2]
 
 
-def test_the_same_reply_is_encoded_once(
+def test_a_repeated_reply_is_encoded_once(
     counted: tuple[Bench, list[int], list[int]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench, now_ns, _ = counted
@@ -61,16 +61,14 @@ def test_the_same_reply_is_encoded_once(
         bench.raw("BX 1801")
 
 
-def test_a_change_of_settings_shows_in_the_very_frame(counted: tuple[Bench, list[int], list[int]]) -> None:
+def test_a_changed_setting_shows_in_the_same_frame(counted: tuple[Bench, list[int], list[int]]) -> None:
     bench, _, _ = counted
     assert "MISSING" not in bench.send("TX 0001")
     bench.send(f"SET Param.Simulated Alerts={1 << 21}")
     assert bench.send("TX 0001").endswith("0100")
 
 
-def test_a_unit_that_starts_again_hears_nothing_and_then_says_reset(
-    bench: Bench, pointer: TrackerTool
-) -> None:
+def test_a_restarting_unit_ignores_commands_and_then_sends_reset(bench: Bench, pointer: TrackerTool) -> None:
     bench.enable(pointer)
     bench.send("COMM 50000")
     bench.interpreter.restart(3600.0)
@@ -92,6 +90,6 @@ def test_the_whole_virtual_memory_can_be_written_in_blocks(bench: Bench) -> None
 
 
 @pytest.mark.parametrize("name", sorted(COMMAND_NAMES))
-def test_every_command_of_the_vendor_is_known(bench: Bench, name: str) -> None:
+def test_every_vendor_command_is_known(bench: Bench, name: str) -> None:
     assert name in COMMANDS
     assert not bench.raw(f"{name} ").startswith(b"ERROR01")

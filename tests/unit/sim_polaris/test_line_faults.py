@@ -1,4 +1,4 @@
-"""What passes between host and unit on a bad line."""
+"""Line faults between host and unit, and hosts that keep the line from others."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_a_good_line_changes_nothing(bench: Bench) -> None:
     assert conversation(bench, LineFaults(bench.unit), b"INIT ") == OKAY
 
 
-def test_a_bit_wrong_on_the_way_to_the_unit_fails_the_crc_and_has_no_effect(bench: Bench) -> None:
+def test_a_bit_error_in_a_command_with_crc_is_refused_and_has_no_effect(bench: Bench) -> None:
     faults = happen(bench, "garble commands 100 %")
     line = with_crc("TSTART:")  # its CRC 5423 has no letters, whose case would not matter
     answers = {conversation(bench, faults, line)[:7] for _ in range(200)}
@@ -53,13 +53,13 @@ def test_a_bit_wrong_on_the_way_to_the_unit_fails_the_crc_and_has_no_effect(benc
     assert bench.send("TX ") == "ERROR0C"
 
 
-def test_a_bit_wrong_in_a_command_without_crc_makes_it_unknown_or_its_argument_wrong(bench: Bench) -> None:
+def test_a_bit_error_in_a_command_without_crc_gives_an_unknown_name_or_a_bad_argument(bench: Bench) -> None:
     faults = happen(bench, "garble commands 100 %")
     answers = {conversation(bench, faults, b"PHSR 00")[:7] for _ in range(300)}
     assert {b"ERROR01", b"ERROR23"} <= answers
 
 
-def test_a_bit_wrong_on_the_way_to_the_host_fails_its_crc(bench: Bench) -> None:
+def test_a_garbled_reply_differs_in_exactly_one_bit(bench: Bench) -> None:
     faults = happen(bench, "garble replies 100 %")
     for _ in range(200):
         heard = conversation(bench, faults, b"PHSR 00")
@@ -72,13 +72,13 @@ def test_a_bit_wrong_on_the_way_to_the_host_fails_its_crc(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(("fault", "change"), [("drop bytes", -1), ("double bytes", 1)])
-def test_bytes_are_lost_and_doubled(bench: Bench, fault: str, change: int) -> None:
+def test_a_byte_of_a_reply_is_lost_or_doubled(bench: Bench, fault: str, change: int) -> None:
     faults = happen(bench, f"{fault} 100 %")
     for _ in range(50):
         assert len(conversation(bench, faults, b"INIT ")) == len(OKAY) + change
 
 
-def test_a_reply_breaks_off_or_never_comes(bench: Bench) -> None:
+def test_a_reply_is_truncated_or_lost(bench: Bench) -> None:
     faults = happen(bench, "cut replies 100 %")
     heard = {conversation(bench, faults, b"INIT ") for _ in range(100)}
     assert heard == {OKAY[:count] for count in range(len(OKAY))}
@@ -86,7 +86,7 @@ def test_a_reply_breaks_off_or_never_comes(bench: Bench) -> None:
     assert conversation(bench, faults, b"INIT ") == b""
 
 
-def test_a_share_is_a_share_and_the_same_one_again(bench: Bench) -> None:
+def test_a_fault_affects_its_share_of_replies_reproducibly(bench: Bench) -> None:
     def broken() -> list[bool]:
         faults = happen(bench, "garble replies 20 %")
         return [conversation(bench, faults, b"INIT ") != OKAY for _ in range(500)]
@@ -96,7 +96,7 @@ def test_a_share_is_a_share_and_the_same_one_again(bench: Bench) -> None:
     assert broken() == first
 
 
-def test_while_a_host_waits_in_vain_the_time_of_the_theatre_passes(bench: Bench) -> None:
+def test_theatre_time_passes_while_a_host_waits_for_a_lost_reply(bench: Bench) -> None:
     bench.world.set_fault_script("at 0 s: tracker lose replies 100 % for 5 s")
     faults = LineFaults(bench.unit)
     heard = []
@@ -105,7 +105,7 @@ def test_while_a_host_waits_in_vain_the_time_of_the_theatre_passes(bench: Bench)
     assert heard == [b"", b"", b"", NO_HANDLES, NO_HANDLES]
 
 
-def test_a_late_reply_comes_after_all(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_delayed_reply_still_arrives(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
     monkeypatch.setattr("sim.polaris.line.line_faults.time.sleep", slept.append)
     faults = happen(bench, "delay replies 3 s")
@@ -138,7 +138,7 @@ def read_until(connection: socket.socket, ending: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("drip", [b"", b"INIT"])
-def test_a_host_that_gives_no_command_gives_way_to_one_that_waits(
+def test_a_host_that_sends_no_command_is_dropped_for_a_waiting_one(
     host: tuple[Bench, socket.socket], drip: bytes
 ) -> None:
     _, silent = host
@@ -155,7 +155,7 @@ def no_other_patience(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.hazard(34)
-def test_a_host_that_takes_no_reply_gives_way_as_one_that_says_nothing(
+def test_a_host_that_reads_no_replies_is_dropped_for_a_waiting_one(
     no_other_patience: None, host: tuple[Bench, socket.socket]
 ) -> None:
     _, deaf = host
@@ -168,7 +168,9 @@ def test_a_host_that_takes_no_reply_gives_way_as_one_that_says_nothing(
 
 
 @pytest.mark.hazard(34)
-def test_a_host_that_only_sends_what_is_refused_gives_way_too(host: tuple[Bench, socket.socket]) -> None:
+def test_a_host_that_sends_only_refused_commands_is_dropped_for_a_waiting_one(
+    host: tuple[Bench, socket.socket],
+) -> None:
     _, babbling = host
 
     def babble() -> None:
@@ -190,7 +192,7 @@ def test_a_host_that_only_sends_what_is_refused_gives_way_too(host: tuple[Bench,
             thread.join(HANG_GUARD_S)
 
 
-def test_a_silent_host_stays_while_nobody_waits(host: tuple[Bench, socket.socket]) -> None:
+def test_a_silent_host_keeps_the_line_while_no_other_host_waits(host: tuple[Bench, socket.socket]) -> None:
     _, silent = host
     silent.settimeout(2 * SILENT_HOST_S)
     with pytest.raises(TimeoutError):
@@ -200,7 +202,7 @@ def test_a_silent_host_stays_while_nobody_waits(host: tuple[Bench, socket.socket
     assert read_until(silent, b"\r") == OKAY
 
 
-def test_faults_act_on_a_link_that_stays_open(host: tuple[Bench, socket.socket]) -> None:
+def test_faults_take_effect_on_an_open_connection(host: tuple[Bench, socket.socket]) -> None:
     bench, connection = host
     connection.sendall(b"INIT \r")
     assert read_until(connection, b"\r") == OKAY
@@ -212,7 +214,7 @@ def test_faults_act_on_a_link_that_stays_open(host: tuple[Bench, socket.socket])
     assert read_until(connection, OKAY).endswith(OKAY)
 
 
-def test_a_unit_whose_power_returns_speaks_unasked(host: tuple[Bench, socket.socket]) -> None:
+def test_a_unit_sends_reset_unprompted_when_its_power_returns(host: tuple[Bench, socket.socket]) -> None:
     bench, connection = host
     connection.sendall(b"INIT \r")
     assert read_until(connection, b"\r") == OKAY

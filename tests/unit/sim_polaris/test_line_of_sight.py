@@ -1,4 +1,4 @@
-"""What stands in the way: the head, the arm, and what hangs on it."""
+"""Line of sight: what the head, the arm and its tools hide from the tracker."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_limb_hides_what_is_behind_it(point: tuple[float, float, float], seen:
     assert visible(EYE, np.array([point]), (limb,)).item() is seen
 
 
-def test_the_nearest_distance_of_two_segments_agrees_with_trying_all_places() -> None:
+def test_the_distance_of_two_segments_agrees_with_an_exhaustive_search() -> None:
     generator = np.random.default_rng(3)
     shares = np.linspace(0.0, 1.0, 200)[:, None]
     for _ in range(50):
@@ -96,7 +96,7 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: SceneName, s
         assert visible(eyes_mm(), frame.markers_mm, scene.bodies(arm, tool, past_mount=True)).all()
 
 
-def test_a_guide_held_before_the_head_keeps_its_mount_out_of_the_skin() -> None:
+def test_the_mount_leaves_the_guide_axis_free_over_its_reach() -> None:
     _, world = stage_at_home("default", 0)
     mount = world.scene.mount
     flange = np.linalg.inv(matrix_of(mount.flange_from_tool_true))  # the tool's frame is the tracker's
@@ -109,7 +109,7 @@ def test_a_guide_held_before_the_head_keeps_its_mount_out_of_the_skin() -> None:
     assert not capsules.hides((along_axis.mean(axis=0) + side_mm)[None], along_axis).any()
 
 
-def test_a_tool_on_the_axis_of_the_flange_hides_something_too() -> None:
+def test_a_tool_on_the_flange_axis_gives_finite_capsules() -> None:
     scene = named_scene("mini", seed=4)
     pose = scene.mount.flange_from_tool_true.model_copy(update={"translation_mm": (0.0, 0.0, 60.0)})
     mount = scene.mount.model_copy(update={"flange_from_tool_true": pose})
@@ -150,7 +150,7 @@ def beyond_mm(places_mm: np.ndarray, capsules: list[Capsule]) -> float:
 
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("tool", ["stereo", "guide"])
-def test_planning_knows_every_body_that_the_simulated_mount_carries(tool: str) -> None:
+def test_the_planners_bodies_cover_every_body_of_the_simulated_mount(tool: str) -> None:
     scene = named_scene("mini", seed=4)
     mount = scene.mount.model_copy(update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal})
     scene = scene.model_copy(update={"mount": mount})  # as drawn; the margin covers how it was built
@@ -163,7 +163,7 @@ def test_planning_knows_every_body_that_the_simulated_mount_carries(tool: str) -
     assert max(outside_mm) <= AS_FINE_AS_MM, outside_mm
 
 
-def test_every_body_of_the_guide_that_planning_knows_is_where_the_simulated_one_is() -> None:
+def test_every_guide_body_of_the_planner_lies_on_a_simulated_one() -> None:
     scene = named_scene("mini", seed=4)
     starts_mm, ends_mm, _ = carried(scene, scene.mount.tool_number_guide)
     shares = np.linspace(0.0, 1.0, 200)[:, None, None]

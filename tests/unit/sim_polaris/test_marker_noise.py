@@ -1,4 +1,4 @@
-"""How well single markers are measured: as a maker would find out with one sphere in many places."""
+"""Measurement error of single markers, characterised with one sphere in many places."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_noise_grows_with_the_square_of_the_distance(truth: TrackerTruth) -> Non
 
 @pytest.mark.parametrize("volume", [PYRAMID, EXTENDED_PYRAMID, VICRA_VOLUME], ids=lambda volume: volume.name)
 @pytest.mark.parametrize("seed", [0, 7, 11])
-def test_the_rms_error_over_the_whole_volume_is_the_published_one(
+def test_the_rms_error_over_the_whole_volume_matches_the_published_value(
     truth: TrackerTruth, volume: Volume, seed: int
 ) -> None:
     unit = optics(truth, seed, volume) if volume is VICRA_VOLUME else optics(truth, seed)
@@ -67,7 +67,7 @@ def test_the_rms_error_over_the_whole_volume_is_the_published_one(
     assert rms_mm == pytest.approx(STATED_MM[volume.name], rel=0.15)
 
 
-def test_the_systematic_error_is_smooth_and_nearly_common_to_one_head(truth: TrackerTruth) -> None:
+def test_the_systematic_error_is_smooth_and_nearly_constant_across_a_head(truth: TrackerTruth) -> None:
     unit = optics(truth, 5)
     points = places_in(PYRAMID)
     bias = unit.bias_field.at(points)
@@ -77,7 +77,7 @@ def test_the_systematic_error_is_smooth_and_nearly_common_to_one_head(truth: Tra
     assert np.linalg.norm(beside, axis=1).max() < 0.1 * truth.bias_mm
 
 
-def test_the_systematic_error_is_the_same_every_day_and_another_for_another_unit(truth: TrackerTruth) -> None:
+def test_the_systematic_error_is_repeatable_and_differs_between_units(truth: TrackerTruth) -> None:
     points = places_in(PYRAMID, 50)
     assert np.array_equal(optics(truth, 5).sight(points).mean_mm, optics(truth, 5).sight(points).mean_mm)
     assert not np.allclose(optics(truth, 5).sight(points).mean_mm, optics(truth, 6).sight(points).mean_mm)

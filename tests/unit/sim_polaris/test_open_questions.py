@@ -1,4 +1,4 @@
-"""What no public source settles is a parameter, and each parameter does what it says."""
+"""Every behaviour that no public source settles is a parameter, and each parameter takes effect."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
         ({"memory_of_passive": "1E/1F"}, "PPWR 010000" + "00" * 64, "ERROR32", "ERROR1F"),
     ],
 )
-def test_an_answer_may_be_another(
+def test_a_parameter_can_change_the_answer_to_a_command(
     make_bench: Callable[..., Bench], behaviour: dict[str, Any], line: str, usual: str, other: str
 ) -> None:
     for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
@@ -59,7 +59,7 @@ def test_an_answer_may_be_another(
         ({"init_forgets_handles": False}, "INIT ,PHRQ *********1****,INIT ", "PHSR 00", "00", "0101001"),
     ],
 )
-def test_a_mode_may_allow_more_or_less(
+def test_a_parameter_can_change_which_commands_a_mode_allows(
     make_bench: Callable[..., Bench], behaviour: dict[str, Any], way: str, line: str, usual: str, other: str
 ) -> None:
     for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
@@ -68,9 +68,7 @@ def test_a_mode_may_allow_more_or_less(
         assert bench.send(line).startswith(answer)
 
 
-def test_disabled_handles_may_stand_in_the_reply(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_replies_can_list_disabled_handles(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
     for status, told in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
         bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status).ready()
         bench.enable(pointer)
@@ -98,7 +96,7 @@ def test_the_active_stray_of_a_passive_tool_has_two_forms(
         assert len(bench.raw("BX 0004")) == 6 + 1 + 2 + size + 2 + 2
 
 
-def test_markers_of_tools_are_told_by_bx_and_perhaps_by_tx(
+def test_tool_markers_are_reported_by_bx_and_optionally_by_tx(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     bench = make_bench(text_tool_markers=True).ready().track(pointer)
@@ -113,7 +111,7 @@ def test_markers_of_tools_are_told_by_bx_and_perhaps_by_tx(
     assert usual.send("TX 0008") == "ERROR23"
 
 
-def test_strays_outside_are_told_from_either_end_of_a_byte() -> None:
+def test_out_of_volume_bits_can_start_at_either_end_of_a_byte() -> None:
     outside, inside = Stray((900.0, 0.0, -1000.0), False), Stray((0.0, 0.0, -1000.0), True)
     frame = Frame(1, (), (outside, inside, inside), SystemStatus(0))
     option = ReplyOption.STRAY_PASSIVE
@@ -123,7 +121,7 @@ def test_strays_outside_are_told_from_either_end_of_a_byte() -> None:
     assert text_reply(frame, option, UnitBehaviour(first_stray_is_high_bit=False))[2:5] == "031"
 
 
-def test_a_serial_number_may_be_told_byte_by_byte(
+def test_phinf_can_report_the_serial_number_in_either_byte_order(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     for number, told in ((True, "3E000001"), (False, "0100003E")):
@@ -158,7 +156,7 @@ def test_parameters_are_set_by_text() -> None:
         ("reset_s=soon", "a number"),
     ],
 )
-def test_a_wrong_setting_is_named(setting: str, said: str) -> None:
+def test_a_wrong_setting_is_refused_with_its_reason(setting: str, said: str) -> None:
     with pytest.raises(BadUnitParameter, match=said) as refused:
         changed_behaviour([setting])
     assert refused.value.code == "PSU-001"

@@ -1,4 +1,4 @@
-"""Single markers, the volume, and the fit of a definition to its markers."""
+"""The measurement volume, and the fit of a rigid body to its markers."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sim.world.rigid import rotation_from_vector
         (EXTENDED_PYRAMID, -3000.0, 735.0, 928.77),
     ],
 )
-def test_a_volume_has_the_published_sections(volume: Volume, z: float, x: float, y: float) -> None:
+def test_a_volume_has_the_published_cross_sections(volume: Volume, z: float, x: float, y: float) -> None:
     assert volume.holds(x - 0.01, y - 0.01, z)
     assert volume.holds(-x + 0.01, -y + 0.01, z)
     assert not volume.holds(x + 0.01, 0.0, z)
@@ -29,11 +29,11 @@ def test_a_volume_has_the_published_sections(volume: Volume, z: float, x: float,
 
 
 @pytest.mark.parametrize("z", [-949.9, -2400.1, 1500.0])
-def test_nothing_is_inside_before_or_behind_the_volume(z: float) -> None:
+def test_no_point_in_front_of_or_behind_the_volume_is_inside(z: float) -> None:
     assert not PYRAMID.holds(0.0, 0.0, z)
 
 
-def test_a_fit_finds_the_pose_it_was_made_with() -> None:
+def test_a_fit_recovers_the_original_pose() -> None:
     generator = np.random.default_rng(11)
     for _ in range(50):
         body = generator.uniform(-80.0, 80.0, (4, 3))

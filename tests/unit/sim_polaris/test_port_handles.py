@@ -18,7 +18,7 @@ BLOCK = "00" * 64
 ANY_PASSIVE = "PHRQ *********1****"
 
 
-def test_the_handle_searches_list_the_right_sets_at_each_step(bench: Bench, pointer: TrackerTool) -> None:
+def test_phsr_lists_the_right_handles_at_each_step(bench: Bench, pointer: TrackerTool) -> None:
     def sets() -> list[str]:
         return [bench.send(f"PHSR {option:02X}") for option in range(5)]
 
@@ -35,7 +35,7 @@ def test_the_handle_searches_list_the_right_sets_at_each_step(bench: Bench, poin
     assert sets() == ["00"] * 5
 
 
-def test_handles_are_distinct_and_a_freed_one_is_given_again(bench: Bench) -> None:
+def test_handles_are_distinct_and_a_freed_one_is_reused(bench: Bench) -> None:
     assert [bench.send(ANY_PASSIVE) for _ in range(3)] == ["01", "02", "03"]
     assert bench.send("PHF 02") == "OKAY"
     assert bench.send("PHF 02") == "ERROR2B"
@@ -69,12 +69,14 @@ def test_ports_that_the_unit_does_not_have_are_refused(bench: Bench, argument: s
         ("xx0000" + BLOCK, "ERROR08"),
     ],
 )
-def test_memory_is_written_in_whole_blocks_in_either_case(bench: Bench, argument: str, answer: str) -> None:
+def test_tool_memory_is_written_in_whole_blocks_of_hex_in_either_case(
+    bench: Bench, argument: str, answer: str
+) -> None:
     bench.send(ANY_PASSIVE)
     assert bench.send(f"PVWR {argument}") == answer
 
 
-def test_nothing_written_is_no_tool(bench: Bench) -> None:
+def test_a_port_without_a_definition_cannot_be_initialised_or_enabled(bench: Bench) -> None:
     bench.send(ANY_PASSIVE)
     assert bench.send("PINIT 01") == "ERROR0D"
     assert bench.send("PENA 01D") == "ERROR0E"
@@ -116,7 +118,7 @@ def test_port_information_copies_the_definition(bench: Bench, pointer: TrackerTo
 @pytest.mark.parametrize(
     ("argument", "answer"), [("0100", "ERROR07"), ("010080", "ERROR23"), ("02", "ERROR2B"), ("zz", "ERROR08")]
 )
-def test_questions_about_a_port_are_checked(bench: Bench, argument: str, answer: str) -> None:
+def test_phinf_arguments_are_checked(bench: Bench, argument: str, answer: str) -> None:
     bench.send(ANY_PASSIVE)
     assert bench.send(f"PHINF {argument}") == answer
 
@@ -128,7 +130,7 @@ def test_before_pinit_only_the_status_is_known(bench: Bench) -> None:
     assert basic.endswith("0000000001")
 
 
-def test_a_dummy_needs_no_definition_and_excludes_real_tools(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_dummy_tool_needs_no_definition_and_excludes_real_tools(bench: Bench, pointer: TrackerTool) -> None:
     assert bench.send("PHRQ *********1**01") == "01"
     assert bench.send("PVWR 010000" + BLOCK) == "ERROR32"
     assert bench.send("PINIT 01") == "OKAY"

@@ -1,4 +1,4 @@
-"""The serial line: settings that count, breaks, power-up, throttling, hosts that come and go."""
+"""The serial line: line settings, breaks, power-up, throttling, and hosts that reconnect."""
 
 from __future__ import annotations
 
@@ -121,14 +121,14 @@ def make_line() -> Iterator[Callable[..., Line]]:
         line.close()
 
 
-def test_power_up_says_reset_at_9600(make_line: Callable[..., Line]) -> None:
+def test_power_up_sends_reset_at_9600_baud(make_line: Callable[..., Line]) -> None:
     host = make_line().host()
     assert host.read() == RESET
     assert host.ask("PHSR 00").startswith(b"ERROR10")
     assert host.ask("INIT:E3A5") == OKAY
 
 
-def test_a_unit_may_be_switched_on_long_before(make_line: Callable[..., Line]) -> None:
+def test_a_unit_that_was_already_on_sends_no_reset(make_line: Callable[..., Line]) -> None:
     host = make_line(power_up_reset=False).host()
     host.write(b"INIT:E3A5\r")
     assert host.read() == OKAY
@@ -137,7 +137,7 @@ def test_a_unit_may_be_switched_on_long_before(make_line: Callable[..., Line]) -
 @pytest.mark.parametrize(
     ("code", "baud"), [("5", termios.B115200), ("A", termios.B230400), ("6", termios.B921600)]
 )
-def test_comm_is_answered_at_the_old_rate_and_then_the_line_switches(
+def test_comm_is_answered_at_the_old_rate_before_the_line_switches(
     make_line: Callable[..., Line], code: str, baud: int
 ) -> None:
     host = make_line().host()
@@ -152,7 +152,7 @@ def test_comm_is_answered_at_the_old_rate_and_then_the_line_switches(
     assert host.ask("ECHO x").startswith(b"x")
 
 
-def test_half_a_command_at_a_wrong_rate_is_forgotten(make_line: Callable[..., Line]) -> None:
+def test_a_command_at_a_wrong_rate_is_dropped(make_line: Callable[..., Line]) -> None:
     host = make_line().host()
     host.ask("INIT ")
     host.set_line(termios.B38400)
@@ -161,7 +161,7 @@ def test_half_a_command_at_a_wrong_rate_is_forgotten(make_line: Callable[..., Li
     assert host.ask("TX 0001").startswith(b"ERROR0C")
 
 
-def test_a_wrong_rate_may_be_heard_as_garbage(make_line: Callable[..., Line]) -> None:
+def test_a_wrong_rate_can_return_garbage(make_line: Callable[..., Line]) -> None:
     host = make_line(wrong_line="garbage").host()
     host.ask("INIT ")
     host.set_line(termios.B38400)
@@ -169,7 +169,7 @@ def test_a_wrong_rate_may_be_heard_as_garbage(make_line: Callable[..., Line]) ->
     assert all(byte > 0x7F for byte in host.read_some(100))
 
 
-def test_odd_parity_must_be_odd_at_both_ends(make_line: Callable[..., Line]) -> None:
+def test_odd_parity_must_be_set_at_both_ends(make_line: Callable[..., Line]) -> None:
     host = make_line().host()
     host.ask("INIT ")
     assert host.ask("COMM 00100") == OKAY
@@ -178,13 +178,13 @@ def test_odd_parity_must_be_odd_at_both_ends(make_line: Callable[..., Line]) -> 
     assert host.ask("ECHO x").startswith(b"x")
 
 
-def test_a_line_may_be_understood_at_any_rate(make_line: Callable[..., Line]) -> None:
+def test_a_unit_that_does_not_enforce_the_line_answers_at_any_rate(make_line: Callable[..., Line]) -> None:
     host = make_line(enforces_line=False).host()
     assert host.ask("COMM 50000") == OKAY
     assert host.ask("ECHO x").startswith(b"x")
 
 
-def test_seven_bits_are_too_few_for_bx(make_line: Callable[..., Line]) -> None:
+def test_seven_data_bits_corrupt_bx_replies(make_line: Callable[..., Line]) -> None:
     host = make_line().host()
     for command in ("INIT ", "COMM 01000", "TSTART "):
         assert host.ask(command) == OKAY
@@ -196,7 +196,7 @@ def test_seven_bits_are_too_few_for_bx(make_line: Callable[..., Line]) -> None:
     ("line_after_close", "wrong", "right"),
     [("default", termios.B115200, termios.B9600), ("kept", termios.B9600, termios.B115200)],
 )
-def test_a_fast_line_left_behind_falls_back_or_stays_fast(
+def test_after_a_close_the_line_falls_back_or_keeps_its_rate_as_configured(
     make_line: Callable[..., Line], line_after_close: str, wrong: int, right: int
 ) -> None:
     line = make_line(line_after_close=line_after_close)
@@ -223,7 +223,7 @@ def test_a_break_resets_the_unit_from_any_rate(make_line: Callable[..., Line]) -
     assert host.ask("INIT:E3A5") == OKAY
 
 
-def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[..., Line]) -> None:
+def test_a_restarting_unit_ignores_commands_until_it_sends_reset(make_line: Callable[..., Line]) -> None:
     line = make_line(break_deaf_s=0.0, reset_s=1.0)
     host = line.host()
     host.ask("INIT ")
@@ -236,7 +236,7 @@ def test_a_unit_that_starts_is_deaf_until_it_says_reset(make_line: Callable[...,
     assert host.ask("PHSR 00").startswith(b"ERROR10")
 
 
-def test_a_break_ends_a_command_that_takes_too_long(make_line: Callable[..., Line]) -> None:
+def test_a_break_interrupts_a_slow_command(make_line: Callable[..., Line]) -> None:
     line = make_line(break_deaf_s=0.0, faults="at 0 s: tracker slow INIT 0.5 s")
     host = line.host()
     host.ask("ECHO x")
@@ -247,7 +247,7 @@ def test_a_break_ends_a_command_that_takes_too_long(make_line: Callable[..., Lin
     assert host.ask("PHSR 00").startswith(b"ERROR10")
 
 
-def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Callable[..., Line]) -> None:
+def test_a_flush_at_the_opening_of_a_line_is_not_taken_for_a_break(make_line: Callable[..., Line]) -> None:
     line = make_line()
     first = line.host()
     assert first.ask("INIT ") == OKAY
@@ -259,7 +259,7 @@ def test_what_looks_like_a_break_at_the_opening_of_a_line_is_none(make_line: Cal
     assert second.ask("PHSR 00").startswith(b"00")
 
 
-def test_who_flushes_both_directions_and_speaks_on_sent_no_break(make_line: Callable[..., Line]) -> None:
+def test_flushing_both_directions_and_sending_on_is_not_a_break(make_line: Callable[..., Line]) -> None:
     host = make_line(break_deaf_s=0.0, break_silence_s=ANSWER_LIMIT_S).host()
     assert host.ask("INIT ") == OKAY
     for _ in range(20):
@@ -267,7 +267,7 @@ def test_who_flushes_both_directions_and_speaks_on_sent_no_break(make_line: Call
         assert host.ask("PHSR 00").startswith(b"00")
 
 
-def test_a_host_without_pseudo_terminals_is_told_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unavailable_pseudo_terminals_are_reported_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> tuple[int, int]:
         raise OSError(errno.ENOSPC, "No space left on device")
 

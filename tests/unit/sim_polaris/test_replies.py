@@ -1,4 +1,4 @@
-"""TX and BX to the byte, for one tool, a missing tool and strays."""
+"""TX and BX replies to the byte, for one tool, a missing tool and strays."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def missing() -> Tracked:
     return Tracked(None, INSIDE, 0x02, (0, 0, 0, 0))
 
 
-def test_a_visible_tool_reads_as_in_the_published_example() -> None:
+def test_a_visible_tool_is_encoded_as_in_the_published_example() -> None:
     frame = frame_with(300, valid())
     text = b"0101+10000+00000+00000+00000+001050-002025-150000+01250000000310000012C\n0000361F\r"
     assert ascii_reply(text_reply(frame, T, USUAL)) == text
@@ -61,7 +61,7 @@ def test_tool_information_adds_22_characters_or_11_bytes(tracked: Tracked) -> No
     assert len(binary_body(frame, more, USUAL)) == len(binary_body(frame, T, USUAL)) + 11
 
 
-def test_marker_digits_stand_in_the_order_of_the_profile() -> None:
+def test_marker_digits_are_in_the_order_of_the_profile() -> None:
     frame = frame_with(1, valid())
     text = text_reply(frame, ReplyOption.TOOL_INFORMATION, USUAL)
     assert text == "0101" + "10" + "3303" + "0" * 16 + "\n0000"
@@ -69,7 +69,7 @@ def test_marker_digits_stand_in_the_order_of_the_profile() -> None:
     assert body[3:14] == bytes([0x10, *[0] * 8, 0x30, 0x33])
 
 
-def test_a_tool_out_of_the_volume_is_told_only_on_request() -> None:
+def test_a_tool_outside_the_volume_is_reported_only_on_request() -> None:
     frame = frame_with(1, valid(PortStatus.OUT_OF_VOLUME))
     assert "MISSING00000071" in text_reply(frame, T, USUAL)
     assert "+10000" in text_reply(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)
@@ -77,7 +77,7 @@ def test_a_tool_out_of_the_volume_is_told_only_on_request() -> None:
     assert binary_body(frame, T | ReplyOption.OUT_OF_VOLUME, USUAL)[2] == 0x01
 
 
-def test_strays_are_counted_all_and_told_only_inside_unless_asked() -> None:
+def test_all_strays_are_counted_but_those_outside_are_reported_only_on_request() -> None:
     strays = (Stray((1.0, 2.0, -1000.0), True), Stray((900.0, 0.0, -1000.0), False))
     frame = Frame(1, (), strays, NO_FAULT)
     alone = ReplyOption.STRAY_PASSIVE

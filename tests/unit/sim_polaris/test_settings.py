@@ -29,11 +29,11 @@ if TYPE_CHECKING:
         ("SET Param.User.String0=" + "x" * 256, "ERROR38"),
     ],
 )
-def test_parameters_answer_by_name(bench: Bench, line: str, answer: str) -> None:
+def test_parameters_are_read_and_set_by_name(bench: Bench, line: str, answer: str) -> None:
     assert bench.send(line) == answer
 
 
-def test_a_wildcard_lists_every_parameter_that_begins_so(bench: Bench) -> None:
+def test_a_wildcard_lists_every_parameter_with_that_prefix(bench: Bench) -> None:
     lines = bench.send("GET Info.Timeout.*").split("\n")
     assert len(lines) > 50
     assert all(line.startswith("Info.Timeout.") for line in lines)
@@ -53,14 +53,14 @@ def test_the_rate_and_volume_commands_set_the_parameters(bench: Bench) -> None:
     assert bench.send("GET Param.Tracking.Selected Volume") == "Param.Tracking.Selected Volume=1"
 
 
-def test_settings_hold_still_while_tracking(bench: Bench) -> None:
+def test_tracking_settings_cannot_be_changed_while_tracking(bench: Bench) -> None:
     bench.send("TSTART 80")
     assert bench.send("SET Param.Tracking.Sensitivity=5") == "ERROR0C"
     assert bench.send("SET Param.User.String0=note") == "OKAY"
     assert bench.send("GET Param.User.String0") == "Param.User.String0=note"
 
 
-def test_volume_k_of_the_feature_list_begins_at_1_plus_74_k_as_plus_reads_it(bench: Bench) -> None:
+def test_volume_k_of_the_feature_list_starts_at_1_plus_74_k_as_plus_expects(bench: Bench) -> None:
     reply = bench.send("SFLIST 03")
     assert [reply[0], reply[1:75], reply[75:]] == [
         "2",

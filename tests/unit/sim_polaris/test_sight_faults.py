@@ -1,4 +1,4 @@
-"""What a client is told while something disturbs the markers or the light."""
+"""What the tracker reports while markers or light are disturbed."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def disturb(bench: Bench, *lines: str) -> None:
     bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
 
 
-def test_an_undisturbed_tool_is_there(tracked: Bench) -> None:
+def test_an_undisturbed_tool_is_tracked(tracked: Bench) -> None:
     told = tell(tracked)
     assert not told.missing
     assert (told.status, told.information, told.digits) == (0x31, 0x10, "3333")
@@ -70,7 +70,7 @@ def test_an_undisturbed_tool_is_there(tracked: Bench) -> None:
     assert told.system_status == 0
 
 
-def test_a_hidden_tool_is_missing_with_too_few_markers(tracked: Bench) -> None:
+def test_a_hidden_tool_is_reported_missing_for_too_few_markers(tracked: Bench) -> None:
     disturb(tracked, f"occlude tool {POINTER_NUMBER}")
     told = tell(tracked)
     assert told.missing
@@ -115,7 +115,7 @@ def test_a_tool_turned_beyond_its_angle_is_missing(tracked: Bench, angle: str, d
     assert told.information == (0x02 if told.missing else 0x10)
 
 
-def test_a_tool_moved_out_of_the_volume_is_told_only_on_demand(tracked: Bench) -> None:
+def test_a_tool_moved_out_of_the_volume_is_reported_only_on_request(tracked: Bench) -> None:
     disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 -1000 mm")
     unasked = tell(tracked, "1003")
     assert unasked.missing
@@ -127,7 +127,7 @@ def test_a_tool_moved_out_of_the_volume_is_told_only_on_demand(tracked: Bench) -
     assert (asked.information, asked.digits) == (0x10, "5555")
 
 
-def test_a_tool_partially_out_of_the_volume_says_so(tracked: Bench) -> None:
+def test_a_tool_partially_out_of_the_volume_is_flagged(tracked: Bench) -> None:
     _, half_y = PYRAMID.half_widths_mm(1500.0)
     disturb(tracked, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
     told = tell(tracked, "1003")
@@ -152,7 +152,7 @@ def test_a_tool_behind_the_sensor_is_not_seen_at_all(tracked: Bench) -> None:
     assert told.digits == "0000"
 
 
-def test_further_spheres_are_strays_that_stay_where_they_are(tracked: Bench) -> None:
+def test_additional_strays_stay_where_they_are(tracked: Bench) -> None:
     disturb(tracked, "strays 5")
     first, second = tell(tracked).strays_mm, tell(tracked).strays_mm
     assert len(first) == len(second) == BENCH_STRAYS + 5
@@ -160,7 +160,7 @@ def test_further_spheres_are_strays_that_stay_where_they_are(tracked: Bench) -> 
         assert np.linalg.norm(second - stray, axis=1).min() < 1.5
 
 
-def test_no_more_strays_are_told_than_the_unit_can(tracked: Bench) -> None:
+def test_no_more_strays_are_reported_than_the_unit_supports(tracked: Bench) -> None:
     disturb(tracked, f"strays {MAXIMUM_STRAYS}")
     assert len(tell(tracked).strays_mm) == MAXIMUM_STRAYS
 
@@ -172,7 +172,7 @@ def test_reflections_come_and_go(tracked: Bench) -> None:
     assert 0.5 * REFLECTION_PRESENCE < np.mean(counts) / 10 < 1.5 * REFLECTION_PRESENCE
 
 
-def test_a_careless_stereo_match_sees_phantoms_in_the_planes_of_both_sensors(tracked: Bench) -> None:
+def test_a_loose_stereo_match_reports_phantoms_on_the_epipolar_planes(tracked: Bench) -> None:
     disturb(tracked, "phantoms 30 mm")
     told = tell(tracked)
     assert len(told.strays_mm) > BENCH_STRAYS
@@ -188,7 +188,7 @@ def test_a_careless_stereo_match_sees_phantoms_in_the_planes_of_both_sensors(tra
         assert np.abs(slopes - x / z).min() * abs(z) < 30.0
 
 
-def test_sunlight_tells_of_too_much_infrared_and_disturbs_everything(tracked: Bench) -> None:
+def test_sunlight_flags_too_much_infrared_for_system_and_tool_and_adds_strays(tracked: Bench) -> None:
     disturb(tracked, "sunlight")
     seen = [tell(tracked) for _ in range(20)]
     assert all(told.system_status == 0x0002 for told in seen)
@@ -196,7 +196,7 @@ def test_sunlight_tells_of_too_much_infrared_and_disturbs_everything(tracked: Be
     assert max(len(told.strays_mm) for told in seen) > BENCH_STRAYS
 
 
-def test_interference_concerns_one_tool(tracked: Bench) -> None:
+def test_interference_flags_the_tool_and_not_the_system(tracked: Bench) -> None:
     disturb(tracked, f"interference tool {POINTER_NUMBER}")
     told = tell(tracked)
     assert told.status == 0x31 | PortStatus.IR_INTERFERENCE
@@ -208,7 +208,7 @@ def test_interference_concerns_one_tool(tracked: Bench) -> None:
     "line",
     [f"move tool {POINTER_NUMBER} 0 0 -1000 mm", f"bend tool {POINTER_NUMBER} 20 mm", "strays 4", "sunlight"],
 )
-def test_a_fault_ends_and_leaves_nothing_behind(tracked: Bench, line: str) -> None:
+def test_a_fault_leaves_no_trace_after_it_ends(tracked: Bench, line: str) -> None:
     tracked.world.set_fault_script(f"at 0.5 s: tracker {line} for 0.5 s")
     seen = [tell(tracked) for _ in range(90)]
     for told in (*seen[:29], *seen[60:]):
@@ -218,9 +218,7 @@ def test_a_fault_ends_and_leaves_nothing_behind(tracked: Bench, line: str) -> No
     )
 
 
-def test_the_same_faults_give_the_same_frames_again(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_the_same_faults_give_the_same_frames(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
     def record() -> list[bytes]:
         bench = make_bench().ready().track(pointer)
         disturb(bench, "sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
@@ -252,7 +250,7 @@ def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
     assert found[:, 2].min() == pytest.approx(-2105.3, abs=2.5)
 
 
-def test_in_and_out_bits_tell_which_strays_are_inside(
+def test_out_of_volume_bits_mark_the_strays_outside(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     scene = named_scene("bench")

@@ -1,4 +1,4 @@
-"""Modes, and the order in which the unit refuses."""
+"""Operating modes, and the order in which the unit checks a command."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_identity_and_settings_can_be_read_before_init(make_bench: Callable[[], 
 
 
 @pytest.mark.parametrize("line", TRACKING_ONLY)
-def test_frames_cannot_be_had_in_setup(bench: Bench, line: str) -> None:
+def test_frames_are_not_available_in_setup(bench: Bench, line: str) -> None:
     assert bench.send(line) == "ERROR0C"
 
 
@@ -56,7 +56,7 @@ def test_init_returns_to_setup_from_tracking_and_forgets_handles(bench: Bench, p
     assert bench.send("PHSR 00") == "00"
 
 
-def test_reset_asks_for_init_and_goes_back_to_the_default_rate(bench: Bench) -> None:
+def test_reset_requires_init_and_restores_the_default_rate(bench: Bench) -> None:
     assert bench.send("COMM 50000") == "OKAY"
     assert bench.interpreter.reply_line.baud == 9600
     assert bench.send("ECHO x") == "x"
@@ -66,18 +66,18 @@ def test_reset_asks_for_init_and_goes_back_to_the_default_rate(bench: Bench) -> 
     assert bench.send("PHSR 00") == "ERROR10"
 
 
-def test_a_wrong_crc_is_told_before_everything_else_and_has_no_effect(bench: Bench) -> None:
+def test_a_wrong_crc_is_reported_before_any_other_error_and_has_no_effect(bench: Bench) -> None:
     assert bench.send("NONSENSE:0000") == "ERROR04"
     assert bench.send("TSTART:0000") == "ERROR04"
     assert bench.send("TX 0001") == "ERROR0C"
 
 
-def test_an_unknown_name_is_told_before_the_mode(make_bench: Callable[[], Bench]) -> None:
+def test_an_unknown_command_is_reported_before_the_mode(make_bench: Callable[[], Bench]) -> None:
     assert make_bench().send_with_crc("NONSENSE:") == "ERROR01"
     assert make_bench().send("init ") == "ERROR01"
 
 
-def test_the_mode_is_told_before_the_arguments_and_they_before_the_handle(bench: Bench) -> None:
+def test_the_mode_is_checked_before_the_arguments_and_those_before_the_handle(bench: Bench) -> None:
     assert bench.send("TX nonsense") == "ERROR0C"
     assert bench.send("PENA 01") == "ERROR07"
     assert bench.send("PENA 01X") == "ERROR09"

@@ -1,4 +1,4 @@
-"""What the unit tells of the bench and of a theatre, frame by frame."""
+"""What the unit reports about the bench and the theatre, frame by frame."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def at_depth(depth_mm: float) -> Scene:
     return scene.model_copy(update={"tracker": tracker})
 
 
-def test_each_loaded_tool_of_the_bench_has_a_place_of_its_own(bench: Bench, pointer: TrackerTool) -> None:
+def test_each_loaded_tool_of_the_bench_has_its_own_place(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer, robot_frame())
     answer = bench.send("TX 0801")
     places = bench.world.scene.tracker.places
@@ -68,7 +68,7 @@ def test_each_loaded_tool_of_the_bench_has_a_place_of_its_own(bench: Bench, poin
     assert position(answer, 1) == pytest.approx(places[1].translation_mm, abs=1.0)
 
 
-def test_the_place_of_a_freed_tool_is_taken_by_the_next(bench: Bench, pointer: TrackerTool) -> None:
+def test_the_place_of_a_freed_tool_goes_to_the_next_tool(bench: Bench, pointer: TrackerTool) -> None:
     bench.enable(pointer)
     bench.enable(pointer)
     bench.send("PHF 01")
@@ -78,7 +78,7 @@ def test_the_place_of_a_freed_tool_is_taken_by_the_next(bench: Bench, pointer: T
     assert position(answer, 1) == pytest.approx((-150.0, -100.0, -1500.0), abs=1.0)
 
 
-def test_the_bench_has_three_strays_without_identity(bench: Bench, pointer: TrackerTool) -> None:
+def test_the_three_strays_of_the_bench_are_reported_in_any_order(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer)
     truth = np.array(bench.world.scene.tracker.strays_mm)
     orders = set()
@@ -91,12 +91,12 @@ def test_the_bench_has_three_strays_without_identity(bench: Bench, pointer: Trac
     assert len(orders) == 6
 
 
-def test_strays_are_seen_only_while_a_tool_makes_the_illuminators_fire(bench: Bench) -> None:
+def test_strays_are_not_seen_while_no_tool_makes_the_illuminators_fire(bench: Bench) -> None:
     bench.send("TSTART 80")
     assert bench.send("TX 1801") == "00" + "00" + "0000"
 
 
-def test_each_request_gets_exactly_one_new_frame_of_a_clock_that_waits(
+def test_each_request_gets_exactly_one_new_frame_on_an_unpaced_clock(
     bench: Bench, pointer: TrackerTool
 ) -> None:
     bench.track(pointer)
@@ -126,7 +126,7 @@ def test_a_paced_clock_gives_sixty_frames_per_second_and_repeats_them(
 
 
 @pytest.mark.parametrize(("rate", "step"), [("0", 3), ("1", 2), ("2", 1)])
-def test_a_slower_illuminator_leaves_out_counts(
+def test_a_slower_illuminator_rate_skips_frame_numbers(
     bench: Bench, pointer: TrackerTool, rate: str, step: int
 ) -> None:
     bench.send(f"IRATE {rate}")
@@ -134,7 +134,9 @@ def test_a_slower_illuminator_leaves_out_counts(
     assert [frame_number(bench.send("TX 0001")) for _ in range(4)] == [step * k for k in range(1, 5)]
 
 
-def test_only_option_80_sets_the_frame_number_back(bench: Bench, pointer: TrackerTool) -> None:
+def test_option_80_and_a_reset_restart_the_frame_numbers_and_a_plain_start_does_not(
+    bench: Bench, pointer: TrackerTool
+) -> None:
     bench.track(pointer)
     for _ in range(10):
         bench.send("TX 0001")
@@ -167,7 +169,7 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
     assert record(named_scene("bench", seed=1), 0) != record(scene, 0)
 
 
-def test_a_frame_that_was_lost_on_the_line_is_given_again(
+def test_a_frame_lost_on_the_line_is_sent_again(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     def record(lost: int | None) -> list[bytes]:
@@ -183,7 +185,7 @@ def test_a_frame_that_was_lost_on_the_line_is_given_again(
     assert record(lost=0) == record(lost=3) == record(lost=None)
 
 
-def test_a_lost_frame_is_not_given_again_when_a_newer_one_is_due(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_lost_frame_is_not_sent_again_if_a_newer_one_is_due(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer)
     lost = frame_number(bench.send("TX 0001"))
     bench.world.clock.sleep(1.0)
@@ -191,7 +193,7 @@ def test_a_lost_frame_is_not_given_again_when_a_newer_one_is_due(bench: Bench, p
     assert frame_number(bench.send("TX 0001")) > lost + 59
 
 
-def test_tracking_that_starts_anew_gives_no_frame_of_before(bench: Bench, pointer: TrackerTool) -> None:
+def test_restarted_tracking_repeats_no_earlier_frame(bench: Bench, pointer: TrackerTool) -> None:
     bench.track(pointer)
     bench.send("TX 0001")
     bench.send("TSTOP ")
@@ -214,7 +216,7 @@ def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerToo
     assert np.std(errors) > 0.1 * left
 
 
-def test_the_reference_frame_hangs_on_the_arm(make_bench: Callable[..., Bench]) -> None:
+def test_the_reference_frame_is_tracked_on_the_arm(make_bench: Callable[..., Bench]) -> None:
     scene = named_scene("default")
     bench = make_bench(scene)
     truth = put_arm(bench)
@@ -244,7 +246,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> N
         assert np.linalg.norm(found - centre, axis=1).min() < 1.5
 
 
-def test_the_frame_on_the_head_is_a_tool_when_loaded_and_its_spheres_strays_when_not(
+def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(
     make_bench: Callable[..., Bench],
 ) -> None:
     scene = named_scene("mini", seed=3, x_frame=True)
@@ -266,7 +268,7 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_its_spheres_strays_when
     assert position(answer, 1) == pytest.approx(crossing, abs=1.0)
 
 
-def test_the_frame_on_the_guide_is_seen_where_the_guide_sits_and_only_while_it_hangs_there(
+def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(
     make_bench: Callable[..., Bench],
 ) -> None:
     scene = with_guide_frame(named_scene("mini", seed=3))
@@ -311,7 +313,7 @@ def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Call
 
 
 @pytest.mark.parametrize("line", ["tracker occlude tool robot_frame", "tracker occlude marker 2"])
-def test_faults_hide_what_they_name_for_as_long_as_they_last(
+def test_occlusion_faults_hide_the_named_tool_or_marker_for_their_duration(
     make_bench: Callable[..., Bench], line: str
 ) -> None:
     bench = make_bench(named_scene("mini", seed=4))
@@ -330,7 +332,7 @@ def test_faults_hide_what_they_name_for_as_long_as_they_last(
     assert seen[60:] == [usual] * 30
 
 
-def test_a_tool_behind_the_volume_is_missing_unless_asked_for(
+def test_a_tool_behind_the_volume_is_missing_unless_requested(
     make_bench: Callable[..., Bench], pointer: TrackerTool
 ) -> None:
     bench = make_bench(at_depth(2500.0)).ready().track(pointer)

@@ -1,4 +1,4 @@
-"""What a client is told while something is wrong with the unit itself."""
+"""What the tracker reports while the unit itself has a fault."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def frame_numbers(bench: Bench, count: int) -> list[int]:
     return [int(bench.send("TX 0001").split("\n")[0][-8:], 16) for _ in range(count)]
 
 
-def test_a_bump_withholds_poses_until_the_alert_is_read_and_stays_known_until_it_is_cleared(
+def test_a_bump_withholds_poses_until_the_alert_is_read_and_is_kept_until_cleared(
     tracked: Bench,
 ) -> None:
     happen(tracked, "bump")
@@ -56,7 +56,7 @@ def test_a_bump_withholds_poses_until_the_alert_is_read_and_stays_known_until_it
     assert value(tracked, "Param.Bump Detector.Bumped") == "0"
 
 
-def test_a_bump_happens_once(tracked: Bench) -> None:
+def test_a_cleared_bump_does_not_recur(tracked: Bench) -> None:
     happen(tracked, "bump")
     system_status(tracked)
     value(tracked, "Info.Status.New Alerts")
@@ -78,7 +78,7 @@ def test_a_unit_that_is_too_hot_or_too_cold_gives_no_poses(tracked: Bench, fault
     assert value(tracked, "Info.Status.Alerts") == "0"
 
 
-def test_a_fault_of_the_hardware_shows_in_every_place_that_tells_of_it(
+def test_a_hardware_fault_shows_in_tstart_init_alerts_and_system_status(
     bench: Bench, pointer: TrackerTool
 ) -> None:
     bench.enable(pointer)
@@ -96,7 +96,7 @@ def test_a_fault_of_the_hardware_shows_in_every_place_that_tells_of_it(
 
 
 @pytest.mark.parametrize("answer", ["ERROR15", "ERROR1A"])
-def test_a_unit_with_a_fault_of_the_hardware_may_refuse_to_initialise(
+def test_a_unit_with_a_hardware_fault_may_refuse_to_initialise(
     make_bench: Callable[..., Bench], answer: str
 ) -> None:
     bench = make_bench(hardware_fault_at_init=answer)
@@ -105,14 +105,14 @@ def test_a_unit_with_a_fault_of_the_hardware_may_refuse_to_initialise(
     assert bench.send("PHSR 00") == "ERROR10"
 
 
-def test_a_watch_dog_that_bites_ends_the_tracking(tracked: Bench) -> None:
+def test_a_watchdog_timeout_ends_tracking(tracked: Bench) -> None:
     happen(tracked, "watchdog")
     assert tracked.send("TX 0801") == "ERROR0C"
     assert tracked.send("TSTART ") == "OKAY"
     assert "MISSING" not in tracked.send("TX 0801")
 
 
-def test_a_wired_tool_comes_and_goes(tracked: Bench) -> None:
+def test_the_plug_fault_connects_a_wired_tool_for_its_duration(tracked: Bench) -> None:
     tracked.world.set_fault_script("at 0.5 s: tracker plug 2 for 1 s")
     tracked.world.clock.sleep(0.5)
     assert system_status(tracked) == "0040"
@@ -130,14 +130,16 @@ def test_a_wired_tool_comes_and_goes(tracked: Bench) -> None:
     assert tracked.send("PHSR 01").startswith("0102")
 
 
-def test_a_definition_that_proves_corrupt_is_refused(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_corrupt_definition_is_refused(bench: Bench, pointer: TrackerTool) -> None:
     happen(bench, "corrupt definitions")
     handle = bench.load(write_definition(pointer))
     assert bench.send(f"PINIT {handle:02X}") == "ERROR13"
     assert bench.send(f"PENA {handle:02X}D") == "ERROR0E"
 
 
-def test_no_more_tools_than_a_unit_allows(bench: Bench, pointer: TrackerTool) -> None:
+def test_a_unit_allows_no_more_tools_and_handles_than_the_fault_permits(
+    bench: Bench, pointer: TrackerTool
+) -> None:
     happen(bench, "allow 1 tools", "allow 2 handles")
     bench.enable(pointer)
     second = bench.load(write_definition(pointer))
@@ -146,7 +148,9 @@ def test_no_more_tools_than_a_unit_allows(bench: Bench, pointer: TrackerTool) ->
     assert bench.send("PHRQ *********1****") == "ERROR2D"
 
 
-def test_a_volume_for_another_wavelength_does_not_start(bench: Bench, pointer: TrackerTool) -> None:
+def test_tracking_does_not_start_with_a_volume_for_another_wavelength(
+    bench: Bench, pointer: TrackerTool
+) -> None:
     bench.enable(pointer)
     happen(bench, "wrong wavelength")
     assert bench.send("TSTART 80") == "ERROR22"
@@ -155,7 +159,9 @@ def test_a_volume_for_another_wavelength_does_not_start(bench: Bench, pointer: T
 
 
 @pytest.mark.parametrize(("name", "seconds"), [("INIT", 4.0), ("PINIT", 6.0), ("TSTART", 6.0)])
-def test_a_slow_command_takes_its_time(bench: Bench, pointer: TrackerTool, name: str, seconds: float) -> None:
+def test_a_slow_command_takes_the_set_time(
+    bench: Bench, pointer: TrackerTool, name: str, seconds: float
+) -> None:
     handle = bench.load(write_definition(pointer))
     happen(bench, f"slow {name} {seconds} s")
     took = {}
@@ -176,7 +182,7 @@ def test_a_unit_that_measures_nothing_new_repeats_its_frame(tracked: Bench) -> N
     assert len(set(answers)) >= 25
 
 
-def test_a_unit_that_misses_frames_jumps_in_its_numbers(tracked: Bench) -> None:
+def test_skipped_frames_leave_gaps_in_the_frame_numbers(tracked: Bench) -> None:
     first = frame_numbers(tracked, 3)
     happen(tracked, "skip 4 frames")
     jumping = frame_numbers(tracked, 4)
@@ -186,7 +192,7 @@ def test_a_unit_that_misses_frames_jumps_in_its_numbers(tracked: Bench) -> None:
     assert frame_numbers(tracked, 2)[1] - jumping[-1] == 2
 
 
-def test_a_unit_that_starts_anew_no_longer_misses_frames(tracked: Bench) -> None:
+def test_restarted_tracking_skips_no_more_frames(tracked: Bench) -> None:
     happen(tracked, "skip 4 frames")
     frame_numbers(tracked, 2)
     happen(tracked)
@@ -194,7 +200,7 @@ def test_a_unit_that_starts_anew_no_longer_misses_frames(tracked: Bench) -> None
     assert frame_numbers(tracked, 3) == [1, 2, 3]
 
 
-def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
+def test_a_unit_without_power_is_silent_and_sends_reset_when_power_returns(
     tracked: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     moments = later()
@@ -213,7 +219,9 @@ def test_a_dead_unit_says_nothing_and_comes_back_with_reset_as_after_power_up(
     assert tracked.send("PHSR 00") == "00"
 
 
-def test_a_unit_that_restarts_forgets_everything(tracked: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_restarted_unit_sends_reset_once_and_requires_init(
+    tracked: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     moments = later()
     monkeypatch.setattr("sim.polaris.line.interpreter.time.monotonic", lambda: next(moments))
     happen(tracked, "restart")

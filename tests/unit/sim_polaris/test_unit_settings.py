@@ -1,4 +1,4 @@
-"""Settings that outlive a reset, the watch dog, factory values, and a Vicra."""
+"""Settings that survive a reset, the watchdog, factory values, and the Vicra model."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def value(bench: Bench, name: str) -> str:
     return bench.send(f"GET {name}").partition("=")[2]
 
 
-def test_only_what_was_saved_outlives_a_reset(bench: Bench) -> None:
+def test_only_saved_settings_survive_a_reset(bench: Bench) -> None:
     for line in (f"SET {SENSITIVITY}=7", "SET Param.User.String1=ours", "SAVE ", f"SET {SENSITIVITY}=2"):
         assert bench.send(line) == "OKAY"
     bench.send("INIT ")
@@ -41,7 +41,7 @@ def test_alerts_are_not_saved(bench: Bench) -> None:
     assert value(bench, "Info.Status.Alerts") == "0"
 
 
-def test_factory_values_come_back_one_by_one_or_all(bench: Bench) -> None:
+def test_factory_values_are_restored_one_by_one_or_all_together(bench: Bench) -> None:
     bench.send(f"SET {SENSITIVITY}=7")
     bench.send("SET Param.User.String0=x")
     assert bench.send(f"DFLT {SENSITIVITY}") == "OKAY"
@@ -53,7 +53,7 @@ def test_factory_values_come_back_one_by_one_or_all(bench: Bench) -> None:
     assert bench.send("DFLT ") == "ERROR07"
 
 
-def test_a_unit_starts_at_20_hz_and_tells_its_rates(make_bench: Callable[..., Bench]) -> None:
+def test_a_unit_can_start_at_20_hz_and_lists_its_rates(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(saved_illuminator_rate=0)
     assert value(bench, "Param.Tracking.Illuminator Rate") == "0"
     assert bench.send("GETINFO Param.Tracking.Illuminator Rate").split(";")[1:6] == [
@@ -73,7 +73,7 @@ def test_bump_detection_can_be_switched_off(bench: Bench) -> None:
     assert value(bench, "Param.Bump Detector.Clear") == "0"
 
 
-def test_a_second_bump_is_news_again(bench: Bench) -> None:
+def test_a_second_bump_is_a_new_alert(bench: Bench) -> None:
     from ronna_hw.wire.polaris import Alert
 
     bench.unit.alerts.raise_alert(Alert.BUMP)
@@ -83,7 +83,7 @@ def test_a_second_bump_is_news_again(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("line", ["SET Param.Watch Dog Timer=2", "HCWDOG 2"])
-def test_the_watch_dog_stops_tracking_when_the_host_is_silent(
+def test_the_watchdog_stops_tracking_when_the_host_is_silent(
     bench: Bench, pointer: TrackerTool, line: str
 ) -> None:
     bench.enable(pointer)
@@ -98,7 +98,7 @@ def test_the_watch_dog_stops_tracking_when_the_host_is_silent(
     assert bench.send("PHSR 04") == "0101031"
 
 
-def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
+def test_the_watchdog_can_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
@@ -113,11 +113,11 @@ def test_the_watch_dog_may_reset_the_unit(make_bench: Callable[..., Bench]) -> N
 @pytest.mark.parametrize(
     ("line", "answer"), [("HCWDOG x", "ERROR23"), ("HCWDOG 3601", "ERROR23"), ("HCWDOG ", "ERROR07")]
 )
-def test_the_watch_dog_takes_seconds(bench: Bench, line: str, answer: str) -> None:
+def test_an_invalid_watchdog_timeout_is_refused(bench: Bench, line: str, answer: str) -> None:
     assert bench.send(line) == answer
 
 
-def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
+def test_a_beep_is_refused_while_another_one_sounds(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(beep_s=0.5)
     assert bench.send("BEEP 2") == "1"
     assert bench.send("BEEP 1") == "0"
@@ -125,7 +125,9 @@ def test_a_beep_may_take_its_time(make_bench: Callable[..., Bench]) -> None:
     assert bench.send("BEEP 1") == "1"
 
 
-def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+def test_the_near_bench_lies_within_the_vicra_volume(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
     bench = make_bench(named_scene("bench-near"), model=VICRA).ready()
     for handle, _ in enumerate(bench.world.scene.tracker.places, start=1):
         bench.track(pointer)
@@ -136,7 +138,9 @@ def test_its_bench_lies_within_its_volume(make_bench: Callable[..., Bench], poin
         bench.send(f"PDIS {handle:02X}")  # its place stays taken
 
 
-def test_a_vicra_is_a_vicra(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+def test_a_vicra_reports_its_own_identity_limits_and_volume(
+    make_bench: Callable[..., Bench], pointer: TrackerTool
+) -> None:
     bench = make_bench(model=VICRA).ready()
     assert bench.send("VER 4").split("\n") == [
         "Polaris Vicra Control Firmware",

@@ -1,4 +1,4 @@
-"""Tools on a cable: sockets, handles, memory, lights; and the same commands refused to passive tools."""
+"""Wired tools: sockets, handles, memory and lights; passive tools are refused the same commands."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_a_socket_has_one_handle(two_wired: Bench) -> None:
     assert two_wired.send("PHRQ *********004**") == "ERROR2F"
 
 
-def test_an_empty_socket_gives_a_handle_without_a_tool_or_a_dummy(two_wired: Bench) -> None:
+def test_an_empty_socket_gets_a_handle_without_a_tool_or_with_a_dummy(two_wired: Bench) -> None:
     assert two_wired.send("PHRQ *********003**") == "03"
     assert two_wired.send("PHSR 00").endswith("03000")
     assert two_wired.send("PHINF 030001") == "UNOCCUPIED"
@@ -80,7 +80,7 @@ def test_a_wired_tool_is_initialised_from_its_own_memory(two_wired: Bench) -> No
     assert answer.split("\n")[1] == "00" + "0000"  # the illuminators rest: no strays
 
 
-def test_a_tool_without_memory_takes_the_definition_for_testing(two_wired: Bench) -> None:
+def test_ttcfg_gives_a_tool_without_memory_a_test_definition(two_wired: Bench) -> None:
     assert two_wired.send("PINIT 02") == "ERROR0D"
     assert two_wired.send("PPRD 020000") == "ERROR1E"
     assert two_wired.send("PPWR 020000" + BLOCK) == "ERROR1F"
@@ -90,7 +90,7 @@ def test_a_tool_without_memory_takes_the_definition_for_testing(two_wired: Bench
     assert two_wired.send("TTCFG 01") == "ERROR32"  # it has a definition of its own
 
 
-def test_the_current_test_is_told_by_phinf(two_wired: Bench) -> None:
+def test_phinf_reports_the_current_test(two_wired: Bench) -> None:
     assert two_wired.send("TCTST 01") == "ERROR0E"
     two_wired.send("PINIT 01")
     assert two_wired.send("PHINF 010002") == "00000000"
@@ -134,7 +134,9 @@ def test_a_memory_device_is_found_and_selected(two_wired: Bench) -> None:
         ("PSOUT 01N", "ERROR07"),
     ],
 )
-def test_lights_and_outputs_are_driven(two_wired: Bench, line: str, answer: str) -> None:
+def test_lights_and_outputs_are_set_in_setup_and_while_tracking(
+    two_wired: Bench, line: str, answer: str
+) -> None:
     two_wired.send("PINIT 01")
     assert two_wired.send(line) == answer
     two_wired.send("TSTART ")
@@ -148,12 +150,12 @@ def test_lights_and_outputs_are_driven(two_wired: Bench, line: str, answer: str)
         "PSEL 03" + "0" * 16, "TTCFG 03", "TCTST 03", "LED 031S", "PSOUT 03NNN",
     ],
 )  # fmt: skip
-def test_what_needs_a_cable_is_refused_to_a_passive_tool(two_wired: Bench, line: str) -> None:
+def test_wired_tool_commands_are_refused_for_a_passive_tool(two_wired: Bench, line: str) -> None:
     two_wired.send(ANY_PASSIVE)
     assert two_wired.send(line) == "ERROR32"
 
 
-def test_a_tool_unplugged_while_tracking_is_unoccupied(two_wired: Bench) -> None:
+def test_a_tool_unplugged_while_tracking_is_reported_unoccupied(two_wired: Bench) -> None:
     two_wired.send("PINIT 01")
     two_wired.send("PENA 01D")
     two_wired.send("TSTART 80")
@@ -173,7 +175,7 @@ def test_a_tool_unplugged_while_tracking_is_unoccupied(two_wired: Bench) -> None
     assert two_wired.send("TX 0001") == "000000"  # the search has looked after the changes
 
 
-def test_a_dummy_and_a_real_tool_on_cables_exclude_each_other(two_wired: Bench) -> None:
+def test_a_wired_dummy_and_a_real_wired_tool_exclude_each_other(two_wired: Bench) -> None:
     two_wired.send("PHRQ *********00301")
     for line in ("PINIT 01", "PENA 01D", "PINIT 03", "PENA 03D"):
         assert two_wired.send(line) == "OKAY"
@@ -182,14 +184,16 @@ def test_a_dummy_and_a_real_tool_on_cables_exclude_each_other(two_wired: Bench) 
     assert two_wired.send("TSTART 80") == "OKAY"
 
 
-def test_a_passive_dummy_goes_with_wired_tools(two_wired: Bench) -> None:
+def test_a_passive_dummy_works_alongside_wired_tools(two_wired: Bench) -> None:
     assert two_wired.send("PHRQ *********1**01") == "03"
     for line in ("PINIT 01", "PENA 01D", "PINIT 03", "PENA 03D", "TSTART 80"):
         assert two_wired.send(line) == "OKAY"
     assert two_wired.send("TX 1801").split("\n")[2].startswith("03")  # the dummy lights the strays
 
 
-def test_definition_files_are_plugged_in_on_the_command_line(tmp_path: Path, pointer: TrackerTool) -> None:
+def test_definition_files_are_plugged_in_as_wired_tools_and_bad_ones_refused(
+    tmp_path: Path, pointer: TrackerTool
+) -> None:
     file = tmp_path / "pointer.rom"
     file.write_bytes(write_definition(pointer))
     assert plugged_in([file, file], SOCKETS, USER_BYTES).plugged == {1, 2}

@@ -1,4 +1,4 @@
-"""The how-to page about steps: its module is run as it stands, between two steps of a case."""
+"""The how-to page on adding a step: its module runs unchanged between two steps of a case."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def with_force(cell: ClinicalCell, force_N: float) -> None:
     cell.opened._devices["device.force"] = SimpleNamespace(read_force_N=lambda: force_N)  # type: ignore[assignment]
 
 
-def test_the_new_step_reads_a_device_of_another_kind_and_leaves_its_result(
+def test_the_new_step_reads_another_kind_of_device_and_stores_its_result(
     cell: ClinicalCell, force_check: ModuleType
 ) -> None:
     with_force(cell, 0.2)
@@ -46,7 +46,7 @@ def test_the_new_step_reads_a_device_of_another_kind_and_leaves_its_result(
     assert engine.machine.state == "finished"
 
 
-def test_the_new_step_refuses_to_go_on_while_something_presses_on_the_guide(
+def test_the_new_step_refuses_to_continue_while_something_presses_on_the_guide(
     cell: ClinicalCell, force_check: ModuleType
 ) -> None:
     with_force(cell, 2.0)
@@ -54,7 +54,7 @@ def test_the_new_step_refuses_to_go_on_while_something_presses_on_the_guide(
         cell.engine(order(force_check)).run_to()
 
 
-def test_with_one_line_in_the_catalogue_it_has_its_place_in_the_case_and_in_the_chart(
+def test_one_line_in_the_catalogue_adds_the_step_to_the_case_and_the_chart(
     force_check: ModuleType,
 ) -> None:
     lines = re.findall(r"```text\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)[0]

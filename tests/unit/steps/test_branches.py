@@ -1,4 +1,4 @@
-"""The table of branches is whole: each row is reached by a test, and names steps that there are."""
+"""The table of branches is complete: each row is covered by a test and names existing steps."""
 
 import re
 from pathlib import Path
@@ -15,7 +15,7 @@ TESTS = Path(__file__).resolve().parents[2]
 ROWS = {name: row for name, row in vars(branches).items() if isinstance(row, Branch)}
 
 
-def test_every_row_is_reached_by_a_test() -> None:
+def test_every_row_is_covered_by_a_test() -> None:
     reached: set[str] = set()
     for path in TESTS.rglob("test_*.py"):
         reached |= set(re.findall(r'mark\.branch\("(\w+)"\)', path.read_text(encoding="utf-8")))
@@ -37,5 +37,5 @@ def test_only_a_row_that_asks_has_a_question(row: Branch) -> None:
 
 
 @pytest.mark.parametrize("row", BRANCHES, ids=ROWS)
-def test_silence_never_goes_on(row: Branch) -> None:
+def test_silence_never_continues_the_case(row: Branch) -> None:
     assert not row.answers or row.answers[-1] != row.answers[0]

@@ -1,4 +1,4 @@
-"""What the steps say about themselves, over all of them."""
+"""What the steps declare about themselves, checked over all of them."""
 
 from __future__ import annotations
 
@@ -64,21 +64,21 @@ WITHOUT_UNIT = {
 
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
-def test_a_step_reads_only_what_an_earlier_one_leaves(procedure: str) -> None:
+def test_a_step_reads_only_results_of_earlier_steps(procedure: str) -> None:
     left: set[type[StepResult]] = set()
     for step in PROCEDURES[procedure]:
         assert set(step.reads) <= left, step.name
         left.add(step.result)
 
 
-def test_no_two_steps_leave_results_of_one_kind() -> None:
+def test_no_two_steps_produce_the_same_kind_of_result() -> None:
     kinds = [model.kind for model in STEPS]
     assert len(set(kinds)) == len(kinds)
 
 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("step", [step for step in STEPS.values() if step.moves], ids=lambda step: step.name)
-def test_a_step_that_moves_begins_only_with_a_checked_tool_or_with_the_guide_on_its_axis(
+def test_a_moving_step_does_not_begin_with_an_unknown_tool(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
     assert cell.workcell.tool is MountedTool.UNKNOWN
@@ -160,7 +160,7 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
     ]
 
 
-def test_every_result_comes_back_from_its_record_as_it_was_and_cannot_be_changed(cell: ClinicalCell) -> None:
+def test_every_result_is_read_back_unchanged_and_is_immutable(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD)
     results = examples(cell)
     assert {type(result) for result in results} == set(STEPS)

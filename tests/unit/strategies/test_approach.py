@@ -1,4 +1,4 @@
-"""Each joint arrives at a pose as it turns on the last stretch along the tool axis."""
+"""Each joint arrives at a pose in the direction of the last stretch along the tool axis."""
 
 import numpy as np
 from strategy_arms import ARM
@@ -7,7 +7,7 @@ from procedures.strategies.approach import arrival_signs
 from procedures.strategies.orientation import back_along_axis
 
 
-def test_the_direction_is_that_of_the_last_stretch():
+def test_the_arrival_direction_is_that_of_the_last_stretch_along_the_axis():
     at = (0.3, -1.2, 1.9, 0.4, 0.9, 2.8)
     pose = ARM.stereo_pose(at)
     before = np.array(ARM.guide_at(back_along_axis(pose, 1.0)))

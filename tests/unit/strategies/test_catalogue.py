@@ -20,7 +20,7 @@ from ronna_hw.errors import EXIT_USAGE
         ("best", True, True),
     ],
 )
-def test_a_strategy_says_how_often_it_localizes_and_whether_it_controls_the_approach(
+def test_a_strategy_declares_how_often_it_localizes_and_whether_it_controls_the_approach(
     name, per_trajectory, approach
 ):
     strategy = strategy_named(name)
@@ -29,7 +29,7 @@ def test_a_strategy_says_how_often_it_localizes_and_whether_it_controls_the_appr
     assert strategy.controls_approach is approach
 
 
-def test_an_unknown_strategy_is_named():
+def test_an_unknown_strategy_is_refused_and_named():
     with pytest.raises(UnknownStrategy, match=r"STR-002.*'fastest'") as caught:
         strategy_named("fastest")
     assert caught.value.exit_code == EXIT_USAGE

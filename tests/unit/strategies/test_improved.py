@@ -1,4 +1,4 @@
-"""The improved JDMS errs at each fiducial as nearly as it can as at the target; best has one of each."""
+"""Improved JDMS matches the error at each fiducial to that at the target; best selects per trajectory."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def predicted_mm(name: str, sizes: ErrorSizes, along: Trajectory = LEANING) -> f
 
 
 @pytest.mark.parametrize("sizes", [ErrorSizes(), CALIBRATED], ids=["set S", "calibrated"])
-def test_less_error_is_predicted_than_for_what_it_improves_on(sizes: ErrorSizes) -> None:
+def test_improved_jdms_predicts_less_error_than_jdms_and_ocs(sizes: ErrorSizes) -> None:
     assert predicted_mm("improved", sizes) < min(predicted_mm("jdms", sizes), predicted_mm("ocs", sizes))
 
 
 @pytest.mark.parametrize("beyond_mm", [-90.0, 60.0], ids=["held back", "held in"])
-def test_where_the_guide_is_held_elsewhere_on_the_axis_the_error_at_the_target_is_what_is_improved(
+def test_with_the_guide_held_elsewhere_on_the_axis_the_error_at_the_target_is_optimized(
     beyond_mm: float,
 ) -> None:
     held, sizes = LEANING.held(beyond_mm), ErrorSizes(tool_mm=0.0)
@@ -63,7 +63,7 @@ def test_where_the_guide_is_held_elsewhere_on_the_axis_the_error_at_the_target_i
     assert unlike_mm("improved") < min(unlike_mm("jdms"), unlike_mm("ocs"))
 
 
-def test_with_an_error_of_the_tool_frame_alone_the_orientation_is_the_targets() -> None:
+def test_with_only_a_tool_frame_error_the_orientation_is_that_of_the_target() -> None:
     arm = replace(ARM, sizes=ErrorSizes(tool_mm=2.0, links=0.0, joints=0.0, backlash=0.0))
     wanted = target_pose(LEANING, ROOM).rotation_matrix
     for pose, fiducial in zip(
@@ -73,7 +73,7 @@ def test_with_an_error_of_the_tool_frame_alone_the_orientation_is_the_targets() 
         np.testing.assert_allclose(pose.translation_mm, ROOM.apply(fiducial), atol=1e-6)
 
 
-def test_best_looks_as_the_strategy_that_was_chosen_for_a_trajectory() -> None:
+def test_best_localizes_with_the_strategy_chosen_for_each_trajectory() -> None:
     best = BestOfEach(others={LEANING.identifier: strategy_named("ocs")})
     other = replace(LEANING, identifier="T2")
     for along, name in ((LEANING, "ocs"), (other, "improved")):

@@ -33,11 +33,11 @@ def test_all_fiducials_are_localized_with_the_tool_pointing_down_and_x_away_from
         assert np.allclose(pose.rotation_matrix[:, 0], radial)
 
 
-def test_the_trajectories_do_not_matter_to_it():
+def test_the_orientation_does_not_depend_on_the_trajectories():
     assert NOS.localized_along((LEANING,), FIDUCIALS, ROOM) == NOS.localized_along((OTHER,), FIDUCIALS, ROOM)
 
 
-def test_no_fiducials_need_no_axis():
+def test_without_fiducials_there_is_no_localization_axis():
     assert NOS.localized_along((LEANING,), np.zeros((0, 3)), ROOM) == ()
 
 

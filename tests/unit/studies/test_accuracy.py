@@ -1,4 +1,4 @@
-"""Random arms at the phantom: the simulator's arm in arrays, what cancels, equal numbers in any company."""
+"""Random arms at the phantom: agreement with the simulator, errors that cancel, and published tables."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def errors_mm(strategy: str, arms: RandomArms, sizes: Sizes, numbers: range) -> 
     return target_errors(arms, planned, SMALL, HERE, chance, COUNTS, sizes)
 
 
-def test_an_arm_in_arrays_is_the_simulators_arm() -> None:
+def test_the_vectorized_arm_equals_the_simulators_arm() -> None:
     random = np.random.default_rng(3)
     truths = [draw_arm(random) for _ in range(2)]
     tools = random.normal(size=(2, 3))
@@ -56,7 +56,7 @@ def test_an_arm_in_arrays_is_the_simulators_arm() -> None:
             np.testing.assert_allclose(found[arm, pose], tool, atol=1e-9)
 
 
-def test_an_error_of_the_tool_frame_cancels_in_one_orientation_and_turns_with_the_tool_in_two() -> None:
+def test_a_tool_frame_error_cancels_in_one_orientation_and_rotates_with_the_tool_in_two() -> None:
     arms = RandomArms.draw(0, range(2)).only(Source.TOOL)
     none = Sizes(0.0, 0.0)
     assert np.abs(errors_mm("ocs", arms, none, range(2))).max() < 1e-5
@@ -66,13 +66,13 @@ def test_an_error_of_the_tool_frame_cancels_in_one_orientation_and_turns_with_th
     np.testing.assert_allclose(errors_mm("nos", arms, none, range(2))[:, :, 0], expected, atol=0.05)
 
 
-def test_an_arm_has_the_same_errors_whatever_arms_it_is_run_with() -> None:
+def test_the_errors_of_an_arm_do_not_depend_on_the_other_arms_in_the_run() -> None:
     alone = errors_mm("thesis-ocs", RandomArms.draw(0, [7]), Sizes(), range(7, 8))
     among = errors_mm("thesis-ocs", RandomArms.draw(0, range(5, 9)), Sizes(), range(5, 9))
     np.testing.assert_array_equal(alone[0], among[2])
 
 
-def test_the_predicted_region_holds_the_errors_of_random_arms() -> None:
+def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms() -> None:
     numbers = range(400)
     arms = RandomArms.draw(0, numbers)
     for strategy in ("nos", "ocs"):
@@ -87,7 +87,7 @@ def test_the_predicted_region_holds_the_errors_of_random_arms() -> None:
 
 
 @pytest.mark.slow
-def test_the_study_stands_beside_table_4() -> None:
+def test_the_study_shows_its_results_next_to_table_4_of_the_thesis() -> None:
     study = StrategiesStudy(arms=3)
     firsts = [unit for unit in study.units() if unit.cell.endswith("|1")]
     sums = {
@@ -108,7 +108,7 @@ def test_the_study_stands_beside_table_4() -> None:
     assert plots(sums)["strategies.png"].startswith(b"\x89PNG")
 
 
-def test_best_has_at_each_target_the_errors_of_the_strategy_with_the_least_predicted_one() -> None:
+def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_each_target() -> None:
     scene = Scene.of(1, SMALL, Markers.FREE, 1)
     numbers = range(3)
     names = [one.name for one in CANDIDATES]
@@ -122,7 +122,7 @@ def test_best_has_at_each_target_the_errors_of_the_strategy_with_the_least_predi
             np.testing.assert_array_equal(errors["best"][:, target, count], errors[least][:, target, count])
 
 
-def test_an_arm_that_does_not_settle_is_refused() -> None:
+def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
     arms = RandomArms.draw(0, [0])
     with pytest.raises(PoseNotSolved, match="STU-009"):
         errors_mm("ocs", replace(arms, tool_error_mm=arms.tool_error_mm + 400.0), Sizes(), range(1))
@@ -135,7 +135,7 @@ def test_a_phantom_out_of_reach_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_what_ronna_g3_published_stands_beside_its_own_markers_and_strategy() -> None:
+def test_published_ronna_g3_errors_are_shown_next_to_their_own_markers_and_strategy() -> None:
     study = ApplicationErrorStudy(arms=1)
     (table,) = application_error.tables(
         {unit.cell: study.run(unit) for unit in study.units() if unit.cell.endswith("|5")}
@@ -148,7 +148,7 @@ def test_what_ronna_g3_published_stands_beside_its_own_markers_and_strategy() ->
     assert len(table.rows) == 2 * 2 * (3 + 2)
 
 
-def test_an_arm_as_it_is_identified_ends_nearer_than_the_goal_by_every_strategy() -> None:
+def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     fit = identified(1, 0, HERE.apply(SMALL.spheres_mm))
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
     arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)

@@ -1,4 +1,4 @@
-"""Bounds of counts, means and rms: published values, and nothing counted is never shown as nothing."""
+"""Confidence bounds of counts, means and rms: published values, and how plots show them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from procedures.studies.campaign.plots import bars, curves
         (5, 100, "1.64 to 11.3"),  # Clopper and Pearson, as tabulated: 1.6432 to 11.2835
     ],
 )
-def test_a_share_has_the_bounds_of_the_tables(count: int, of: int, text: str) -> None:
+def test_a_proportion_has_the_tabulated_bounds(count: int, of: int, text: str) -> None:
     assert bounds.percent(count, of).text == text
 
 
@@ -28,11 +28,11 @@ def test_a_share_has_the_bounds_of_the_tables(count: int, of: int, text: str) ->
     ("count", "text"),
     [(0, "at most 3"), (1, "0.0253 to 5.57"), (10, "4.8 to 18.4")],  # Garwood 1936
 )
-def test_a_number_has_the_bounds_of_poissons_tables(count: int, text: str) -> None:
+def test_a_count_has_the_tabulated_poisson_bounds(count: int, text: str) -> None:
     assert bounds.number(count).text == text
 
 
-def test_nineteen_of_twenty_means_and_rms_lie_within_their_bounds() -> None:
+def test_95_percent_of_means_and_rms_lie_within_their_bounds() -> None:
     random = np.random.default_rng(3)
     means, roots = 0, 0
     for _ in range(2_000):
@@ -50,7 +50,7 @@ def test_one_value_has_no_bounds() -> None:
     assert bounds.mean([1.0]).text == bounds.root_mean_square(1.0, 1.0, 1.0).text == ""
 
 
-def test_bounds_change_what_a_plot_shows_of_a_zero_count() -> None:
+def test_bounds_change_the_plot_of_a_zero_count() -> None:
     drawn = {
         count: bars("t", "y", {"5": {"ours": bounds.percent(0, count)}}, logarithmic=True)
         for count in (100, 10_000)
@@ -60,7 +60,7 @@ def test_bounds_change_what_a_plot_shows_of_a_zero_count() -> None:
     assert banded != curves("t", "x", "y", {"ours": [(1.0, 10.0), (2.0, 20.0)]})
 
 
-def test_plots_say_what_their_bands_and_whiskers_are(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_plots_label_their_bands_and_whiskers(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Figure] = []
     monkeypatch.setattr(plots, "_png", drawn.append)
     told = bounds.percent(1, 10)

@@ -1,4 +1,4 @@
-"""The clinical protocol of pairing: readings of the frame against localized scans, for every e."""
+"""The clinical pairing protocol: readings of the frame against localized scans, for every e."""
 
 from __future__ import annotations
 
@@ -57,20 +57,20 @@ def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by
         assert shown["100 % from e mm"] < shown["100 % to e mm"]
 
 
-def test_a_reading_with_two_spheres_exchanged_is_not_paired_wrongly_by_chance(found_by_all: None) -> None:
+def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_all: None) -> None:
     exchanged = readings(5)[:, [1, 0, 2, 3]]
     sums = ClinicalStudy(exchanged).run(Unit(f"{PHANTOM}|1", 0, 5))
     assert sums["clique + planned count||false"] == 5  # told so, because the record's order says otherwise
 
 
-def test_a_unit_that_never_shows_the_whole_frame_is_named() -> None:
+def test_a_unit_that_never_sees_the_whole_frame_is_refused() -> None:
     with pytest.raises(TrackerNotSimulated, match="STU-008"):
         frame_readings._whole_reading(
             lambda _: np.zeros((0, 3)), frame_readings.FRAME_MM, np.random.default_rng(1)
         )
 
 
-def test_readings_are_kept_in_the_folder_and_others_are_refused(
+def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     taken = readings(3)

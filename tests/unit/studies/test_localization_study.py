@@ -1,4 +1,4 @@
-"""The localization study: counts what it should on made-up results, and on one real phantom scan."""
+"""The localization study: what it counts on synthetic results and on one real phantom scan."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def found_at(points: np.ndarray, sigma_mm: float, flags: tuple[str, ...] = ()) -
     return Localization(markers, (), "1", "2", 11.5)
 
 
-def test_missed_false_cut_and_large_errors_are_counted_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missed_false_cut_and_large_errors_are_counted_separately(monkeypatch: pytest.MonkeyPatch) -> None:
     errors = np.array([[0.003, 0.0, 0.0], [0.0, 0.2, 0.0], [0.0, 0.0, 0.0]])
     points = np.vstack([CENTRES[[0, 1, 3]] + errors, [[200.0, 0.0, 0.0]]])
     monkeypatch.setattr(
@@ -62,7 +62,7 @@ def test_missed_false_cut_and_large_errors_are_counted_apart(monkeypatch: pytest
     assert counted["bin 3"] + counted.get("bin 2", 0) == 1
 
 
-def test_tables_and_plots_say_what_was_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     random = np.random.default_rng(1)
     sums: dict[str, dict[str, float]] = {}
     for family in ("narrow", "streaks"):
@@ -96,7 +96,7 @@ def sums_of(
     return {"volumes": volumes} | {f"combined|{key}": float(value) for key, value in told.items()}
 
 
-def test_goals_are_held_against_what_was_reached() -> None:
+def test_goals_are_compared_with_the_results() -> None:
     good = goals({"narrow|good": sums_of(0.006, 0.0035, 150), "streaks|good": sums_of(0.02, 0.012, 60)})
     assert good is not None
     assert {row[0]: row[3] for row in good.rows} == {
@@ -122,7 +122,7 @@ def test_goals_are_held_against_what_was_reached() -> None:
     assert goals({"plain|good": sums_of(0.006, 0.0035, 150)}) is None
 
 
-def test_the_protocols_of_tables_2_and_3_give_back_the_error_of_the_people() -> None:
+def test_the_protocols_of_tables_2_and_3_recover_the_error_of_manual_localization() -> None:
     """Many sets with people alone: FLE from FRE, against the truth and between scans."""
     random = np.random.default_rng(4)
     fle_mm, sets = 0.4583, 40
@@ -140,12 +140,14 @@ def test_the_protocols_of_tables_2_and_3_give_back_the_error_of_the_people() -> 
     assert plots({"frames|usual": total})["fle.png"].startswith(b"\x89PNG")
 
 
-def test_the_frame_alone_is_a_study_of_its_own() -> None:
+def test_the_study_can_run_on_the_frame_alone() -> None:
     units = LocalizationStudy(0, 3, families=()).units()
     assert [unit.cell for unit in units] == ["frames|usual"] * 3
 
 
-def test_no_family_both_tunes_and_judges_and_the_phantom_agrees(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_family_is_for_both_tuning_and_judging_and_a_tuning_phantom_is_refused(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     assert not set(JUDGING) & set(TUNING)
     monkeypatch.setattr(study_module, "JUDGING", ("plain",))
     study = LocalizationStudy(1, families=("plain",))
@@ -162,7 +164,7 @@ def test_no_family_both_tunes_and_judges_and_the_phantom_agrees(monkeypatch: pyt
         study.run(Unit("plain|poor", 0, 1))
 
 
-def test_a_phantom_that_cannot_be_made_is_told_with_its_own_words() -> None:
+def test_a_phantom_failure_is_reported_with_the_generators_own_message() -> None:
     with (
         pytest.raises(PhantomFailed, match="unknown family 'martian'"),
         phantom_scan("martian", "poor", 1),
@@ -170,7 +172,7 @@ def test_a_phantom_that_cannot_be_made_is_told_with_its_own_words() -> None:
         pass
 
 
-def test_the_bound_falls_with_noise_and_rises_with_voxels() -> None:
+def test_the_bound_grows_with_noise_and_voxel_size() -> None:
     fiducials = [{"HU": 150.0, "radius_mm": 5.75}]
     good = bound_mm({"voxel_mm": [0.5, 0.5, 1.0], "noise_HU": 20.0, "fiducials": fiducials})
     assert good == pytest.approx(0.0016, abs=0.0002)  # reference experiment
@@ -181,7 +183,7 @@ def test_the_bound_falls_with_noise_and_rises_with_voxels() -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(300)
-def test_one_volume_and_one_set_of_real_phantoms(tmp_path: Path) -> None:
+def test_one_real_phantom_volume_and_frame_set_give_the_expected_errors(tmp_path: Path) -> None:
     study = LocalizationStudy(1, 1, seed=3, families=("narrow",), protocols=("poor",))
     ledger = Ledger(tmp_path, study)
     run_study(study, ledger, workers=1)
@@ -194,7 +196,7 @@ def test_one_volume_and_one_set_of_real_phantoms(tmp_path: Path) -> None:
     assert by_who[Method.REFINED][2] == pytest.approx(by_who[Method.OURS][2], abs=0.01)
 
 
-def test_a_unit_tells_which_phantom_failed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_unit_names_its_phantom(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(phantom_scans, "command", lambda *_: ["false"])
     study = LocalizationStudy(1, 1, families=("narrow",), protocols=("poor",))
     with pytest.raises(UnitFailed, match=r"narrow\|poor #0"):

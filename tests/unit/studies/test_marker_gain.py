@@ -1,4 +1,4 @@
-"""The gain of `ronna-plan markers`, by the markers' errors alone, holds with an imperfect arm in between."""
+"""The gain that `ronna-plan markers` computes from marker errors alone also holds with an imperfect arm."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ARMS, BY_CHANCE, SPHERES = range(20), 6, 5
 LEAST_GAIN = 0.1  # of the rms error; by the markers' errors alone it is 0.29, by these arms 0.24
 
 
-def test_with_random_arms_the_proposed_places_leave_less_error_than_places_by_chance() -> None:
+def test_with_random_arms_the_proposed_places_leave_less_error_than_random_places() -> None:
     drawn = phantom(Markers.FREE, (30.0, 120.0), 5)
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=tuple(HALF_AXES_MM[PATIENT]))
     proposed = propose_markers(head, drawn.trajectories, SPHERES, CT_FLE_MM)

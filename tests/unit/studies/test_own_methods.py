@@ -1,4 +1,4 @@
-"""Own methods in a campaign: each kind checked at the border, and the same numbers on any workers."""
+"""User methods in a campaign: each kind is checked at the boundary, with the same numbers on any workers."""
 
 from __future__ import annotations
 
@@ -187,12 +187,14 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         ),
     ],
 )
-def test_what_is_no_method_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
+def test_an_object_that_is_not_a_method_of_the_kind_is_refused(
+    kind: MethodKind, text: str, said: str
+) -> None:
     with pytest.raises(MethodRefused, match=f"STU-012: .*{said}"):
         tried(kind, text)
 
 
-def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> None:
+def test_a_module_that_fails_to_import_is_refused(folder: Path) -> None:
     (folder / "half.py").write_text("import nowhere_at_all\n")
     with pytest.raises(MethodRefused, match=r"half of the pairing cannot be imported; .*nowhere_at_all"):
         own_method(PAIRING, "half:pair")
@@ -241,7 +243,7 @@ def test_a_module_that_fails_while_it_is_imported_is_refused(folder: Path) -> No
         (STRATEGY, "mine:Degrees", r"turns_rad .* expected angles within ±2π rad, got 90: degrees\?"),
     ],
 )
-def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
+def test_a_result_of_the_wrong_kind_is_refused(kind: MethodKind, text: str, said: str) -> None:
     with pytest.raises(MethodAnswerWrong, match=f"STU-014: .*{said}"):
         tried(kind, text)
 
@@ -254,22 +256,22 @@ def test_an_answer_that_is_none_of_the_kind_is_refused(kind: MethodKind, text: s
         ("mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 39"),
     ],
 )
-def test_what_a_method_raises_is_told_with_its_line(text: str, said: str) -> None:
+def test_an_exception_in_a_method_is_reported_with_its_line(text: str, said: str) -> None:
     with pytest.raises(MethodFailed, match=f"STU-013: .*{said}"):
         tried(PAIRING, text)
 
 
-def test_what_a_generator_raises_only_while_it_is_read_is_told_as_well() -> None:
+def test_an_exception_in_a_generator_is_reported_when_it_is_consumed() -> None:
     with pytest.raises(MethodFailed, match=r"STU-013: .*Later.turns_rad raised ZeroDivisionError"):
         tried(STRATEGY, "mine:Later")
 
 
-def test_what_a_property_raises_is_told_as_well() -> None:
+def test_an_exception_in_a_property_is_reported_with_its_line() -> None:
     with pytest.raises(MethodFailed, match=r"STU-013: .*Moody.controls_approach raised .*mine\.py, line"):
         tried(STRATEGY, "mine:Moody")
 
 
-def test_a_property_that_fails_later_is_told_as_well() -> None:
+def test_a_property_that_fails_later_is_reported() -> None:
     class Tires(OrientationCorrection):
         looks = 0
 
@@ -298,7 +300,7 @@ def test_random_numbers_of_a_method_do_not_depend_on_its_worker(folder: Path) ->
 
 
 @pytest.mark.slow
-def test_a_file_of_ones_own_runs_on_dask_workers_elsewhere(
+def test_a_user_file_runs_on_dask_workers_in_another_folder(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from distributed import LocalCluster
@@ -315,7 +317,7 @@ def test_a_file_of_ones_own_runs_on_dask_workers_elsewhere(
         assert results(study, folder / "dask", scheduler=cluster.scheduler_address) == here
 
 
-def test_an_edited_method_is_another_study_and_no_worker_runs_another_version(folder: Path) -> None:
+def test_an_edited_method_is_another_study_and_its_old_version_does_not_run(folder: Path) -> None:
     before = tried(PAIRING, "mine:in_order")
     Ledger(folder / "out", study_of(before))
     (folder / "mine.py").write_text(METHODS.replace("[:3]", "[:4]"))
@@ -333,7 +335,7 @@ def pair(image_mm, physical_mm, **given):
 """
 
 
-def test_what_a_method_imports_from_beside_it_belongs_to_it(folder: Path) -> None:
+def test_local_imports_of_a_method_are_part_of_its_version(folder: Path) -> None:
     (folder / "lazy.py").write_text(LAZY)
     (folder / "stranger.py").write_text("")
     (folder / "helping").mkdir()
@@ -351,7 +353,7 @@ def test_what_a_method_imports_from_beside_it_belongs_to_it(folder: Path) -> Non
     assert after.function()(None, None) == [(0, 0), (1, 1)]
 
 
-def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: Path) -> None:
+def test_a_failure_during_a_run_names_the_method_and_the_unit(folder: Path) -> None:
     late = "def late(image_mm, physical_mm, **given):\n    return [] if len(image_mm) == 5 else 1 / 0\n"
     (folder / "late.py").write_text(late)
     study = study_of(tried(PAIRING, "late:late"))
@@ -359,13 +361,13 @@ def test_a_failure_in_the_middle_names_the_method_the_unit_and_the_line(folder: 
         results(study, folder / "out", workers=1)
 
 
-def test_a_method_that_ends_its_process_is_told_when_it_is_tried(folder: Path) -> None:
+def test_a_method_that_exits_its_process_is_reported_by_the_trial(folder: Path) -> None:
     (folder / "gone.py").write_text("import os\ndef gone(image_mm, physical_mm, **given):\n    os._exit(0)\n")
     with pytest.raises(MethodFailed, match=r"STU-013: gone:gone ended its process: os\._exit, .* tried"):
         tried_apart(PAIRING, "gone:gone")
 
 
-def test_a_method_that_ends_its_process_later_is_told_with_the_unit_and_what_had_finished_is_kept(
+def test_a_method_that_exits_during_a_run_is_reported_with_its_unit_and_finished_units_are_kept(
     folder: Path,
 ) -> None:
     gone = "import os\ndef gone(image_mm, physical_mm, **given):\n    return [] if %s else os._exit(0)\n"
@@ -377,7 +379,7 @@ def test_a_method_that_ends_its_process_later_is_told_with_the_unit_and_what_had
     assert [*Ledger(folder / "out", study).finished] == ["norm|1|4|0 #0", "norm|1|4|1 #0"]
 
 
-def test_a_method_that_does_not_answer_is_told_once_and_ends_with_the_campaign(
+def test_a_hanging_method_is_reported_once_and_ends_with_the_campaign(
     folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (folder / "loops.py").write_text("def loops(image_mm, physical_mm, **given):\n    while True: pass\n")
@@ -395,7 +397,7 @@ def test_a_method_that_does_not_answer_is_told_once_and_ends_with_the_campaign(
     assert not active_children()
 
 
-def test_an_installed_method_is_known_by_its_name_and_by_no_other_kind(folder: Path) -> None:
+def test_an_installed_method_is_found_by_its_name_for_its_own_kind_only(folder: Path) -> None:
     information = folder / "my_methods-0.1.dist-info"
     information.mkdir()
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my-methods\nVersion: 0.1\n")
@@ -406,7 +408,7 @@ def test_an_installed_method_is_known_by_its_name_and_by_no_other_kind(folder: P
         tried(PAIRING, "staying")
 
 
-def test_an_own_registration_is_measured_on_the_points_of_ours(folder: Path) -> None:
+def test_a_user_registration_is_measured_on_the_same_points_as_ours(folder: Path) -> None:
     (folder / "same.py").write_text(
         "from procedures.registration.point_registration import register\n"
         "def same(image_mm, physical_mm, *, covariance_mm2):\n"
@@ -417,7 +419,7 @@ def test_an_own_registration_is_measured_on_the_points_of_ours(folder: Path) -> 
     assert sums["own same:same2"] == sums["tre2"]
 
 
-def test_an_own_localizer_and_strategy_that_are_ours_pass_the_trial(folder: Path) -> None:
+def test_our_localizer_and_strategy_pass_the_trial_as_user_methods(folder: Path) -> None:
     (folder / "ours.py").write_text(
         "from procedures.imaging import localize\n"
         "from procedures.strategies.nos import NeutralOrientation\n"

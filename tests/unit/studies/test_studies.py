@@ -1,4 +1,4 @@
-"""Studies: the same numbers on any workers, resumable, and refusing to mix."""
+"""Studies: the same numbers on any workers, resumable, and never mixed in one folder."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_two_workers_of_a_dask_scheduler_give_the_same_numbers(tmp_path: Path) -
     assert spread == results(SMALL, tmp_path / "here", workers=1)
 
 
-def test_nobody_at_the_schedulers_address_is_said_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unreachable_scheduler_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.studies.campaign.workers.SCHEDULER_LIMIT_S", 0.2)
     with pytest.raises(SchedulerUnreachable, match="STU-003"):
         results(SMALL, tmp_path, scheduler="tcp://127.0.0.1:9")
@@ -95,12 +95,12 @@ def test_without_dask_a_scheduler_cannot_be_used(tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     "address", ["nonsense", "tcp://", "http://127.0.0.1:8786", "tcp://127.0.0.1:99999", ""]
 )
-def test_what_is_no_address_is_refused_before_dask_sees_it(address: str, tmp_path: Path) -> None:
+def test_an_invalid_scheduler_address_is_refused_before_dask_sees_it(address: str, tmp_path: Path) -> None:
     with pytest.raises(SchedulerUnreachable, match="STU-003: not an address"):
         results(SMALL, tmp_path, scheduler=address)
 
 
-def test_a_failed_study_keeps_what_was_finished_and_goes_on(tmp_path: Path) -> None:
+def test_a_failed_study_keeps_its_finished_units_and_resumes(tmp_path: Path) -> None:
     broken = tmp_path / "broken"
     broken.touch()
     study = Failing(broken)
@@ -111,7 +111,7 @@ def test_a_failed_study_keeps_what_was_finished_and_goes_on(tmp_path: Path) -> N
     assert results(study, tmp_path / "out", workers=1) == results(study, tmp_path / "whole", workers=1)
 
 
-def test_a_line_that_was_cut_off_is_run_again(tmp_path: Path) -> None:
+def test_a_unit_whose_line_was_truncated_is_run_again(tmp_path: Path) -> None:
     whole = results(SMALL, tmp_path, workers=1)
     path = tmp_path / FILE
     path.write_bytes(path.read_bytes()[:-20])
@@ -128,7 +128,7 @@ def test_a_folder_with_another_study_is_refused(tmp_path: Path) -> None:
         Ledger(tmp_path, CorrespondenceStudy(5, seed=5, fiducials=(3, 5)))
 
 
-def test_a_damaged_line_costs_its_unit_only(tmp_path: Path) -> None:
+def test_a_damaged_line_loses_only_its_own_unit(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path, SMALL)
     for unit in ledger.missing():
         ledger.add(unit, {"runs": 1.0})
@@ -140,7 +140,7 @@ def test_a_damaged_line_costs_its_unit_only(tmp_path: Path) -> None:
     assert Ledger(tmp_path, SMALL).damaged == 0
 
 
-def test_more_damaged_lines_than_crashes_leave_are_not_gone_through(tmp_path: Path) -> None:
+def test_a_ledger_with_too_many_damaged_lines_is_refused_quickly(tmp_path: Path) -> None:
     Ledger(tmp_path, SMALL)
     with (tmp_path / FILE).open("ab") as file:
         file.write(b"\n" * 3_000_000)
@@ -148,7 +148,7 @@ def test_more_damaged_lines_than_crashes_leave_are_not_gone_through(tmp_path: Pa
         Ledger(tmp_path, SMALL)
 
 
-def test_a_line_that_says_other_than_was_written_is_run_again(tmp_path: Path) -> None:
+def test_a_line_altered_after_writing_counts_as_damaged(tmp_path: Path) -> None:
     ledger = Ledger(tmp_path, SMALL)
     unit = ledger.missing()[0]
     ledger.add(unit, {"runs": 4.0, "success": 3.0})
@@ -159,7 +159,9 @@ def test_a_line_that_says_other_than_was_written_is_run_again(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("line", [{"unit": ["a"], "sums": {}}, {"unit": "a #0", "sums": {"runs": "many"}}])
-def test_a_line_that_is_no_unit_is_left_out_whatever_its_hash(tmp_path: Path, line: dict[str, Any]) -> None:
+def test_a_line_that_is_not_a_unit_is_ignored_even_with_a_valid_hash(
+    tmp_path: Path, line: dict[str, Any]
+) -> None:
     Ledger(tmp_path, SMALL)
     said = json.dumps([line["unit"], line["sums"]], sort_keys=True).encode()
     with (tmp_path / FILE).open("a") as file:
@@ -169,7 +171,7 @@ def test_a_line_that_is_no_unit_is_left_out_whatever_its_hash(tmp_path: Path, li
 
 
 @pytest.mark.parametrize("first", ["tea", "[1]", *(NO_PARAMETERS % value for value in ("null", '"tea"'))])
-def test_a_damaged_record_is_refused(tmp_path: Path, first: str) -> None:
+def test_a_damaged_ledger_header_is_refused(tmp_path: Path, first: str) -> None:
     Ledger(tmp_path, SMALL)
     (tmp_path / FILE).write_text(f"{first}\n")
     with pytest.raises(LedgerUnreadable, match="STU-002"):
@@ -198,7 +200,7 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
     ]
 
 
-def test_a_part_of_the_true_pairs_is_unsuccessful_and_a_wrong_pair_false() -> None:
+def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() -> None:
     right = frozenset({(0, 2), (1, 0), (2, 1), (3, 3)})
     told = {
         outcome: study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right)
@@ -216,7 +218,7 @@ def test_a_part_of_the_true_pairs_is_unsuccessful_and_a_wrong_pair_false() -> No
     assert (share.unsuccessful, share.false, share.part) == (25.0, 0.0, 25.0)
 
 
-def test_the_e_at_which_the_figures_of_the_thesis_come_out_are_told_as_ranges() -> None:
+def test_the_values_of_e_that_reproduce_the_thesis_are_reported_as_ranges() -> None:
     sums = {
         cell_key(NoiseReading.NORM, 1, 4, outliers): {
             study_module.outcome_key(Method.VALIDATED, e, outcome): number
@@ -229,7 +231,7 @@ def test_the_e_at_which_the_figures_of_the_thesis_come_out_are_told_as_ranges() 
     assert [row[2:] for row in reached.rows] == [["4", "1.4-1.5, 3", "1.4-3"]]
 
 
-def test_what_is_known_beforehand_is_solved_anew_only_where_it_can_change_the_answer() -> None:
+def test_a_prior_leaves_answers_that_agree_with_it_unchanged() -> None:
     seen = draw_readings(sites_mm(1), 3, 2, NoiseReading.PER_AXIS, 60, np.random.default_rng(8))
     changed = 0
     for image, physical, truth in zip(seen.image_mm, seen.physical_mm, seen.rotations, strict=True):
@@ -259,7 +261,7 @@ def test_the_numbers_of_a_cell_do_not_depend_on_the_other_cells() -> None:
     assert SMALL.run(unit) == CorrespondenceStudy(4, seed=5).run(unit)
 
 
-def test_the_two_readings_of_the_noise_have_the_size_they_say() -> None:
+def test_both_readings_of_the_noise_have_their_stated_size() -> None:
     random = np.random.default_rng(1)
     per_axis = disturbance((20_000, 3), 0.56, NoiseReading.PER_AXIS, random)
     norm = disturbance((20_000, 3), 0.56, NoiseReading.NORM, random)
@@ -267,7 +269,7 @@ def test_the_two_readings_of_the_noise_have_the_size_they_say() -> None:
     assert np.sqrt((norm**2).sum(axis=1).mean()) == pytest.approx(0.56, rel=0.02)
 
 
-def test_heads_differ_and_their_sites_are_apart() -> None:
+def test_heads_differ_and_their_marker_sites_keep_their_distance() -> None:
     heads = [sites_mm(patient) for patient in (1, 2, 3)]
     assert not np.allclose(heads[0], heads[1])
     for sites in heads:
@@ -285,7 +287,7 @@ def test_a_study_is_published_as_text_table_and_data(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_weighting_gains_what_the_goals_ask_for(tmp_path: Path) -> None:
+def test_weighting_gains_as_much_as_the_goals_require(tmp_path: Path) -> None:
     from procedures.studies.registration import tables as of_registration
 
     formulas, gains = of_registration(results(RegistrationStudy(400, fiducials=(5,)), tmp_path, workers=1))

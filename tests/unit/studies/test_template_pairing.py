@@ -1,4 +1,4 @@
-"""Three and four markers by a template: drawn at its places, counted beside what five to eight reach."""
+"""Three and four markers placed by a template: their distances, and their pairing among outliers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from procedures.studies.correspondence.template import MARGIN_MM, TemplateStudy,
 from procedures.studies.heads import NoiseReading
 
 
-def test_the_sites_of_every_head_differ_by_the_margin() -> None:
+def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
     for patient in (1, 2, 3):
         for count in (3, 4):
             sites = sites_mm(patient, count, MARGIN_MM)

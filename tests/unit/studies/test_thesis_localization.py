@@ -1,4 +1,4 @@
-"""The thesis' protocol of localization: its scans, and what is computed from the spheres found in them."""
+"""The localization protocol of the thesis: its scans, and the figures computed from their spheres."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ def test_the_scans_are_those_of_the_thesis() -> None:
     assert [unit.cell for unit in ThesisLocalizationStudy().units()] == [one.cell for one in THESIS_SCANS]
 
 
-def test_a_scale_error_is_common_to_a_slice_and_another_along_the_table() -> None:
+def test_a_scale_error_is_common_within_a_slice_and_independent_along_the_table() -> None:
     scales = draw_scale(np.random.default_rng(1), 1000)
     assert np.array_equal(scales[:, 0], scales[:, 1])
     assert abs(np.corrcoef(scales[:, 0], scales[:, 2])[0, 1]) < 0.1
     assert np.abs(scales - 1.0).max() <= LARGEST_SCALE_ERROR
 
 
-def test_errors_of_one_axis_are_found_again_to_the_truth_and_between_scans() -> None:
+def test_a_known_error_is_recovered_against_the_truth_and_between_scans() -> None:
     random = np.random.default_rng(2)
     scans = [FRAME_MM + random.normal(size=FRAME_MM.shape) * 0.1 for _ in range(60)]
     truth, fre, between = fle_mm(scans, np.ones((1, 60, 3)))
@@ -47,7 +47,7 @@ def test_errors_of_one_axis_are_found_again_to_the_truth_and_between_scans() -> 
     assert truth == pytest.approx(fre * np.sqrt(2.0))
 
 
-def test_the_frame_is_validated_in_its_order_and_refused_when_it_is_not_whole() -> None:
+def test_the_frame_is_identified_in_its_order_and_an_incomplete_one_is_refused() -> None:
     order = [2, 0, 3, 1]
     found = LocalizedScan(np.vstack([FRAME_MM[order], [[10.0, 20.0, 120.0]]]), 1.0)
     seen = found.frame_mm(np.ones(3))
@@ -56,12 +56,12 @@ def test_the_frame_is_validated_in_its_order_and_refused_when_it_is_not_whole() 
     assert LocalizedScan(FRAME_MM[:3], 1.0).frame_mm(np.ones(3)) is None
 
 
-def test_coordinates_come_back_from_the_sums() -> None:
+def test_coordinates_are_recovered_from_the_sums() -> None:
     assert np.array_equal(points_of(points_as_sums("who", FRAME_MM), "who"), FRAME_MM)
     assert points_of({}, "who") is None
 
 
-def test_the_copy_is_held_against_both_tables_and_its_gain_and_time_are_told() -> None:
+def test_the_reproduction_is_compared_with_both_tables_including_gain_and_time() -> None:
     random = np.random.default_rng(3)
     sums = {}
     for scan in THESIS_SCANS:

@@ -1,4 +1,4 @@
-"""Why no one value of e gives all the figures of the thesis: few markers need a small one, many a large one.
+"""Why no single e reproduces all figures of the thesis: few markers need a small e, many a large one.
 
 Noise as the length of the error, 4 outliers, three heads; the thesis' method with its validation.
 """
@@ -26,29 +26,29 @@ def outcome(markers: int, e_mm: float) -> Shares:
     return found[Series(NoiseReading.NORM, Method.VALIDATED.value, str(e_mm), markers)]
 
 
-def test_at_the_larger_e_five_to_eight_markers_reach_the_thesis() -> None:
+def test_at_the_large_e_five_to_eight_markers_are_no_worse_than_in_the_thesis() -> None:
     found = [outcome(markers, LARGE_E_MM) for markers in range(5, 9)]
     assert sum(one.unsuccessful for one in found) / 4 <= THESIS_UNSUCCESSFUL[5][1]
     assert [one.false for one in found] == [0.0] * 4
 
 
-def test_but_three_are_ambiguous_more_often_than_the_thesis_says() -> None:
+def test_at_the_large_e_three_markers_are_unsuccessful_more_often_than_in_the_thesis() -> None:
     assert outcome(3, LARGE_E_MM).unsuccessful > THESIS_UNSUCCESSFUL[3][1]
 
 
-def test_at_the_smaller_e_three_reach_it() -> None:
+def test_at_the_small_e_three_markers_match_the_thesis() -> None:
     least, most = THESIS_UNSUCCESSFUL[3]
     assert least < outcome(3, SMALL_E_MM).unsuccessful < most
 
 
 @pytest.mark.parametrize("markers", [5, 8])
-def test_but_of_many_markers_one_is_lost_because_one_of_its_distances_is_beyond_e(markers: int) -> None:
+def test_at_the_small_e_five_and_eight_markers_lose_one_more_often_than_in_the_thesis(markers: int) -> None:
     found = outcome(markers, SMALL_E_MM)
     assert found.part > THESIS_UNSUCCESSFUL[5][1]
     assert found.lost < found.part
 
 
-def test_without_the_validation_wrong_pairings_of_three_are_several_times_as_frequent() -> None:
+def test_without_validation_wrong_pairings_of_three_are_more_than_twice_as_frequent() -> None:
     study = CorrespondenceStudy(RUNS, 4, (Method.THESIS, Method.VALIDATED), (LARGE_E_MM,))
     cells = [cell_key(NoiseReading.NORM, patient, 3, 4) for patient in PATIENTS]
     found = shares({cell: study.run(Unit(cell, 0, RUNS)) for cell in cells})

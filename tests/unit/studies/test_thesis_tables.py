@@ -1,4 +1,4 @@
-"""What the thesis prints below its tables follows from their rows, to the last digit, but for two cells."""
+"""The summary values that the thesis prints follow from the rows of its tables, except for two cells."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ def test_table_2_prints_the_mean_of_its_rows(column: str) -> None:
 
 
 @pytest.mark.parametrize("column", sorted(TABLE_3.keys() - {AVERAGE_OPERATOR, TRUNCATED}))
-def test_table_3_prints_the_fle_that_its_fre_give(column: str) -> None:
+def test_table_3_prints_the_fle_computed_from_its_fre(column: str) -> None:
     fle_mm = fle_of_one_space_mm(TABLE_3[column].rows_mm, FIDUCIALS_OF_TABLE_3)
     assert round(fle_mm, 4) == TABLE_3[column].printed_mm
 
 
-def test_operator_3_is_truncated() -> None:
+def test_the_fle_of_operator_3_is_truncated_instead_of_rounded() -> None:
     fle_mm = fle_of_one_space_mm(TABLE_3[TRUNCATED].rows_mm, FIDUCIALS_OF_TABLE_3)
     assert (round(fle_mm, 4), np.floor(fle_mm * 1e4) / 1e4) == (0.3691, TABLE_3[TRUNCATED].printed_mm)
 
 
-def test_the_average_operator_has_the_mean_of_the_four_and_not_the_fle_of_its_rows() -> None:
+def test_the_average_operator_is_the_mean_of_the_four_fle_and_not_the_fle_of_its_rows() -> None:
     rows_mm = TABLE_3[AVERAGE_OPERATOR].rows_mm
     four_mm = [fle_of_one_space_mm(TABLE_3[name].rows_mm, FIDUCIALS_OF_TABLE_3) for name in OPERATORS]
     assert round(float(np.mean(four_mm)), 4) == TABLE_3[AVERAGE_OPERATOR].printed_mm
@@ -53,7 +53,9 @@ def test_the_average_operator_has_the_mean_of_the_four_and_not_the_fle_of_its_ro
         (TABLE_3[AVERAGE_OPERATOR].printed_mm, TABLE_3[SPHERE_FIT].printed_mm, 45.91),
     ],
 )
-def test_the_stated_gains_over_people_follow(people_mm: float, fit_mm: float, less: float) -> None:
+def test_the_stated_gains_over_operators_follow_from_the_tables(
+    people_mm: float, fit_mm: float, less: float
+) -> None:
     assert round(100.0 * (1.0 - fit_mm / people_mm), 2) == less
 
 
@@ -64,7 +66,7 @@ def test_table_4_prints_the_mean_over_its_trajectories(row: tuple[str, int]) -> 
 
 
 @pytest.mark.parametrize("column", [LINE_FIT, SPHERE_FIT, HUMAN_OPERATORS])
-def test_table_3_is_table_2_times_the_root_of_two_as_if_table_2_gave_the_fre(column: str) -> None:
+def test_table_3_is_the_fle_computed_from_table_2_taken_as_the_fre(column: str) -> None:
     fre_mm = float(np.sqrt(np.mean(np.square(TABLE_2[column].rows_mm))))
     of_table_3 = TABLE_3[AVERAGE_OPERATOR if column == HUMAN_OPERATORS else column].rows_mm
     fle_mm = fle_of_one_space_mm(of_table_3, FIDUCIALS_OF_TABLE_3)

@@ -1,4 +1,4 @@
-"""Parameters of single devices, given to the whole theatre."""
+"""Parameters of single devices, passed on by the whole theatre."""
 
 from pathlib import Path
 
@@ -11,7 +11,7 @@ from sim.theatre.launch import Theatre
 from sim.world.scene.named_scenes import named_scene
 
 
-def test_settings_are_sorted_by_device() -> None:
+def test_settings_are_grouped_by_device() -> None:
     given = ("robot.lag_s=0.03", "tracker.line_after_close=kept", "robot.timeout_counting=total")
     assert parameters_by_device(given) == {
         "kuka": ("lag_s=0.03", "timeout_counting=total"),
@@ -21,7 +21,7 @@ def test_settings_are_sorted_by_device() -> None:
 
 
 @pytest.mark.parametrize("setting", ["lag_s=0.03", "camera.gain=2", "robot.lag_s", "robot", "=1", ""])
-def test_a_setting_of_no_device_is_refused_with_what_to_write(setting: str) -> None:
+def test_a_setting_without_a_known_device_is_refused_with_the_expected_syntax(setting: str) -> None:
     with pytest.raises(BadDeviceParameter, match=r"SIM-010: .*--set robot.NAME=VALUE") as caught:
         parameters_by_device((setting,))
     assert "\n" not in str(caught.value)
@@ -31,13 +31,15 @@ def test_a_setting_of_no_device_is_refused_with_what_to_write(setting: str) -> N
     ("setting", "code"),
     [("robot.lagg=3", "KRC-003"), ("robot.lag_s=x", "KRC-003"), ("tracker.x=1", "PSU-001")],
 )
-def test_a_parameter_that_the_device_has_not_is_refused_before_it_is_started(setting: str, code: str) -> None:
+def test_an_invalid_device_parameter_is_refused_before_the_device_starts(setting: str, code: str) -> None:
     with pytest.raises(ConfigurationError, match=code) as caught:
         parameters_by_device((setting,))
     assert caught.value.exit_code == EXIT_USAGE
 
 
-def test_each_device_is_started_with_its_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_each_device_is_started_with_its_own_parameters(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     started: dict[str, list[str]] = {}
 
     class Enough(Exception):

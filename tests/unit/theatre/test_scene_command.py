@@ -1,4 +1,4 @@
-"""`ronna-sim scene` prints what a scene file of one's own begins with."""
+"""`ronna-sim scene` prints a starting point for a custom scene file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sim.world.scene.named_scenes import named_scene
 
 
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])
-def test_a_scene_that_was_printed_is_the_same_when_read_again(
+def test_a_printed_scene_is_read_back_unchanged(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     scene(scene=name, seed=4)
@@ -42,7 +42,7 @@ post = [0.037587, -0.99527, -0.089584]
 """
 
 
-def test_a_template_places_the_spheres_and_the_plan_knows_it(
+def test_a_template_places_the_spheres_and_enters_the_plan(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     template, file = tmp_path / "template.toml", tmp_path / "scene.toml"

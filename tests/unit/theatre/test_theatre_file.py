@@ -36,7 +36,7 @@ def _written(scene: Scene, folder: Path) -> Path:
     return path
 
 
-def test_the_written_theatre_file_is_a_valid_one(tmp_path: Path) -> None:
+def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:
     theatre = read_theatre_file(_written(named_scene("mini", seed=4), tmp_path))
     assert theatre.banner
     assert theatre.calibration is not None
@@ -69,7 +69,7 @@ def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_pat
     assert record.stereo_head.flange_from_tool != scene.mount.flange_from_tool_true
 
 
-def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tmp_path: Path) -> None:
+def test_a_camera_record_is_within_a_tenth_of_a_millimetre_of_the_truth(tmp_path: Path) -> None:
     scene = named_scene("mini", seed=4)
     record = read_theatre_file(_written(scene, tmp_path)).calibration
     assert record is not None
@@ -79,7 +79,7 @@ def test_a_cameras_record_sees_the_tool_centre_within_a_tenth_of_a_millimetre(tm
     assert 0.0 < float(np.linalg.norm(shift)) < 0.1
 
 
-def test_a_calibrated_arm_has_a_record_off_by_what_a_calibration_leaves_over(tmp_path: Path) -> None:
+def test_a_calibrated_arm_has_a_record_with_a_small_residual_error(tmp_path: Path) -> None:
     scene = load_scene("mini", seed=4, calibrated=True)
     record = read_theatre_file(_written(scene, tmp_path)).calibration
     assert record is not None
@@ -94,7 +94,7 @@ def test_a_calibrated_arm_has_a_record_off_by_what_a_calibration_leaves_over(tmp
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
+def test_a_calibration_with_a_non_finite_number_is_refused(value: float) -> None:
     content = theatre_content(
         named_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0
     )
@@ -104,14 +104,14 @@ def test_a_calibration_that_is_no_number_is_refused(value: float) -> None:
         parse_theatre(content)
 
 
-def test_a_robot_at_another_cycle_is_told_to_its_driver() -> None:
+def test_another_cycle_time_is_passed_to_the_robot_driver() -> None:
     scene = named_scene("mini")
     for cycle_ms, told in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == told
 
 
-def test_on_the_first_day_frame_and_tip_are_as_drawn_and_not_valid() -> None:
+def test_on_the_first_day_the_frame_and_tip_records_are_as_drawn_and_expired() -> None:
     scene = load_scene("mini", seed=4, first_day=True)
     usual = parse_theatre(
         theatre_content(load_scene("mini", seed=4), ENDPOINTS, "host:", {}, 1.0)
@@ -128,7 +128,7 @@ def test_on_the_first_day_frame_and_tip_are_as_drawn_and_not_valid() -> None:
     assert drawn.tracker_frame.stated_error_mm > usual.tracker_frame.stated_error_mm
 
 
-def test_records_of_a_calibration_take_the_place_of_the_theatres_own(tmp_path: Path) -> None:
+def test_later_calibration_files_override_earlier_ones(tmp_path: Path) -> None:
     for name, content in (("one", {"arm": 1, "tool_tip": 1}), ("other", {"tool_tip": 2})):
         (tmp_path / name).mkdir()
         (tmp_path / name / CALIBRATION_FILE).write_text(tomli_w.dumps({"calibration": content}))
@@ -137,7 +137,7 @@ def test_records_of_a_calibration_take_the_place_of_the_theatres_own(tmp_path: P
 
 
 @pytest.mark.parametrize("text", [None, "x = 1", "calibration = 3", "[calibration]"])
-def test_a_file_without_records_is_refused(tmp_path: Path, text: str | None) -> None:
+def test_a_calibration_file_without_records_is_refused(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         (tmp_path / CALIBRATION_FILE).write_text(text)
     with pytest.raises(BadCalibrationFile, match="SIM-014"):

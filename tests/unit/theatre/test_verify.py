@@ -1,4 +1,4 @@
-"""The verifier, on runs whose errors are known beforehand."""
+"""The verifier, on runs whose errors are known."""
 
 from __future__ import annotations
 
@@ -93,15 +93,13 @@ def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
     assert target["guide_mounted"]
 
 
-def test_the_last_look_at_a_target_counts(run: Path, at_target: Callable[..., None]) -> None:
+def test_the_last_sample_at_a_target_counts(run: Path, at_target: Callable[..., None]) -> None:
     at_target((15.0, 20.0, 30.0))
     at_target((10.0, 20.0, 30.1))
     assert [target["axial_mm"] for target in verify_run(run)["targets"]] == pytest.approx([-0.1])
 
 
-def test_a_target_that_was_reached_with_the_stereo_head_is_told(
-    run: Path, at_target: Callable[..., None]
-) -> None:
+def test_a_target_reached_with_the_stereo_head_is_marked(run: Path, at_target: Callable[..., None]) -> None:
     at_target(TARGET_MM, SCENE.mount.tool_number_stereo)
     assert not verify_run(run)["targets"][0]["guide_mounted"]
 
@@ -119,7 +117,7 @@ def test_spheres_are_counted_as_found_missed_and_false(
     }
 
 
-def test_a_localization_without_spheres_has_missed_them_all(
+def test_a_localization_without_spheres_counts_all_of_them_as_missed(
     run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
 ) -> None:
     localize([])
@@ -136,7 +134,7 @@ def test_a_folder_without_a_theatre_cannot_be_verified(tmp_path: Path) -> None:
         verify_run(tmp_path)
 
 
-def test_a_run_that_came_nowhere_cannot_be_verified(run: Path) -> None:
+def test_a_run_without_spheres_or_targets_cannot_be_verified(run: Path) -> None:
     with pytest.raises(NothingToVerify, match="located no sphere and reached no target"):
         verify_run(run)
 
@@ -154,7 +152,9 @@ def sample(theatre: Path, tip_mm: tuple[float, float, float], taken_s: float) ->
     append_sample(one, theatre)
 
 
-def test_a_run_by_hand_is_compared_with_what_its_theatre_saw_during_it(run: Path, theatre: Path) -> None:
+def test_a_manual_run_is_compared_with_the_samples_its_theatre_took_during_it(
+    run: Path, theatre: Path
+) -> None:
     sample(theatre, (10.0, 20.0, 30.1), 0.0)
     sample(theatre, (15.0, 20.0, 30.0), 3600.0)  # by a later run
     with pytest.raises(NothingToVerify, match=r"no simulated theatre.*--theatre"):
@@ -162,7 +162,7 @@ def test_a_run_by_hand_is_compared_with_what_its_theatre_saw_during_it(run: Path
     assert [target["axial_mm"] for target in verify_run(run, theatre)["targets"]] == pytest.approx([-0.1])
 
 
-def test_a_run_by_hand_is_not_compared_with_the_theatre_of_another_patient(
+def test_a_manual_run_is_not_compared_with_a_theatre_of_another_patient(
     run: Path, theatre: Path, localize: Callable[[Sequence[Sequence[float]]], None]
 ) -> None:
     localize([(500.0, 0.0, 0.0)])
@@ -173,7 +173,7 @@ def test_a_run_by_hand_is_not_compared_with_the_theatre_of_another_patient(
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("name", [SCENE_FILE, TRUTH_FILE])
-def test_truth_that_is_exchanged_after_the_check_is_not_compared(
+def test_truth_that_changes_after_the_check_is_not_compared(
     run: Path, at_target: Callable[..., None], monkeypatch: pytest.MonkeyPatch, name: str, closed: bool
 ) -> None:
     at_target(TARGET_MM)
@@ -197,7 +197,7 @@ def test_truth_that_is_exchanged_after_the_check_is_not_compared(
 
 
 @pytest.mark.hazard(39)
-def test_a_record_that_the_run_did_not_leave_is_not_compared_with_the_truth(
+def test_a_record_altered_after_the_run_is_not_compared_with_the_truth(
     run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
 ) -> None:
     localize(FIDUCIALS_MM)

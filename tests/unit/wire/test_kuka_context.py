@@ -1,4 +1,4 @@
-"""The RSI context description: ours is complete, a wrong one is told all its mistakes."""
+"""The RSI context description: ours is complete, and an invalid one reports all its mistakes."""
 
 from pathlib import Path
 
@@ -35,7 +35,7 @@ def test_every_axis_and_the_stop_are_wired() -> None:
     assert context.wired_tag("POSCORR", "X") is None
 
 
-def test_the_hash_follows_the_meaning_and_not_the_address_of_the_pc(tmp_path: Path) -> None:
+def test_the_hash_covers_the_meaning_but_not_the_address_of_the_pc(tmp_path: Path) -> None:
     ours = context_hash(load_context())
     assert context_hash(load_context(_edited(tmp_path, ('"192.168.10.20"', '"192.168.10.99"')))) == ours
     assert context_hash(load_context(_edited(tmp_path, ("# The one", "# One")))) == ours
@@ -43,7 +43,7 @@ def test_the_hash_follows_the_meaning_and_not_the_address_of_the_pc(tmp_path: Pa
     assert context_hash(load_context(_edited(tmp_path, ("holdon = 1", "holdon = 0")))) != ours
 
 
-def test_a_context_with_three_mistakes_is_told_all_three(tmp_path: Path) -> None:
+def test_all_three_mistakes_of_a_context_are_reported(tmp_path: Path) -> None:
     path = _edited(
         tmp_path,
         ("cycle_ms = 4 ", "cycle_ms = 5 "),
@@ -67,14 +67,12 @@ def test_a_context_with_three_mistakes_is_told_all_three(tmp_path: Path) -> None
         ('"DEF_RIst"\ntype = "DOUBLE"\nindx = "INTERNAL"', '"DEF_RIst"\ntype = "DOUBLE"\nindx = 3', "DEF_"),
     ],
 )
-def test_channels_that_contradict_each_other_are_refused(
-    tmp_path: Path, old: str, new: str, said: str
-) -> None:
+def test_conflicting_channels_are_refused(tmp_path: Path, old: str, new: str, said: str) -> None:
     with pytest.raises(ContextInvalid, match=said):
         load_context(_edited(tmp_path, (old, new)))
 
 
-def test_a_missing_or_broken_file_is_one_clear_line(tmp_path: Path) -> None:
+def test_a_missing_or_broken_file_is_refused_with_a_clear_reason(tmp_path: Path) -> None:
     with pytest.raises(ContextInvalid, match="cannot read"):
         load_context(tmp_path / "absent.toml")
     broken = tmp_path / "broken.toml"

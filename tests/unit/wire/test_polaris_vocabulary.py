@@ -1,4 +1,4 @@
-"""The CRC and the code tables of the tracker link against published values."""
+"""CRC and code tables of the tracker link, checked against published values."""
 
 import itertools
 
@@ -52,7 +52,7 @@ def test_the_crc_over_data_and_its_own_crc_is_zero() -> None:
     assert polaris.crc16(data + crc.to_bytes(2, "little")) == 0
 
 
-def test_every_error_code_has_a_meaning_of_its_own() -> None:
+def test_every_error_code_has_its_own_meaning() -> None:
     assert len(set(polaris.ERROR_MEANINGS.values())) == len(polaris.ERROR_MEANINGS)
     assert set(range(0x01, 0x43)) <= set(polaris.ERROR_MEANINGS)
 

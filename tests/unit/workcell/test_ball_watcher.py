@@ -1,4 +1,4 @@
-"""Driving from look to look: one approach side, the way by home, the search, what stands around."""
+"""Moving between acquisitions: one approach side, the way via home, the search, the surroundings."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def targets(cell: RecordingCell) -> list[tuple[float, ...]]:
     return [target for _, target in cell.arm.motions]
 
 
-def test_every_pose_is_taken_from_the_same_side_in_every_joint(
+def test_every_pose_is_approached_from_the_same_side_in_every_joint(
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
     for planned in calibration_looks(PLACE.reference, BALL_MM, 10):
@@ -63,22 +63,20 @@ def test_every_pose_is_taken_from_the_same_side_in_every_joint(
     assert watcher.rejected == {"no sphere in view": 10}
 
 
-def test_a_way_that_is_not_clear_leads_by_home(cell: RecordingCell, watcher: BallWatcher) -> None:
+def test_a_blocked_way_is_replaced_by_one_via_home(cell: RecordingCell, watcher: BallWatcher) -> None:
     refuse(cell, 1)
     watcher.observe(PLACE.first_look)
     assert len(targets(cell)) == 3
     assert targets(cell)[0] == HOME_RAD
 
 
-def test_a_look_that_cannot_be_taken_is_counted_and_left_out(
-    cell: RecordingCell, watcher: BallWatcher
-) -> None:
+def test_an_unreachable_acquisition_is_counted_and_skipped(cell: RecordingCell, watcher: BallWatcher) -> None:
     refuse(cell, 1, 3)  # neither straight nor by way of home
     assert watcher.observe(PLACE.first_look) is None
     assert watcher.rejected == {"ARM-007": 1}
 
 
-def test_an_arm_that_tripped_is_not_taken_for_a_pose_out_of_reach(
+def test_a_tripped_arm_is_not_taken_for_a_pose_out_of_reach(
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
     refuse(cell, 1, 3)
@@ -87,15 +85,15 @@ def test_an_arm_that_tripped_is_not_taken_for_a_pose_out_of_reach(
         watcher.observe(PLACE.first_look)
 
 
-def test_a_ball_that_is_not_there_is_searched_for_and_refused(
-    cell: RecordingCell, watcher: BallWatcher
-) -> None:
+def test_a_missing_ball_is_searched_for_and_then_refused(cell: RecordingCell, watcher: BallWatcher) -> None:
     with pytest.raises(SphereNotInView, match="STE-009"):
         watcher.find(PLACE.first_look)
     assert len(targets(cell)) == 2 * (1 + 36)
 
 
-def test_the_arm_is_told_of_ball_stand_neighbours_and_its_own_head(cell: RecordingCell) -> None:
+def test_the_surroundings_include_the_ball_its_stand_other_balls_and_the_stereo_head(
+    cell: RecordingCell,
+) -> None:
     tool = cell.workcell.flange_from(MountedTool.STEREO_HEAD)
     around = around_ball(cell.theatre.cell, tool, BALL_MM, [[700.0, 60.0, 300.0]])
     assert [obstacle.name for obstacle in around.obstacles] == ["ball's stand", "ball", "other ball 1"]

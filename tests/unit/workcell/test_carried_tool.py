@@ -1,4 +1,4 @@
-"""The tool on a calibrated arm: another arm's record is refused before anything can move by it."""
+"""The tool on a calibrated arm: corrected poses, and refusal of another arm's record."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def test_the_record_of_another_arm_is_refused() -> None:
         calibrated_arm(kr6_r900(ArmVariant.R900_2), _records().arm)
 
 
-def test_the_controller_is_told_a_pose_beside_the_wanted_one_and_joints_that_reach_that() -> None:
+def test_the_pose_sent_to_the_controller_is_corrected_by_the_calibration_of_the_arm() -> None:
     kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     carried = CarriedTool(calibrated_arm(kinematics, records.arm), flange_from_tool)
@@ -38,7 +38,7 @@ def test_the_controller_is_told_a_pose_beside_the_wanted_one_and_joints_that_rea
     assert np.linalg.norm(told.translation_mm - wanted.translation_mm) > 0.3
 
 
-def test_without_a_record_the_controller_is_told_the_wanted_pose_itself() -> None:
+def test_without_a_calibration_record_the_wanted_pose_itself_is_sent_to_the_controller() -> None:
     kinematics, records = kr6_r900(ArmVariant.SIXX), _records()
     flange_from_tool = records.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     carried = CarriedTool(calibrated_arm(kinematics, None), flange_from_tool)

@@ -1,4 +1,4 @@
-"""Centring one sphere, with a true arm and drawn pictures in this process."""
+"""Centring on one sphere, with an imperfect simulated arm and rendered images in this process."""
 
 from __future__ import annotations
 
@@ -59,14 +59,14 @@ def black_out(cell: StereoCell, lost: set[int]) -> None:
     cell.stereo.grab_pair = grab_pair  # type: ignore[method-assign]
 
 
-def test_from_five_millimetres_the_servo_ends_within_eight_steps() -> None:
+def test_the_servo_converges_from_five_millimetres_within_eight_steps() -> None:
     found = servo_campaign(4)
     assert found.failures == []
     assert max(found.residuals_mm) <= END_MM
     assert max(found.steps) <= STEPS
 
 
-def test_without_arm_errors_the_recorded_point_is_the_true_one_beyond_repeatability() -> None:
+def test_without_arm_errors_the_recorded_point_is_true_up_to_repeatability() -> None:
     found = servo_campaign(3, without_arm_errors)
     assert found.failures == []
     assert max(found.beyond_mm) < 0.002  # asked for: 0.02 mm
@@ -74,7 +74,7 @@ def test_without_arm_errors_the_recorded_point_is_the_true_one_beyond_repeatabil
 
 
 @pytest.mark.slow
-def test_sixty_starts_end_within_eight_steps() -> None:
+def test_sixty_starts_converge_within_eight_steps() -> None:
     found = servo_campaign(60, first_seed=50)
     assert found.failures == []
     assert found.within == 60
@@ -82,7 +82,7 @@ def test_sixty_starts_end_within_eight_steps() -> None:
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_of_a_thousand_starts_no_sphere_is_lost_and_999_end_within_eight_steps() -> None:
+def test_of_a_thousand_starts_none_loses_the_sphere_and_999_converge_within_eight_steps() -> None:
     found = servo_campaign(1000, first_seed=300)
     assert found.failures == []
     assert found.within >= 999
@@ -90,7 +90,7 @@ def test_of_a_thousand_starts_no_sphere_is_lost_and_999_end_within_eight_steps()
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_of_five_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> None:
+def test_of_five_thousand_starts_999_in_1000_converge_within_eight_steps() -> None:
     """With looks that tell the truth: what keeps a servo from its end is that the arm does not repeat."""
     found = servo_campaign(5000, drawn=False)
     assert found.failures == []
@@ -99,7 +99,7 @@ def test_of_five_thousand_starts_999_in_a_thousand_end_within_eight_steps() -> N
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_without_arm_errors_no_point_of_three_hundred_is_off_beyond_repeatability() -> None:
+def test_without_arm_errors_all_three_hundred_points_are_true_up_to_repeatability() -> None:
     found = servo_campaign(300, without_arm_errors)
     assert found.failures == []
     assert max(found.beyond_mm) <= 0.02
@@ -108,7 +108,7 @@ def test_without_arm_errors_no_point_of_three_hundred_is_off_beyond_repeatabilit
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
 @pytest.mark.hazard(27)
-def test_where_another_sphere_stands_in_the_way_the_point_is_right_or_there_is_none() -> None:
+def test_with_another_sphere_in_the_way_the_point_is_right_or_refused() -> None:
     """From sides that the path check refuses."""
     found = servo_campaign(100, without_arm_errors, in_sight=False)
     assert max(found.beyond_mm) <= 0.02
@@ -123,7 +123,7 @@ def test_a_sphere_out_of_view_is_found_by_the_search(cell: StereoCell) -> None:
 
 
 @pytest.mark.hazard(27)
-def test_where_there_is_no_sphere_the_whole_pattern_is_looked_at_and_then_refused(cell: StereoCell) -> None:
+def test_a_missing_sphere_is_refused_after_the_whole_search_pattern(cell: StereoCell) -> None:
     cell.centres_mm = cell.centres_mm + np.array(
         [0.0, 0.0, 80.0]
     )  # the starts are drawn far above the spheres
@@ -137,7 +137,7 @@ def test_where_there_is_no_sphere_the_whole_pattern_is_looked_at_and_then_refuse
 
 @pytest.mark.slow
 @pytest.mark.hazard(27)
-def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
+def test_black_images_are_refused_with_that_reason(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(24, 36)
     with pytest.raises(SphereNotFound, match=r"PRO-008.*both cameras: the image is completely dark"):
@@ -145,7 +145,7 @@ def test_black_images_end_in_a_refusal_that_says_so(cell: StereoCell) -> None:
 
 
 @pytest.mark.branch("SPHERE_FAILED")
-def test_saturated_images_are_taken_again_at_a_shorter_exposure_and_the_configured_one_comes_back(
+def test_saturated_images_are_retaken_at_a_shorter_exposure_and_the_configured_one_is_restored(
     cell: StereoCell,
 ) -> None:
     start = start_of(cell, 2.0)
@@ -156,7 +156,7 @@ def test_saturated_images_are_taken_again_at_a_shorter_exposure_and_the_configur
 
 
 @pytest.mark.branch("SPHERE_FAILED")
-def test_after_a_search_in_the_dark_the_sphere_is_found_at_a_longer_exposure(cell: StereoCell) -> None:
+def test_after_a_search_in_dark_images_the_sphere_is_found_at_a_longer_exposure(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(40, 36)
     found = cell.centre(start)
@@ -165,7 +165,7 @@ def test_after_a_search_in_the_dark_the_sphere_is_found_at_a_longer_exposure(cel
 
 
 @pytest.mark.hazard(27)
-def test_images_saturated_at_a_shorter_exposure_too_stop_without_a_search(cell: StereoCell) -> None:
+def test_images_still_saturated_at_a_shorter_exposure_stop_without_a_search(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.stereo.set_exposure(1_000_000, 512)
     with pytest.raises(Saturated, match="STE-011: both cameras: the image is saturated"):
@@ -175,9 +175,7 @@ def test_images_saturated_at_a_shorter_exposure_too_stop_without_a_search(cell: 
 
 @pytest.mark.hazard(25)
 @pytest.mark.parametrize("validity", [Validity.UNPAIRED, Validity.PARTIAL, Validity.MISSING])
-def test_pairs_that_never_come_right_stop_at_once_without_a_search(
-    cell: StereoCell, validity: Validity
-) -> None:
+def test_persistently_unusable_pairs_stop_without_a_search(cell: StereoCell, validity: Validity) -> None:
     start = start_of(cell, 2.0)
     grab = cell.stereo.grab_pair
     cell.stereo.grab_pair = lambda timeout_s=5.0: replace(grab(timeout_s), validity=validity)  # type: ignore[method-assign]
@@ -188,7 +186,7 @@ def test_pairs_that_never_come_right_stop_at_once_without_a_search(
 
 
 @pytest.mark.hazard(25)
-def test_a_pair_that_is_out_of_step_once_is_taken_again(cell: StereoCell) -> None:
+def test_a_pair_out_of_step_once_is_acquired_again(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     grab = cell.stereo.grab_pair
 
@@ -202,7 +200,7 @@ def test_a_pair_that_is_out_of_step_once_is_taken_again(cell: StereoCell) -> Non
 
 @pytest.mark.slow
 @pytest.mark.hazard(27)
-def test_a_hidden_rim_gives_no_point_however_often_it_is_looked_at(cell: StereoCell) -> None:
+def test_a_sphere_with_a_hidden_rim_is_refused(cell: StereoCell) -> None:
     start = start_of(cell, 2.0)
     cell.world.set_fault_script("now: camera occlude right 45 %")
     with pytest.raises(SphereNotFound, match=r"PRO-008.*right camera: too much of the rim is hidden"):
@@ -210,7 +208,7 @@ def test_a_hidden_rim_gives_no_point_however_often_it_is_looked_at(cell: StereoC
 
 
 @pytest.mark.hazard(27)
-def test_a_look_at_a_half_hidden_sphere_shows_it_and_says_why_its_centre_is_not_trusted(
+def test_a_half_hidden_sphere_is_shown_with_the_reason_why_its_centre_is_not_trusted(
     cell: StereoCell,
 ) -> None:
     start = start_of(cell, 2.0)
@@ -225,7 +223,7 @@ def test_a_look_at_a_half_hidden_sphere_shows_it_and_says_why_its_centre_is_not_
 
 
 @pytest.mark.hazard(27)
-def test_a_look_that_is_lost_in_the_middle_is_taken_again(cell: StereoCell) -> None:
+def test_an_acquisition_lost_during_the_servo_is_repeated(cell: StereoCell) -> None:
     start = start_of(cell, 3.0)
     black_out(cell, lost={2})
     found = cell.centre(start)
@@ -234,7 +232,7 @@ def test_a_look_that_is_lost_in_the_middle_is_taken_again(cell: StereoCell) -> N
 
 
 @pytest.mark.hazard(27)
-def test_a_sphere_that_stays_lost_in_the_middle_is_refused(cell: StereoCell) -> None:
+def test_a_sphere_that_stays_lost_during_the_servo_is_refused(cell: StereoCell) -> None:
     start = start_of(cell, 3.0)
     black_out(cell, lost={2, 3})
     with pytest.raises(SphereNotFound, match=r"PRO-008.*was lost during the servo.*completely dark"):
@@ -242,7 +240,7 @@ def test_a_sphere_that_stays_lost_in_the_middle_is_refused(cell: StereoCell) -> 
     assert cell.stereo.pairs == 3
 
 
-def test_blood_glare_and_a_fifth_of_the_rim_hidden_do_not_pull_the_servo(tmp_path: Path) -> None:
+def test_blood_glare_and_a_fifth_of_the_rim_hidden_do_not_bias_the_servo(tmp_path: Path) -> None:
     cell = calibrated_cell(without_arm_errors(named_scene("default", seed=4)), tmp_path)
     start = start_of(cell, 3.0)
     cell.world.set_fault_script(

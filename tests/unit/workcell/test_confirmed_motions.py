@@ -1,4 +1,4 @@
-"""What a question says of a motion is what the arm then drives, for every kind of motion."""
+"""What a question states about a motion is what the arm then does, for every kind of motion."""
 
 import math
 import re
@@ -112,7 +112,9 @@ def points(cell: RecordingCell, plan: MotionPlan) -> list[JointVector]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_duration_and_speed_of_a_question_are_those_that_are_driven(cell: RecordingCell, kind: str) -> None:
+def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
+    cell: RecordingCell, kind: str
+) -> None:
     KINDS[kind](cell)
     (asked,) = cell.operator.asked
     told = TOLD.search(asked.value)
@@ -139,7 +141,7 @@ def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell)
 
 
 @pytest.mark.parametrize("kind", ["insert", "withdraw"])
-def test_what_is_asked_again_after_a_stop_is_what_is_left(cell: RecordingCell, kind: str) -> None:
+def test_after_a_stop_the_question_states_the_remaining_motion(cell: RecordingCell, kind: str) -> None:
     cell.arm.interruptions = 1
     KINDS[kind](cell)
     whole, pause, rest = cell.operator.asked
@@ -149,9 +151,7 @@ def test_what_is_asked_again_after_a_stop_is_what_is_left(cell: RecordingCell, k
 
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("kind", ["insert", "withdraw"])
-def test_a_guide_that_is_pushed_aside_while_it_is_stopped_goes_no_further(
-    cell: RecordingCell, kind: str
-) -> None:
+def test_a_guide_pushed_aside_during_a_stop_does_not_continue(cell: RecordingCell, kind: str) -> None:
     cell.arm.interruptions = 1
     answer = cell.operator.ask
 

@@ -1,4 +1,4 @@
-"""A tracker that tracks the frame on the head as a tool tells of the same spheres as one that does not."""
+"""The frame on the head gives the same spheres whether it is tracked as a tool or as strays."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -28,13 +28,13 @@ def reading(validity: Validity = Validity.OK) -> TrackerFrame:
     return TrackerFrame(STAMP, Validity.OK, (tool,), (StrayReading((1.0, 2.0, -1500.0), Validity.OK),))
 
 
-def test_the_frame_is_known_by_its_markers_whatever_it_is_called() -> None:
+def test_the_frame_is_recognised_by_its_markers_and_not_by_its_name() -> None:
     assert name_of_frame(Tracker().markers_mm) == "cross"
     assert name_of_frame({"M": OTHER}) is None
     assert name_of_frame({"mirrored": [(x, -y, z) for x, y, z in SPHERE_CENTRES_MM]}) is None
 
 
-def test_its_spheres_join_the_strays_where_its_pose_has_them() -> None:
+def test_the_spheres_of_the_tracked_frame_are_added_to_the_strays() -> None:
     first, *spheres = with_its_spheres(Tracker(), reading()).strays
     assert first.position_mm == (1.0, 2.0, -1500.0)
     found = np.array([one.position_mm for one in spheres])
@@ -42,6 +42,6 @@ def test_its_spheres_join_the_strays_where_its_pose_has_them() -> None:
 
 
 @pytest.mark.parametrize("validity", [Validity.MISSING, Validity.PARTIAL, Validity.OUT_OF_VOLUME])
-def test_without_a_pose_to_trust_nothing_is_added(validity: Validity) -> None:
+def test_no_spheres_are_added_without_a_valid_pose(validity: Validity) -> None:
     seen = reading(validity)
     assert with_its_spheres(Tracker(), seen) is seen

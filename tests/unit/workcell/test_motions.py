@@ -1,4 +1,4 @@
-"""The workcell's motions: each an intent and a result in the journal, none past a guide before an entry."""
+"""Workcell motions: each has an intent and a result in the journal, none passes a guide before an entry."""
 
 import math
 import os
@@ -56,7 +56,7 @@ def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
     return made
 
 
-def test_every_motion_is_an_intent_and_a_result(cell: RecordingCell) -> None:
+def test_every_motion_is_recorded_as_an_intent_and_a_result(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.workcell.go(turned(0.1))
     cell.workcell.settle(turned(0.2), (1,) * 6)
@@ -95,7 +95,7 @@ def test_the_intent_is_on_the_disk_before_the_arm_moves(
 
 
 @pytest.mark.hazard(33)
-def test_without_an_open_journal_there_is_no_workcell(cell: RecordingCell) -> None:
+def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: RecordingCell) -> None:
     cell.journal.close()
     with pytest.raises(JournalNotWritable, match="it is closed"):
         cell.workcell.go(turned(0.1))
@@ -104,14 +104,14 @@ def test_without_an_open_journal_there_is_no_workcell(cell: RecordingCell) -> No
     assert cell.arm.motions == []
 
 
-def test_a_motion_that_fails_says_so_in_the_journal(cell: RecordingCell) -> None:
+def test_a_failed_motion_is_recorded_in_the_journal(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("telegrams ceased")
     with pytest.raises(LinkTimeout):
         cell.workcell.go(turned(0.1))
     assert motions(cell) == [("motion", "go"), ("moved", LinkTimeout.code)]
 
 
-def test_where_the_straight_way_is_not_clear_the_arm_goes_by_way_of_home(cell: RecordingCell) -> None:
+def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.arm.joints_rad = turned(-0.1)
     cell.arm.blocked = lambda start, _target: start not in (HOME,) and _target != HOME
@@ -119,7 +119,7 @@ def test_where_the_straight_way_is_not_clear_the_arm_goes_by_way_of_home(cell: R
     assert [to for _, to in cell.arm.motions] == [HOME, turned(0.1)]
 
 
-def test_where_no_way_is_clear_nothing_is_forced(cell: RecordingCell) -> None:
+def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
     cell.workcell.set_home()
     cell.arm.blocked = lambda _start, _target: True
     with pytest.raises(NotClear):
@@ -127,7 +127,7 @@ def test_where_no_way_is_clear_nothing_is_forced(cell: RecordingCell) -> None:
     assert cell.arm.motions == []
 
 
-def test_joints_settle_from_the_side_that_was_asked_for(cell: RecordingCell) -> None:
+def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
     cell.workcell.settle(HOME, (1, -1, 1, -1, 1, -1))
     back, there = (to for _, to in cell.arm.motions)
     assert there == HOME
@@ -157,7 +157,7 @@ OTHER_MOTIONS: dict[str, Anything] = {
 
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("what", OTHER_MOTIONS)
-def test_while_the_guide_is_before_an_entry_nothing_moves_but_along_its_axis(
+def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused(
     cell: RecordingCell, what: str
 ) -> None:
     inserted(cell)
@@ -189,7 +189,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
 
 
 @pytest.mark.hazard(24)
-def test_an_approach_that_fails_half_way_leaves_the_guide_known_to_be_on_its_axis(
+def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
     cell: RecordingCell,
 ) -> None:
     with_guide(cell)
@@ -216,7 +216,7 @@ def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: Recordin
 
 
 @pytest.mark.hazard(3)
-def test_nothing_is_inserted_with_another_tool_than_the_guide(cell: RecordingCell) -> None:
+def test_nothing_is_inserted_with_a_tool_other_than_the_guide(cell: RecordingCell) -> None:
     with_guide(cell)
     made = insertion(cell)
     cell.arm.mounted = 1
@@ -232,7 +232,7 @@ def test_poses_of_a_tool_that_was_not_checked_are_refused(cell: RecordingCell) -
         cell.workcell.tool_pose()
 
 
-def test_only_what_is_not_running_is_started_and_only_what_runs_is_ended(cell: RecordingCell) -> None:
+def test_devices_are_started_and_stopped_only_once(cell: RecordingCell) -> None:
     cell.arm.state = cell.stereo.state = Lifecycle.CONFIGURED
     cell.workcell.start()
     cell.workcell.start(cameras=True)

@@ -1,4 +1,4 @@
-"""What an arm wants confirmed before it starts is asked in its words; without a yes it stays off."""
+"""An arm that requires confirmation before it starts asks in its driver's words, or else stays off."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +32,7 @@ def cell_with(folder: Path, operator: RecordingOperator, *, words: str | None = 
 
 
 @pytest.mark.hazard(20)
-def test_an_arm_is_started_once_the_operator_confirmed_what_its_driver_says(tmp_path: Path) -> None:
+def test_an_arm_starts_after_the_operator_confirms_the_drivers_statement(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.start()
     assert [(one.topic, one.value) for one in cell.operator.asked] == [(Topic.UNVERIFIED, WORDS)]
@@ -40,7 +40,7 @@ def test_an_arm_is_started_once_the_operator_confirmed_what_its_driver_says(tmp_
 
 
 @pytest.mark.hazard(20)
-def test_without_a_yes_the_arm_stays_off(tmp_path: Path) -> None:
+def test_the_arm_stays_off_without_confirmation(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator(Topic.UNVERIFIED))
     with pytest.raises(NotConfirmed, match="start the arm"):
         cell.workcell.start()
@@ -48,7 +48,7 @@ def test_without_a_yes_the_arm_stays_off(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(36)
-def test_the_first_motion_is_still_asked_about(tmp_path: Path) -> None:
+def test_the_first_motion_still_needs_its_own_confirmation(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.set_home()
     cell.workcell.identify_mounted()
@@ -57,7 +57,7 @@ def test_the_first_motion_is_still_asked_about(tmp_path: Path) -> None:
     assert [one.topic for one in cell.operator.asked] == [Topic.UNVERIFIED, Topic.FIRST_MOTION]
 
 
-def test_an_arm_that_asks_nothing_is_started_unasked(tmp_path: Path) -> None:
+def test_an_arm_that_requires_no_confirmation_starts_without_asking(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator(), words=None)
     cell.workcell.start()
     assert cell.operator.asked == []

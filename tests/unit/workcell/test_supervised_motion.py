@@ -1,4 +1,4 @@
-"""A motion is confirmed where it is the first, and planned anew after a stop only if the operator says so."""
+"""The first motion is confirmed, and a stopped one is planned again only if the operator agrees."""
 
 import pytest
 from plain_steps import plain_order
@@ -32,7 +32,7 @@ def topics(cell: RecordingCell) -> list[Topic]:
 
 
 @pytest.mark.hazard(36)
-def test_the_first_motion_is_asked_about_with_what_will_move_the_second_is_not(
+def test_only_the_first_motion_is_confirmed_and_the_question_states_what_will_move(
     cell: RecordingCell,
 ) -> None:
     supervised(cell)
@@ -46,7 +46,7 @@ def test_the_first_motion_is_asked_about_with_what_will_move_the_second_is_not(
 
 
 @pytest.mark.hazard(36)
-def test_without_a_yes_to_the_first_motion_nothing_moves(cell: RecordingCell) -> None:
+def test_nothing_moves_unless_the_first_motion_is_confirmed(cell: RecordingCell) -> None:
     supervised(cell, Topic.FIRST_MOTION)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.go(turned(0.1))
@@ -54,7 +54,7 @@ def test_without_a_yes_to_the_first_motion_nothing_moves(cell: RecordingCell) ->
 
 
 @pytest.mark.hazard(32)
-def test_after_a_stop_the_next_motion_is_a_first_one_again(cell: RecordingCell) -> None:
+def test_after_a_stop_the_next_motion_needs_confirmation_again(cell: RecordingCell) -> None:
     supervised(cell)
     cell.workcell.go(turned(0.1))
     cell.workcell.stop()
@@ -63,7 +63,7 @@ def test_after_a_stop_the_next_motion_is_a_first_one_again(cell: RecordingCell) 
 
 
 @pytest.mark.hazard(5)
-def test_a_motion_that_somebody_stopped_goes_on_from_where_the_arm_stands_when_the_operator_says_so(
+def test_a_stopped_motion_resumes_from_the_current_position_if_the_operator_agrees(
     cell: RecordingCell,
 ) -> None:
     engine = supervised(cell)
@@ -76,7 +76,7 @@ def test_a_motion_that_somebody_stopped_goes_on_from_where_the_arm_stands_when_t
 
 
 @pytest.mark.hazard(5)
-def test_a_stop_while_the_first_motion_is_asked_about_holds_until_it_is_answered(cell: RecordingCell) -> None:
+def test_a_stop_during_the_first_question_holds_the_arm_until_it_is_answered(cell: RecordingCell) -> None:
     engine, ask, at_pause = supervised(cell), cell.operator.ask, []
 
     def stopping(question: Question) -> str:
@@ -93,7 +93,7 @@ def test_a_stop_while_the_first_motion_is_asked_about_holds_until_it_is_answered
     assert at_pause == [(Lifecycle.HOLD, [])]
 
 
-def test_a_motion_that_somebody_stopped_moves_no_more_when_the_operator_aborts(cell: RecordingCell) -> None:
+def test_a_stopped_motion_does_not_resume_if_the_operator_aborts(cell: RecordingCell) -> None:
     supervised(cell, Topic.PAUSE)
     cell.arm.interruptions = 1
     with pytest.raises(OperatorAborted):

@@ -1,4 +1,4 @@
-"""The way home: straight where that is clear, or else back the way the arm came."""
+"""The way home: straight if that is clear, otherwise back the way the arm came."""
 
 import pytest
 
@@ -39,12 +39,12 @@ def arm() -> Arm:
     return arm
 
 
-def test_where_it_is_clear_the_arm_goes_straight(arm: Arm) -> None:
+def test_the_arm_goes_straight_home_if_the_way_is_clear(arm: Arm) -> None:
     assert arm.way.go_back().joints_rad == HOME
     assert arm.moves == [("home", HOME)]
 
 
-def test_where_it_is_not_clear_the_arm_goes_back_the_way_it_came(arm: Arm) -> None:
+def test_the_arm_goes_back_the_way_it_came_if_the_straight_way_is_blocked(arm: Arm) -> None:
     arm.clear_rad = 0.15
     arm.way.go_back()
     assert arm.moves == [("back", TWO), ("back", ONE), ("home", HOME)]
@@ -59,18 +59,20 @@ def test_the_way_is_forgotten_at_home(arm: Arm) -> None:
     assert not arm.way.away
 
 
-def test_an_arm_that_came_back_by_itself_is_not_away(arm: Arm) -> None:
+def test_an_arm_that_moved_home_on_its_own_is_not_away(arm: Arm) -> None:
     arm.move("go", HOME)
     assert not arm.way.away
 
 
 @pytest.mark.parametrize(("beside", "at_home"), [(0.9, True), (1.1, False)])
-def test_home_is_where_every_joint_is_near_its_own(arm: Arm, beside: float, at_home: bool) -> None:
+def test_the_arm_is_at_home_when_every_joint_is_near_its_home_angle(
+    arm: Arm, beside: float, at_home: bool
+) -> None:
     arm.joints_rad = (*HOME[:5], HOME[5] + beside * AT_HOME_RAD)
     assert arm.way.at_home is at_home
 
 
-def test_a_way_that_is_taken_up_leads_as_the_one_that_was_left(arm: Arm) -> None:
+def test_a_restored_way_leads_back_like_the_original_one(arm: Arm) -> None:
     again = Arm()
     again.joints_rad, again.clear_rad = TWO, 0.15
     again.way.take_up(HOME, (ONE, TWO))
@@ -78,7 +80,7 @@ def test_a_way_that_is_taken_up_leads_as_the_one_that_was_left(arm: Arm) -> None
     assert [place for _, place in again.moves] == [TWO, ONE, HOME]
 
 
-def test_before_there_is_a_home_nothing_leads_there() -> None:
+def test_nothing_moves_home_before_a_home_is_set() -> None:
     arm = Arm()
     assert not arm.way.at_home
     with pytest.raises(StepRefused, match="Run set_up first"):

@@ -84,7 +84,7 @@ def _said(line: socket.socket) -> bytes:
     ],
     ids=lambda sent: repr(sent[:24]),
 )
-def test_a_connection_that_begins_or_goes_on_otherwise_carries_nothing_out_and_is_ended(
+def test_a_malformed_or_unauthorised_connection_executes_nothing_and_is_closed(
     port: ControlPort, world: World, sent: bytes, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with _connected(port) as line:
@@ -96,7 +96,7 @@ def test_a_connection_that_begins_or_goes_on_otherwise_carries_nothing_out_and_i
 
 
 @pytest.mark.parametrize("number", ['"\\ud800"', "-1", "null", '{"a": 1}'])
-def test_a_request_with_a_strange_value_is_answered_with_the_reason(
+def test_a_request_with_an_invalid_value_is_answered_with_the_reason(
     port: ControlPort, world: World, number: str
 ) -> None:
     with _connected(port) as line:
@@ -107,7 +107,7 @@ def test_a_request_with_a_strange_value_is_answered_with_the_reason(
     assert world.mounted_tool() != GUIDE
 
 
-def test_a_mistake_of_the_room_is_answered_and_the_connection_goes_on(
+def test_an_internal_error_is_answered_and_the_connection_stays_open(
     port: ControlPort, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object) -> None:
@@ -123,19 +123,19 @@ def test_a_mistake_of_the_room_is_answered_and_the_connection_goes_on(
 
 
 @pytest.mark.parametrize("number", ["nan", "inf"])
-def test_a_number_that_is_not_finite_is_refused_by_its_name(port: ControlPort, number: str) -> None:
+def test_a_number_that_is_not_finite_is_refused(port: ControlPort, number: str) -> None:
     told = one_error(in_this_process(ronna_sim, "work", "skin", number, "--control", port.endpoint).stderr)
     assert told[0].startswith("CTL-002: work is refused: a number is not finite")
 
 
 @pytest.mark.parametrize("sent", [b"", b'{"tok', b"TOKEN", b"TOKEN{"])
-def test_whoever_sends_no_line_is_hung_up_on(port: ControlPort, sent: bytes) -> None:
+def test_a_client_that_sends_no_complete_line_is_disconnected(port: ControlPort, sent: bytes) -> None:
     with _connected(port) as line:
         line.sendall(sent.replace(b"TOKEN", _token(port)))
         assert _said(line) in (b"", b'{"ok": true}\n')
 
 
-def test_a_line_in_drips_has_the_time_of_one_line(room: Room) -> None:
+def test_a_line_sent_in_drips_is_cut_off_after_the_time_of_one_line(room: Room) -> None:
     port = ControlPort(room, first_line_limit_s=SOON_S)
     with _connected(port) as line:
         line.settimeout(SOON_S / 4)
@@ -153,7 +153,7 @@ def test_a_line_in_drips_has_the_time_of_one_line(room: Room) -> None:
     port.close()
 
 
-def test_those_without_the_token_keep_nobody_out_who_has_it(room: Room, world: World) -> None:
+def test_clients_without_the_token_do_not_keep_out_those_with_it(room: Room, world: World) -> None:
     port = ControlPort(room)
     strangers = [_connected(port) for _ in range(3 * MOST_CONNECTIONS)]
     ask_control_port(port.endpoint, "mount", number=GUIDE)
@@ -166,7 +166,7 @@ def test_those_without_the_token_keep_nobody_out_who_has_it(room: Room, world: W
     port.close()
 
 
-def test_a_reset_connection_leaves_no_trace_and_the_next_is_served(
+def test_a_reset_connection_causes_no_traceback_and_the_next_is_served(
     port: ControlPort, capfd: pytest.CaptureFixture[str]
 ) -> None:
     for _ in range(5):
@@ -178,7 +178,9 @@ def test_a_reset_connection_leaves_no_trace_and_the_next_is_served(
     assert "Traceback" not in capfd.readouterr().err
 
 
-def test_each_port_has_a_token_of_its_own_and_tells_who_brings_another(port: ControlPort, room: Room) -> None:
+def test_each_port_has_its_own_token_and_explains_the_refusal_of_another(
+    port: ControlPort, room: Room
+) -> None:
     another = ControlPort(room)
     stale = ControlAddress(
         ControlAddress.parse(port.endpoint).endpoint, ControlAddress.parse(another.endpoint).token
@@ -193,7 +195,7 @@ def test_an_endpoint_without_a_token_is_refused_before_anything_is_sent() -> Non
         ControlPortClient("tcp://127.0.0.1:9")
 
 
-def test_the_endpoint_is_taken_from_the_environment(
+def test_the_endpoint_is_read_from_the_environment(
     port: ControlPort, world: World, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("RONNA_CONTROL", port.endpoint)
@@ -210,7 +212,7 @@ def test_the_endpoint_is_taken_from_the_environment(
     "line",
     ["at 0 s: tracker occlude marker 99 for 1 s", "tea"],
 )
-def test_a_live_fault_that_cannot_happen_is_refused_with_its_code(room: Room, line: str) -> None:
+def test_an_impossible_live_fault_is_refused_with_its_code(room: Room, line: str) -> None:
     answer: dict[str, Any] = room.answer({"do": "fault", "line": line})
     assert not answer["ok"]
     assert "SIM-003" in answer["reason"]

@@ -75,7 +75,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
         ),
     ],
 )
-def test_a_wrong_line_is_refused_with_its_place_what_was_expected_and_what_to_write(
+def test_a_wrong_line_is_refused_with_its_position_the_expectation_and_a_suggestion(
     line: str, said: str
 ) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: {said}"):
@@ -93,7 +93,7 @@ def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
     assert seen == [(), (), ("2",), ()]
 
 
-def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -> None:
+def test_a_fault_tied_to_a_step_begins_with_it_and_affects_only_its_device() -> None:
     world = World.create(named_scene("mini"), paced=False)
     world.set_fault_script("when step == relocalization: robot drop 5 % for 1 s")
     robot, tracker = FaultBoard(world, "robot"), FaultBoard(world, "tracker")
@@ -106,7 +106,7 @@ def test_a_fault_of_a_step_begins_with_the_step_and_concerns_its_device_only() -
     assert robot.active("drop") == ()
 
 
-def test_every_wrong_line_is_named() -> None:
+def test_every_wrong_line_is_reported() -> None:
     script = "at 1 s: tea for 2 s\nat 2 s: robot drop 5 % for 1 s\nat 3 s robot drop 5 % for 1 s\nnow: tea"
     with pytest.raises(BadFaultScript, match=r"SIM-003: line 1, .*; line 3, .*; line 4, ") as caught:
         parse_faults(script)
@@ -122,7 +122,7 @@ def test_every_wrong_line_is_named() -> None:
         ("at cycle 5: tracker cold", "expected a time: only the robot counts cycles"),
     ],
 )
-def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
+def test_a_fault_outside_the_scene_is_refused(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: {said}"):
         check_faults(parse_faults("\n" + line), named_scene("mini"))
 
@@ -140,14 +140,14 @@ def test_what_is_not_in_the_scene_cannot_fail(line: str, said: str) -> None:
         ("tracker occlude marker 1", ("tracker",), "expected a scene with markers on a head, got bench"),
     ],
 )
-def test_a_simulator_alone_has_only_faults_of_what_is_there(
+def test_a_single_simulator_accepts_only_faults_of_what_it_simulates(
     line: str, devices: tuple[str, ...], said: str
 ) -> None:
     with pytest.raises(BadFaultScript, match=said):
         check_faults([parse_request(line)], named_scene("bench"), devices, loaded=["fork"])
 
 
-def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
+def test_the_effect_of_a_fault_is_described_with_its_time_and_meaning() -> None:
     (fault,) = parse_faults("at 3 s: robot drop 5 % for 2 s")
     assert fault.effect == (
         "robot drop 5 %, from theatre time 3.000 s on, for 2 s. That share of the RSI replies never arrives."
@@ -161,11 +161,11 @@ def test_what_took_effect_is_told_with_its_time_and_meaning() -> None:
 
 
 @pytest.mark.parametrize("step", ["tea", "relocalization:left-STN"])
-def test_a_step_of_any_name_is_taken(step: str) -> None:
+def test_a_step_of_any_name_is_accepted(step: str) -> None:
     check_faults(parse_faults(f"when step == {step}: robot drop 5 % for 1 s"), named_scene("mini"))
 
 
-def test_a_script_that_fits_the_scene_is_taken_whole(tmp_path: Path) -> None:
+def test_a_script_that_fits_the_scene_is_accepted_unchanged(tmp_path: Path) -> None:
     path = tmp_path / "faults.txt"
     path.write_text(
         "at 0 s: tracker occlude marker 3 for 1 s\nat 1 s: tracker occlude tool robot_frame for 1 s\n"
@@ -190,19 +190,19 @@ def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
     assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
 
 
-def test_now_becomes_the_moment_at_which_it_was_said() -> None:
+def test_now_is_replaced_by_the_time_of_the_request() -> None:
     assert begin_now("now: robot drop 5 % for 1 s", 12.5) == "at 12.500000000 s: robot drop 5 % for 1 s"
     assert begin_now("at 1 s: robot drop 5 %", 12.5) == "at 1 s: robot drop 5 %"
 
 
-def test_what_begins_now_acts_on_a_clock_that_stands() -> None:
+def test_a_fault_that_begins_now_acts_while_the_clock_is_stopped() -> None:
     world = World.create(named_scene("mini"), paced=False)
     world.clock.sleep(1 / 60)  # as after a frame of the tracker: no whole microsecond
     world.set_fault_script(begin_now("robot drop 5 %", world.clock.now_s()))
     assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
 
 
-def test_what_was_cleared_and_asked_for_again_happens_again_though_the_clock_stands() -> None:
+def test_a_fault_requested_again_after_clearing_happens_again_while_the_clock_is_stopped() -> None:
     world = World.create(named_scene("mini"), paced=False)
     board = FaultBoard(world, "robot")
     happened = []
@@ -212,7 +212,7 @@ def test_what_was_cleared_and_asked_for_again_happens_again_though_the_clock_sta
     assert happened == [1, 0, 1, 1]
 
 
-def test_the_example_of_every_kind_is_a_line_that_the_language_reads() -> None:
+def test_the_example_of_every_fault_kind_is_valid() -> None:
     for kind in FAULT_KINDS:
         (fault,) = parse_faults(kind.example)
         check_faults((fault,), named_scene("mini"))

@@ -1,4 +1,4 @@
-"""What the gauge finds of a wrong tip, and how often it accuses a right one: 1,000 trials each."""
+"""How often the gauge detects a wrong tip and rejects a right one, over many trials."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def share_refused(**of_the_guide: object) -> float:
 
 
 @pytest.mark.hazard(47)
-def test_a_tip_that_is_wrong_by_a_tenth_is_caught_in_95_of_100() -> None:
+def test_a_tip_off_by_a_tenth_of_a_millimetre_is_caught_in_95_of_100_trials() -> None:
     directions = np.random.default_rng(7).normal(size=(TRIALS, 3))
     bent_mm = 0.1 * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     caught = np.mean([refused(seed, bent_mm=tuple(way)) for seed, way in enumerate(bent_mm.tolist())])
@@ -57,11 +57,11 @@ def test_a_tip_that_is_wrong_by_a_tenth_is_caught_in_95_of_100() -> None:
 
 
 @pytest.mark.hazard(47)
-def test_a_right_tip_is_accused_at_most_once_in_a_hundred() -> None:
+def test_a_right_tip_is_rejected_at_most_once_in_a_hundred_trials() -> None:
     assert share_refused() <= 0.01
 
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("wrong", [{"bent_mm": (0.0, 0.0, 5.0)}, {"tilt_deg": (0.3, 0.0)}])
-def test_another_tool_is_always_caught(wrong: dict[str, object]) -> None:
+def test_a_clearly_wrong_tool_is_always_caught(wrong: dict[str, object]) -> None:
     assert all(refused(seed, **wrong) for seed in range(100))

@@ -1,4 +1,4 @@
-"""What hands do in the simulated room: the depth stop, the instrument, a push, by the faults that act."""
+"""What simulated hands do: depth stop, instrument, pushing the cart, and the faults that act on them."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ def planned_mm() -> np.ndarray:
     return np.asarray((tip @ np.array([0.0, 0.0, beyond_mm, 1.0]))[:3])
 
 
-def test_an_instrument_goes_down_the_bore_as_deep_as_its_stop(tmp_path: Path) -> None:
+def test_an_instrument_goes_as_deep_as_its_depth_stop(tmp_path: Path) -> None:
     assert tip_mm(a_world(), tmp_path) == pytest.approx(planned_mm(), abs=1e-9)
 
 
-def test_in_a_bore_with_play_it_lies_beside_the_axis_by_no_more_than_the_play_allows(tmp_path: Path) -> None:
+def test_an_instrument_is_off_the_axis_by_no_more_than_the_play_of_the_bore_allows(tmp_path: Path) -> None:
     guide = EXACT.model_copy(update={"play_mm": 0.1})
     beyond_mm = STOP_MM - guide.bore_mm
     most_mm = 0.05 * (1.0 + 2.0 * beyond_mm / guide.bore_mm)
@@ -67,7 +67,7 @@ def test_in_a_bore_with_play_it_lies_beside_the_axis_by_no_more_than_the_play_al
         ("bad seat 0.1 mm 0 deg", (0.0, 0.0, 0.1)),
     ],
 )
-def test_faults_move_the_tip_as_they_say(
+def test_faults_move_the_tip_by_their_stated_amounts(
     tmp_path: Path, fault: str, moved_mm: tuple[float, float, float]
 ) -> None:
     world = a_world()
@@ -75,13 +75,13 @@ def test_faults_move_the_tip_as_they_say(
     assert tip_mm(world, tmp_path) - planned_mm() == pytest.approx(moved_mm, abs=1e-9)
 
 
-def test_a_depth_stop_that_is_set_wrong_is_read_as_it_is() -> None:
+def test_a_wrongly_set_depth_stop_reads_its_actual_value() -> None:
     world = a_world()
     world.set_fault_script("at 0 s: room depth stop off by -2 mm")
     assert Hands(world, None).work(DEPTH_STOP, "T1", (STOP_MM,)) == (STOP_MM - 2.0,)
 
 
-def test_work_that_cannot_be_done_is_refused_with_a_reason(tmp_path: Path) -> None:
+def test_impossible_work_is_refused_with_a_reason(tmp_path: Path) -> None:
     room = Room(a_world(), tmp_path)
     assert room.answer({"do": "work", "task": SKIN})["readings"] == []
     for request, reason in (
@@ -106,13 +106,13 @@ def shift_mm(world: World) -> tuple[float, float, float]:
     return ShiftedRoom(world).now().head_mm
 
 
-def test_a_locked_cart_stands_when_somebody_leans_on_it() -> None:
+def test_a_locked_cart_does_not_move_when_pushed() -> None:
     world = a_world()
     Hands(world, None).work(CART_PUSH, "", ())
     assert shift_mm(world) == (0.0, 0.0, 0.0)
 
 
-def test_a_cart_that_is_not_locked_rolls_and_stays_where_it_was_pushed_to() -> None:
+def test_an_unlocked_cart_rolls_and_stays_where_it_was_pushed() -> None:
     world = a_world()
     world.set_fault_script("at 0 s: room unlocked cart 6 0 -3 mm per min")
     world.clock.advance_cycle(30_000_000_000)
@@ -121,7 +121,7 @@ def test_a_cart_that_is_not_locked_rolls_and_stays_where_it_was_pushed_to() -> N
     assert shift_mm(world) == pytest.approx((-9.0, 0.0, 4.5))
 
 
-def test_a_fault_since_a_step_begins_with_it_and_outlasts_it() -> None:
+def test_a_since_fault_begins_with_its_step_and_outlasts_it() -> None:
     world = a_world()
     room = Room(world, None)
     world.set_fault_script("since step == relocalization:T2: room shift cart 0 2 0 mm  # kicked")

@@ -1,4 +1,4 @@
-"""A world that another theatre left, and goes on."""
+"""A world that one theatre left and another one continues."""
 
 from math import degrees
 from pathlib import Path
@@ -32,7 +32,7 @@ def moved(scene: Scene, world: World) -> Manipulator:
     return arm
 
 
-def test_arm_tool_and_time_go_on_where_they_were_left(scene: Scene, tmp_path: Path) -> None:
+def test_arm_tool_and_time_continue_from_where_they_were_left(scene: Scene, tmp_path: Path) -> None:
     world = World.create(scene, paced=False)
     before = moved(scene, world)
     world.mount_tool(2)
@@ -49,9 +49,7 @@ def test_arm_tool_and_time_go_on_where_they_were_left(scene: Scene, tmp_path: Pa
     assert degrees(again.arm().joints_rad[0]) == pytest.approx(scene.arm.home_deg[0] + 3.0)
 
 
-def test_what_was_moved_or_bent_stays_so_and_what_hid_or_pressed_is_gone(
-    scene: Scene, tmp_path: Path
-) -> None:
+def test_lasting_changes_persist_and_occlusions_and_pushes_end(scene: Scene, tmp_path: Path) -> None:
     world = World.create(scene, paced=False)
     world.clock.sleep(10.0)
     lines = (
@@ -72,7 +70,7 @@ def test_what_was_moved_or_bent_stays_so_and_what_hid_or_pressed_is_gone(
     assert FaultBoard(again, "tracker").empty
 
 
-def test_a_cart_that_has_rolled_goes_on_from_where_it_is(tmp_path: Path) -> None:
+def test_a_rolling_cart_continues_from_its_current_position(tmp_path: Path) -> None:
     scene = named_scene("mini", seed=3)
     world = World.create(scene, paced=False)
     world.set_fault_script("at 0 s: room unlocked cart 0 6 0 mm per min")
@@ -86,11 +84,11 @@ def test_a_cart_that_has_rolled_goes_on_from_where_it_is(tmp_path: Path) -> None
     assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -4.0, 0.0))
 
 
-def test_a_folder_in_which_no_theatre_ended_leaves_nothing_to_go_on_with(tmp_path: Path) -> None:
+def test_a_folder_without_an_ended_theatre_has_no_left_world(tmp_path: Path) -> None:
     assert read_left_world(tmp_path) is None
 
 
-def test_a_changed_file_is_refused(tmp_path: Path) -> None:
+def test_an_invalid_left_world_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / LEFT_WORLD_FILE).write_text('{"theatre_time_ns": -1}')
     with pytest.raises(BadLeftWorld, match="SIM-012"):
         read_left_world(tmp_path)

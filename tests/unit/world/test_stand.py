@@ -1,4 +1,4 @@
-"""The calibration stand: its ball is seen by the head, its dials show where the guide's tip is."""
+"""The calibration stand: the head sees its ball, and its dials show the offset of the guide's tip."""
 
 from __future__ import annotations
 
@@ -37,11 +37,11 @@ def bring_tip(world: World, beside_mm: tuple[float, float, float]) -> None:
     world.publish_arm(ArmState(JOINTS, flange, 1, True))
 
 
-def test_at_the_place_of_the_ball_the_dials_show_nothing(world: World) -> None:
+def test_the_dials_read_zero_at_the_place_of_the_ball(world: World) -> None:
     assert np.allclose(read_dials(world), 0.0, atol=0.02)
 
 
-def test_the_dials_show_how_far_the_tip_is_beside_it_along_their_own_axes(world: World) -> None:
+def test_the_dials_show_the_tip_offset_along_their_own_axes(world: World) -> None:
     beside = (1.0, -2.0, 0.5)
     bring_tip(world, beside)
     read = read_dials(world)

@@ -16,13 +16,13 @@ def sampled() -> TipSample:
     return sample_instrument(world, TrueGuide(world), "T1", STOP_MM, 0)
 
 
-def test_samples_are_read_as_they_were_taken(tmp_path: Path) -> None:
+def test_samples_are_read_back_unchanged(tmp_path: Path) -> None:
     sample = sampled()
     append_sample(sample, tmp_path)
     assert read_samples(tmp_path) == [sample]
 
 
-def test_every_bad_line_of_the_truth_is_named(tmp_path: Path) -> None:
+def test_every_bad_line_of_the_truth_is_reported(tmp_path: Path) -> None:
     append_sample(sampled(), tmp_path)
     with (tmp_path / TRUTH_FILE).open("a") as file:
         file.write('{"target": "T1"\nnonsense\n')

@@ -29,12 +29,12 @@ def test_another_process_sees_scene_arm_tool_step_and_faults() -> None:
     assert seen.fault_script() == (1, "at 1 s: robot drop 5 % for 1 s")
 
 
-def test_a_world_that_has_gone_is_refused() -> None:
+def test_a_world_that_no_longer_exists_is_refused() -> None:
     with pytest.raises(WorldUnavailable, match="SIM-002"):
         World.open("shm:///proc/self/fd/9999")
 
 
-def test_the_clock_lies_in_a_block_of_its_own_with_nothing_of_the_scene() -> None:
+def test_the_clock_is_in_its_own_memory_block_without_the_scene() -> None:
     world = World.create(named_scene("mini"), paced=False)
     assert world.clock_endpoint != world.endpoint
     assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK.size_bytes

@@ -1,4 +1,4 @@
-"""Distances agree with a library that we did not write, and between planning and the live watch."""
+"""Distances agree with a third-party library, and between planning and the live watch."""
 
 import math
 import random
@@ -72,7 +72,7 @@ def gap_mm(a: Capsule, b: Capsule) -> float:
     return apart - a.radius_mm - b.radius_mm
 
 
-def test_the_distance_of_two_capsules_is_coals() -> None:
+def test_the_distance_of_two_capsules_agrees_with_coal() -> None:
     rng = random.Random(1)
     compared = 0
     for _ in range(2000):
@@ -84,7 +84,7 @@ def test_the_distance_of_two_capsules_is_coals() -> None:
     assert compared > 1900
 
 
-def test_both_formulas_give_one_distance() -> None:
+def test_both_formulas_give_the_same_distance() -> None:
     rng = random.Random(2)
     pairs = [(_capsule(rng), _capsule(rng)) for _ in range(3000)]
     columns = [
@@ -97,7 +97,7 @@ def test_both_formulas_give_one_distance() -> None:
 
 
 @pytest.mark.parametrize("axes", [SEMI_AXES_MM, (90.0, 75.0, 95.0), (80.0, 80.0, 80.0), (60.0, 100.0, 110.0)])
-def test_the_capsules_of_a_head_hold_its_ellipsoid_and_little_more(axes: Vector3) -> None:
+def test_the_capsules_of_a_head_enclose_its_ellipsoid_tightly(axes: Vector3) -> None:
     pose = Pose.from_kuka(10.0, -20.0, 30.0, 40.0, 50.0, 60.0)
     capsules = covering_ellipsoid(axes, pose)
     rng = np.random.default_rng(4)
@@ -130,7 +130,7 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
 
 
 @pytest.mark.parametrize("arm", [MODEL, Ur5()], ids=lambda arm: arm.name)
-def test_no_body_moves_farther_than_the_levers_of_the_joints_say(arm: Kinematics) -> None:
+def test_no_body_moves_farther_than_the_joint_levers_allow(arm: Kinematics) -> None:
     rng = random.Random(6)
     bodies = Bodies(arm, AROUND)
     levers = arm.levers_mm([end for part in AROUND.tool for end in part.capsule[:2]])
@@ -150,7 +150,7 @@ def test_no_body_moves_farther_than_the_levers_of_the_joints_say(arm: Kinematics
     assert largest > 0.7  # and the bound is no wild guess
 
 
-def test_surroundings_travel_as_one_line() -> None:
+def test_surroundings_round_trip_as_one_line() -> None:
     corridor = Corridor((1.0, 2.0, 3.0), (4.0, 5.0, 6.0), 2.5)
     line = AROUND.into(corridor).to_json()
     assert "\n" not in line
@@ -158,7 +158,7 @@ def test_surroundings_travel_as_one_line() -> None:
     assert Surroundings.from_json(Surroundings().to_json()) == Surroundings()
 
 
-def test_a_corridor_is_straight_narrow_and_ends_behind_the_target() -> None:
+def test_a_corridor_is_straight_and_narrow_and_ends_behind_the_target() -> None:
     corridor = Corridor((0.0, 0.0, 0.0), (0.0, 0.0, -50.0), 2.5)
     assert corridor.holds((0.0, 0.0, 100.0), (2.0, 1.0, -50.0))
     assert not corridor.holds((0.0, 0.0, 100.0), (2.6, 0.0, -20.0))

@@ -1,4 +1,4 @@
-"""A path that comes too close to anything is refused; the live watch stops what slips by."""
+"""A path that comes too close to anything is refused; the live watch stops what planning missed."""
 
 import json
 import math
@@ -61,7 +61,7 @@ def _along_the_needle(distance_mm: float) -> MotionPlan:
 
 
 @pytest.mark.hazard(24)
-def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
+def test_a_thin_post_in_the_way_is_found_between_the_first_samples() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 9.0)))
     with pytest.raises(
         NotClear, match=r"needle would come too close to the post, 4\d% of the path"
@@ -74,7 +74,7 @@ def test_a_thin_post_on_the_way_is_found_between_the_first_samples() -> None:
     assert path.refused.distance_mm == pytest.approx(9.0, abs=0.2)
 
 
-def test_a_post_beyond_the_margin_is_passed() -> None:
+def test_a_post_beyond_the_margin_is_accepted() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 11.0)))
     path.require()
     assert path.closest is not None
@@ -82,7 +82,7 @@ def test_a_post_beyond_the_margin_is_passed() -> None:
     assert path.closest.distance_mm == pytest.approx(11.0, abs=1.0)
 
 
-def test_bodies_that_keep_their_distance_are_nearest_where_the_path_begins() -> None:
+def test_bodies_at_a_constant_distance_are_reported_closest_at_the_start_of_the_path() -> None:
     path = sweep_path(MODEL, _move(), Surroundings())  # A1 alone turns: what it carries turns together
     gaps_mm = path.swept.gaps_mm.min(axis=1)
     assert gaps_mm.max() - gaps_mm.min() < 1e-9
@@ -90,7 +90,7 @@ def test_bodies_that_keep_their_distance_are_nearest_where_the_path_begins() -> 
     assert path.closest.parameter == 0.0
 
 
-def test_who_stands_too_near_may_leave_but_not_come_nearer() -> None:
+def test_a_body_that_is_too_close_may_move_away_but_not_closer() -> None:
     beside = _around(_post(0.0, 4.0))
     sweep_path(MODEL, _along_the_needle(-40.0), beside).require()
     with pytest.raises(NotClear):
@@ -157,7 +157,7 @@ def test_a_path_past_the_head_is_slow_there_and_fast_elsewhere() -> None:
     assert _drive(plan, around).startswith("speed near the head")
 
 
-def test_without_a_zone_there_are_no_steps() -> None:
+def test_without_a_zone_there_are_no_speed_steps() -> None:
     path = sweep_path(MODEL, _move(), _around(_post(23.0, 30.0)))
     assert with_speed_steps(_move(), path).speed_steps == ()
 
@@ -173,14 +173,14 @@ def test_at_reduced_speed_nothing_moves_faster_than_250_mm_per_second() -> None:
     assert slow.duration_s > fast.duration_s
 
 
-def test_a_cap_is_linear_between_two_distances() -> None:
+def test_a_speed_cap_is_linear_between_two_distances() -> None:
     assert ZONE.cap_mm_s(0.0) == ZONE.cap_mm_s(20.0) == 60.0
     assert ZONE.cap_mm_s(210.0) == pytest.approx(530.0)
     assert ZONE.cap_mm_s(5000.0) == 1000.0
     assert Surroundings().cap_mm_s(1.0) == math.inf
 
 
-def test_a_preview_says_how_the_path_will_be() -> None:
+def test_a_preview_predicts_duration_ranges_singularity_speed_and_clearance() -> None:
     seen = preview(MODEL, _move(), _around(_post(23.0, 11.0)), LIMITS)
     assert seen.clear
     motion = PathMotion(_move().path(MODEL), START, _move().limits, CYCLE_S)
@@ -201,7 +201,7 @@ def test_a_preview_says_how_the_path_will_be() -> None:
 
 
 @pytest.mark.hazard(5)
-def test_after_a_stop_anywhere_the_way_on_is_checked_anew_and_never_leads_through() -> None:
+def test_after_a_stop_anywhere_the_remaining_path_is_checked_again_and_refused_if_not_clear() -> None:
     """The detour over a high post; from wherever it was stopped, straight on to the goal."""
     around = _around(_post(23.0, -60.0))
     high_start, high_end = radians6(0, -95, 99, 0, 66, 180), radians6(50, -95, 99, 0, 66, 180)
@@ -222,6 +222,6 @@ def test_after_a_stop_anywhere_the_way_on_is_checked_anew_and_never_leads_throug
     assert outcomes[False] >= 3
 
 
-def test_nothing_around_is_nothing_to_come_near_to() -> None:
+def test_a_path_with_nothing_around_is_not_refused() -> None:
     nothing = Surroundings(radii=Surroundings().radii._replace(column_mm=0.001))
     assert sweep_path(MODEL, _move(), nothing).refused is None

@@ -1,4 +1,4 @@
-"""Forward kinematics against golden flange poses; Jacobian against finite differences; poses as values."""
+"""Forward kinematics against golden flange poses, and poses as values."""
 
 import math
 
@@ -23,7 +23,7 @@ def test_the_flange_reaches_the_golden_pose(variant: ArmVariant, row: tuple[tupl
     assert math.degrees(flange.angle_rad(golden)) < 0.001
 
 
-def test_reach_of_both_variants_is_the_published_one() -> None:
+def test_the_reach_of_both_variants_is_the_published_one() -> None:
     reach = {v: kr6_r900(v).dimensions.reach_mm for v in ArmVariant}
     assert reach[ArmVariant.SIXX] == pytest.approx(901.5, abs=0.05)
     assert reach[ArmVariant.R900_2] == pytest.approx(900.7, abs=0.05)
@@ -41,7 +41,7 @@ def _random_poses(model: Kr6R900, count: int) -> list[Pose]:
     ]
 
 
-def test_a_pose_survives_every_notation() -> None:
+def test_a_pose_round_trips_through_every_notation() -> None:
     for pose in _random_poses(kr6_r900(ArmVariant.SIXX), 200):
         for back in (
             Pose.from_kuka(*pose.to_kuka()),
@@ -53,19 +53,19 @@ def test_a_pose_survives_every_notation() -> None:
             assert back.angle_rad(pose) < 1e-9
 
 
-def test_a_pose_agrees_with_the_checked_transform() -> None:
+def test_a_pose_agrees_with_the_equivalent_transform() -> None:
     a, b = _random_poses(kr6_r900(ArmVariant.SIXX), 2)
     matrix = a.to_transform().as_matrix() @ b.to_transform().as_matrix()
     assert Pose.from_matrix(matrix.tolist()).distance_mm(a.compose(b)) < 1e-9
     assert a.apply((1.0, 2.0, 3.0)) == pytest.approx(a.to_transform().apply([1.0, 2.0, 3.0]))
 
 
-def test_a_half_turn_has_a_quaternion_about_each_axis() -> None:
+def test_a_half_turn_about_each_axis_has_a_quaternion() -> None:
     for A, B, C in ((180, 0, 0), (0, 180, 0), (0, 0, 180), (180, 90, 0), (0, -90, 0)):
         pose = Pose.from_kuka(0, 0, 0, A, B, C)
         assert Pose.from_quaternion((0, 0, 0), pose.quaternion()).angle_rad(pose) < 1e-12
 
 
-def test_only_the_flange_in_the_robot_base_becomes_a_pose() -> None:
+def test_only_a_flange_in_robot_transform_becomes_a_pose() -> None:
     with pytest.raises(FrameMismatch):
         Pose.from_transform(Transform.of(Frame.ROBOT, Frame.TOOL))

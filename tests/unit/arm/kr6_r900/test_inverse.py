@@ -1,4 +1,4 @@
-"""Inverse kinematics: every branch leads back to the pose, and what cannot be reached says why."""
+"""Inverse kinematics: every branch leads back to the pose, and unreachable poses are explained."""
 
 import math
 
@@ -25,7 +25,7 @@ def test_branches_of_one_pose_are_distinct_and_chosen_explicitly() -> None:
     assert any(s.joints_rad == pytest.approx(reference, abs=1e-9) for s in found)
 
 
-def test_whole_turns_of_the_hand_are_offered_when_the_range_allows() -> None:
+def test_whole_turns_of_the_wrist_are_offered_when_the_range_allows() -> None:
     model = kr6_r900(ArmVariant.SIXX)
     pose = model.forward(radians6(0, -90, 90, 178, 60, 100))
     same = [s for s in model.solutions(pose) if s.branch == USUAL]
@@ -33,12 +33,12 @@ def test_whole_turns_of_the_hand_are_offered_when_the_range_allows() -> None:
     assert turned == {(178, 100), (178, -260), (-182, 100), (-182, -260)}
 
 
-def test_the_branch_is_kukas_status() -> None:
+def test_the_branch_matches_the_status_of_kuka() -> None:
     assert branch(overhead=True, elbow=True, flipped=True) == 7
     assert kr6_r900(ArmVariant.SIXX).branch_of(HOME) == USUAL == 2
 
 
-def test_a_pose_out_of_reach_says_how_far() -> None:
+def test_a_pose_out_of_reach_reports_its_distance() -> None:
     model = kr6_r900(ArmVariant.SIXX)
     with pytest.raises(Unreachable, match=r"limit 33\.5 to 876\.5 mm, got 1975") as caught:
         model.solutions(Pose.from_kuka(2080, 0, 400, 0, 90, 0))
@@ -48,7 +48,7 @@ def test_a_pose_out_of_reach_says_how_far() -> None:
 
 
 @pytest.mark.hazard(22)
-def test_a_stretched_hand_a_wrist_over_the_base_and_a_straight_elbow_are_singular() -> None:
+def test_an_aligned_wrist_a_wrist_over_the_base_and_a_straight_elbow_are_singular() -> None:
     model = kr6_r900(ArmVariant.SIXX)
     hand = model.forward(radians6(0, -90, 90, 0, 0, 0))
     with pytest.raises(Singular, match="A4 and A6") as caught:
@@ -63,7 +63,7 @@ def test_a_stretched_hand_a_wrist_over_the_base_and_a_straight_elbow_are_singula
         model.solutions(model.forward(straight))
 
 
-def test_a_pose_that_only_forbidden_angles_reach_names_the_axis() -> None:
+def test_a_pose_reachable_only_at_forbidden_angles_names_the_axis() -> None:
     model = kr6_r900(ArmVariant.SIXX)
     behind = model.forward(radians6(178, -20, 60, 0, 60, 0))  # A1 beyond its 170 deg
     with pytest.raises(OutOfJointRange, match="A1 would leave its range") as caught:

@@ -1,4 +1,4 @@
-"""Random motion requests, interruptions and stops: nothing that would be sent breaks a limit or jumps."""
+"""Random motion requests, interruptions and stops: no commanded set-point breaks a limit or jumps."""
 
 from collections import Counter
 
@@ -41,11 +41,11 @@ def test_random_requests_break_no_limit_do_not_jump_and_stop_as_predicted(batch:
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_ten_thousand_requests() -> None:
+def test_ten_thousand_random_requests_break_no_limit() -> None:
     _judge(range(10_000))
 
 
-def test_the_first_set_point_is_where_the_arm_stands() -> None:
+def test_the_first_set_point_is_the_current_position() -> None:
     for seed in range(8):
         driven = drive(seed)
         if driven.plan is not None and not driven.plan.is_standstill:
@@ -55,7 +55,7 @@ def test_the_first_set_point_is_where_the_arm_stands() -> None:
 
 
 @pytest.mark.hazard(21)
-def test_a_generator_that_forgets_the_zone_is_caught_by_the_monitor() -> None:
+def test_the_monitor_catches_a_generator_that_ignores_the_zone() -> None:
     for driven in map(drive, PAST_THE_HEAD):
         assert _much_slower(driven)
         assert "speed near the head" in _without_steps(driven)

@@ -44,7 +44,7 @@ def test_motions_keep_a_margin_from_the_ends_of_the_ranges() -> None:
         plan_line(MODEL, bent, nearer, LIMITS)
 
 
-def test_an_arm_that_stands_in_the_margin_may_stay_or_leave_and_go_no_further() -> None:
+def test_an_arm_inside_the_margin_may_stay_or_leave_but_not_go_further() -> None:
     at_end = radians6(0, -90, 90, 0, 119.8, 0)
     lower, upper = LIMITS.ranges(MODEL, at_end)
     assert (upper[4], lower[4]) == (at_end[4], pytest.approx(math.radians(-119.5)))
@@ -55,12 +55,12 @@ def test_an_arm_that_stands_in_the_margin_may_stay_or_leave_and_go_no_further() 
 
 
 @pytest.mark.parametrize("joints", [(), (0.0,) * 5, (0.0,) * 7])
-def test_a_vector_of_another_number_of_joints_is_refused(joints: tuple[float, ...]) -> None:
+def test_a_vector_with_the_wrong_number_of_joints_is_refused(joints: tuple[float, ...]) -> None:
     with pytest.raises(MotionInvalid, match=f"of {len(joints)} values"):
         require_in_range(MODEL, joints)  # type: ignore[arg-type]
 
 
-def test_a_target_that_is_no_number_is_refused() -> None:
+def test_a_target_that_is_not_a_number_is_refused() -> None:
     with pytest.raises(MotionInvalid, match="A2 is not a number"):
         plan_joint_move(MODEL, START, (0.0, math.nan, 0.0, 0.0, 0.0, 0.0), LIMITS)
 
@@ -85,14 +85,14 @@ def test_a_line_out_of_reach_is_refused() -> None:
 
 
 @pytest.mark.hazard(22)
-def test_a_line_through_the_stretched_hand_is_refused() -> None:
+def test_a_line_through_the_aligned_wrist_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 10, 0)
     target = MODEL.forward(radians6(0, -90, 90, 0, -10, 0))
     with pytest.raises((Singular, TooFast, OutOfJointRange)):
         plan_line(MODEL, start, target, LIMITS)
 
 
-def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> None:
+def test_a_line_close_to_the_aligned_wrist_is_too_fast_for_the_joints() -> None:
     start = radians6(0, -90, 90, 1.0, 10, 0)
     begin = MODEL.forward(start)
     target = MODEL.forward(radians6(0, -90, 90, 1.0, -10, 0))
@@ -102,14 +102,14 @@ def test_a_line_close_past_the_stretched_hand_is_too_fast_for_the_joints() -> No
 
 
 @pytest.mark.hazard(22)
-def test_a_line_beside_a_singularity_is_slowed_for_the_joints() -> None:
+def test_a_line_near_a_singularity_is_slowed_for_the_joints() -> None:
     start = radians6(0, -90, 90, 30, 12, 0)
     target = _shifted(MODEL.forward(start), 0, 60, 0)
     plan = plan_line(MODEL, start, target, LIMITS)
     assert plan.limits.velocity * 60.0 < 0.9 * LIMITS.line_speed_mm_s
 
 
-def test_a_line_that_needs_a_whole_turn_of_the_hand_is_refused() -> None:
+def test_a_line_that_needs_a_whole_turn_of_the_wrist_is_refused() -> None:
     start = radians6(0, -90, 90, 0, 60, 340)
     target = MODEL.forward(start).compose(Pose.from_kuka(0, 0, 0, -30, 0, 0))
     to_the_ends = replace(LIMITS, range_margin_rad=0.0)
@@ -121,7 +121,7 @@ def test_a_line_that_needs_a_whole_turn_of_the_hand_is_refused() -> None:
     assert degrees6(plan_line(MODEL, start, back, LIMITS).target_rad)[5] == pytest.approx(310)
 
 
-def test_going_nowhere_is_a_standstill() -> None:
+def test_a_motion_to_the_current_position_is_a_standstill() -> None:
     assert plan_joint_move(MODEL, START, START, LIMITS).is_standstill
     assert plan_line(MODEL, START, MODEL.forward(START), LIMITS).is_standstill
     assert not plan_line(MODEL, START, _shifted(MODEL.forward(START), 0, 0, 1e-3), LIMITS).is_standstill

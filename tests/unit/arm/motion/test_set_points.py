@@ -1,4 +1,4 @@
-"""Motion invariants: paths are kept, limits are kept, a stop at any cycle is smooth and stays on the path."""
+"""Motion invariants: paths and limits are kept; a stop at any cycle is smooth and stays on the path."""
 
 import math
 from dataclasses import replace
@@ -56,7 +56,7 @@ def _run(motion: PathMotion, start: JointVector, stop_at: int | None = None) -> 
 
 @settings(max_examples=30, deadline=None)
 @given(start=joint_vectors, target=joint_vectors, stop_at=st.integers(1, 600))
-def test_a_joint_move_stays_straight_in_joint_space_also_when_stopped(
+def test_a_joint_move_stays_straight_in_joint_space_even_when_stopped(
     start: JointVector, target: JointVector, stop_at: int
 ) -> None:
     plan = plan_joint_move(MODEL, start, target, TO_THE_ENDS)
@@ -73,7 +73,7 @@ def test_a_joint_move_stays_straight_in_joint_space_also_when_stopped(
 
 
 @pytest.mark.parametrize("stop_at", [None, 1, 60, 250])
-def test_the_tool_stays_on_its_line_also_when_stopped(stop_at: int | None) -> None:
+def test_the_tool_stays_on_its_line_even_when_stopped(stop_at: int | None) -> None:
     target = MODEL.forward(radians6(8, -82, 84, 5, 70, 20))
     plan = plan_line(MODEL, START, target, LIMITS, TOOL_MM)
     begin = MODEL.forward(START).apply(TOOL_MM)
@@ -93,7 +93,7 @@ def test_the_tool_stays_on_its_line_also_when_stopped(stop_at: int | None) -> No
         assert math.dist(previous, end) > 1.0
 
 
-def test_a_turn_about_the_tool_tip_leaves_the_tip_where_it_is() -> None:
+def test_a_turn_about_the_tool_tip_keeps_the_tip_in_place() -> None:
     flange = MODEL.forward(START)
     tip = flange.apply(TOOL_MM)
     turned = flange.compose(Pose.from_kuka(0, 0, 0, 20, 10, 0))
@@ -106,7 +106,7 @@ def test_a_turn_about_the_tool_tip_leaves_the_tip_where_it_is() -> None:
     assert line.flange(0.5).angle_rad(flange) == pytest.approx(line.angle_rad / 2, abs=1e-9)
 
 
-def test_less_speed_on_the_way_keeps_the_path_and_the_end() -> None:
+def test_reducing_the_speed_during_a_motion_keeps_the_path_and_the_end() -> None:
     target = radians6(40, -70, 70, 20, 50, 30)
     plan = plan_joint_move(MODEL, START, target, LIMITS)
     motion = _motion(plan)
@@ -126,7 +126,7 @@ def test_less_speed_on_the_way_keeps_the_path_and_the_end() -> None:
 
 @pytest.mark.parametrize("one_back", [False, True])
 @pytest.mark.parametrize("stopping", [False, True])
-def test_after_an_interruption_the_motion_goes_on_from_rest(stopping: bool, one_back: bool) -> None:
+def test_after_an_interruption_the_motion_continues_from_rest(stopping: bool, one_back: bool) -> None:
     target = radians6(40, -70, 70, 20, 50, 30)
     motion = _motion(plan_joint_move(MODEL, START, target, LIMITS))
     before = here = START
@@ -167,7 +167,7 @@ def test_a_joint_stop_comes_to_rest_from_any_state(
     assert points[-1] == pytest.approx(motion.prepare().go_rad)
 
 
-def test_a_profile_holds_its_ends() -> None:
+def test_a_profile_holds_its_end_positions() -> None:
     bounds = Bounds([1.0], [2.0], [10.0])
     profile = MotionProfiler(1).move(State([0.0], [0.5], [0.0]), [0.05], bounds)
     assert profile.at(-5.0).position == [0.0]
@@ -184,7 +184,7 @@ def test_a_profile_holds_its_ends() -> None:
         (State.resting([0.0]), [1.0], Bounds([1.0], [1.0], [-1.0])),
     ],
 )
-def test_bad_numbers_for_a_profile_are_one_typed_error(
+def test_invalid_numbers_for_a_profile_give_one_typed_error(
     start: State, target: list[float], bounds: Bounds
 ) -> None:
     with pytest.raises(MotionInvalid) as caught:

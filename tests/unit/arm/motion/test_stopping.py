@@ -1,4 +1,4 @@
-"""A stop that trusts no path: on along the way the arm goes, its joints together, its tool never faster."""
+"""A path-independent stop: it continues along the current path, joints together, the tool never faster."""
 
 import math
 from itertools import pairwise
@@ -42,7 +42,7 @@ def _interrupted(plan: MotionPlan, cycles: int) -> tuple[list[JointVector], list
 
 @pytest.mark.hazard(21)
 @pytest.mark.parametrize("cycles", [10, 40, 120, 300])
-def test_the_tool_goes_on_along_its_line_and_never_faster(cycles: int) -> None:
+def test_the_stopping_tool_continues_along_its_line_and_never_faster(cycles: int) -> None:
     _, stopped = _interrupted(LINE, cycles)
     begin, end = MODEL.forward(START).apply(TOOL_MM), MODEL.forward(LINE.target_rad).apply(TOOL_MM)
     tips = [MODEL.forward(joints).apply(TOOL_MM) for joints in stopped]
@@ -58,7 +58,7 @@ def test_the_tool_goes_on_along_its_line_and_never_faster(cycles: int) -> None:
 
 
 @pytest.mark.parametrize("cycles", [5, 100, 200])
-def test_a_joint_move_stays_straight_in_joint_space(cycles: int) -> None:
+def test_a_stopping_joint_move_stays_straight_in_joint_space(cycles: int) -> None:
     _, stopped = _interrupted(JOINT_MOVE, cycles)
     change = [b - a for a, b in zip(JOINT_MOVE.start_rad, JOINT_MOVE.target_rad, strict=True)]
     for joints in stopped:
@@ -67,7 +67,7 @@ def test_a_joint_move_stays_straight_in_joint_space(cycles: int) -> None:
 
 
 @pytest.mark.parametrize("plan", [LINE, JOINT_MOVE], ids=["line", "joint move"])
-def test_it_takes_little_longer_than_joints_that_brake_each_by_itself(plan: MotionPlan) -> None:
+def test_a_stop_takes_little_longer_than_joints_braking_independently(plan: MotionPlan) -> None:
     sent, stopped = _interrupted(plan, 150)
     moving = state_from_history((sent[-1], sent[-2], sent[-3], sent[-4]), CYCLE_S)
     alone_s = max(
@@ -77,12 +77,12 @@ def test_it_takes_little_longer_than_joints_that_brake_each_by_itself(plan: Moti
     assert (len(stopped) - 2) * CYCLE_S < 1.5 * alone_s
 
 
-def test_at_rest_there_is_no_way_to_go_on() -> None:
+def test_at_rest_there_is_nothing_to_stop() -> None:
     assert halt(State.resting(list(START)), LIMITS) is None
     assert StopMotion(State.resting(list(START)), LIMITS, CYCLE_S).finished
 
 
-def test_joints_that_cannot_brake_together_brake_each_by_itself() -> None:
+def test_joints_that_cannot_brake_together_brake_independently() -> None:
     turning_hard = State(list(START), [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
     assert halt(turning_hard, LIMITS) is None
     stop = StopMotion(turning_hard, LIMITS, CYCLE_S)

@@ -1,4 +1,4 @@
-"""The control channel against a thread that answers as told: repetition, lateness, other people's answers."""
+"""The control channel against a scripted thread: resends, late answers, answers to other requests."""
 
 from __future__ import annotations
 
@@ -70,14 +70,14 @@ def soon(limit_s: float = 5.0) -> float:
     return time.monotonic() + limit_s
 
 
-def test_a_lost_answer_is_asked_for_again_with_the_same_request_id(channel_to):
+def test_a_lost_answer_is_requested_again_with_the_same_request_id(channel_to):
     peer, channel = channel_to(lambda data, count: [ack(data, b"\0\0\0\x07")] if count == 3 else [])
     assert channel.read_register(0x938, soon()) == 7
     assert len(set(peer.seen)) == 1
     assert len(peer.seen) == 3
 
 
-def test_answers_to_other_requests_and_rubbish_are_not_taken(channel_to):
+def test_answers_to_other_requests_and_garbage_are_ignored(channel_to):
     def answer(data, _):
         return [
             b"",
@@ -91,7 +91,7 @@ def test_answers_to_other_requests_and_rubbish_are_not_taken(channel_to):
     assert channel.read_register(0x938, soon()) == 9
 
 
-def test_every_datagram_is_told_of_in_both_directions_also_those_that_count_for_nothing():
+def test_every_datagram_is_reported_in_both_directions_even_ignored_ones():
     peer, told = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
     channel = ControlChannel("127.0.0.1", port=peer.port, passed=lambda *passed: told.append(passed))
     channel.read_register(0x938, soon())
@@ -115,7 +115,7 @@ def test_silence_ends_at_the_deadline(channel_to):
     assert len(peer.seen) <= 2
 
 
-def test_nobody_listening_ends_at_the_deadline_too():
+def test_a_port_without_a_listener_ends_at_the_deadline_too():
     nobody = parse_endpoint(own_udp_endpoint())
     channel = ControlChannel(nobody.host, port=nobody.port)
     with pytest.raises(NoReply, match="GEV-007"):
@@ -123,7 +123,7 @@ def test_nobody_listening_ends_at_the_deadline_too():
     channel.close()
 
 
-def test_pending_extends_the_wait_without_a_repetition(channel_to):
+def test_pending_extends_the_wait_without_a_resend(channel_to):
     def answer(data, _):
         yield ack(data, struct.pack(">HH", 0, 1500), command=0x89)
         time.sleep(1.2)  # otherwise asked for again at 0.2 and 0.6 s
@@ -134,7 +134,7 @@ def test_pending_extends_the_wait_without_a_repetition(channel_to):
     assert len(peer.seen) <= 2  # the announcement itself may be late on a busy computer
 
 
-def test_a_refusal_is_told(channel_to):
+def test_a_refusal_is_reported(channel_to):
     _, channel = channel_to(lambda data, _: [ack(data, status=0x8003)])
     with pytest.raises(CommandRefused, match=r"GEV-006.*invalid address"):
         channel.read_register(0x123, soon())
@@ -152,7 +152,7 @@ def test_memory_is_read_in_pieces(channel_to):
     assert [struct.unpack_from(">IHH", data, 8)[2] for data in peer.seen] == [536, 536, 232]
 
 
-def test_a_short_piece_of_memory_is_broken(channel_to):
+def test_a_short_piece_of_memory_is_malformed(channel_to):
     _, channel = channel_to(lambda data, _: [ack(data, data[8:12] + b"\0\0")])
     with pytest.raises(MalformedReply, match="GEV-008"):
         channel.read_memory(0, 8, soon())
@@ -168,7 +168,7 @@ def test_a_camera_without_a_description_is_refused(channel_to):
         fetch_description(channel, soon())
 
 
-def test_commands_written_together_leave_before_the_first_answer(channel_to):
+def test_commands_sent_together_leave_before_the_first_answer(channel_to):
     order = []
 
     def first(data, _):
@@ -202,7 +202,7 @@ def test_request_ids_are_never_zero_nor_the_last(channel_to):
     ]  # the last is kept free
 
 
-def test_an_answer_that_came_while_the_host_stalled_counts(channel_to):
+def test_an_answer_that_arrived_while_the_host_stalled_counts(channel_to):
     _, channel = channel_to(lambda data, _: [ack(data, struct.pack(">I", 7))])
     past_s = time.monotonic() - 1.0
     assert channel.read_register(0, past_s) == 7

@@ -33,12 +33,12 @@ def test_an_answer_is_split_into_its_parts():
 
 
 @pytest.mark.parametrize("datagram", ["", "00000081", "000000810008123400000007"])
-def test_what_is_shorter_than_it_says_is_no_answer(datagram):
+def test_a_datagram_shorter_than_its_stated_length_is_not_an_answer(datagram):
     assert gvcp.decode(bytes.fromhex(datagram)) is None
 
 
 @given(st.binary(max_size=80))
-def test_no_datagram_upsets_the_decoder(datagram):
+def test_no_datagram_breaks_the_decoder(datagram):
     answer = gvcp.decode(datagram)
     assert answer is None or len(answer.payload) <= len(datagram) - 8
 
@@ -50,7 +50,7 @@ def test_a_refusal_names_the_status():
     assert gvcp.status_name(0x8042) == "0x8042"
 
 
-def test_answers_of_the_wrong_form_are_broken():
+def test_answers_of_the_wrong_form_are_malformed():
     with pytest.raises(MalformedReply, match="GEV-008"):
         gvcp.register_value(b"\0\0", "x")
     with pytest.raises(MalformedReply, match="GEV-008"):
@@ -59,6 +59,6 @@ def test_answers_of_the_wrong_form_are_broken():
         gvcp.memory_data(bytes.fromhex("00000200") + bytes(4), 0x200, 8)
 
 
-def test_a_pending_answer_says_how_long():
+def test_a_pending_answer_states_how_long():
     assert gvcp.pending_ms(bytes.fromhex("00000190")) == 400
     assert gvcp.pending_ms(b"") == 0

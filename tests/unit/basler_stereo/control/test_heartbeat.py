@@ -1,4 +1,4 @@
-"""When a camera that falls silent counts as lost, on a clock that is moved by hand."""
+"""When a silent camera counts as lost, on a manually advanced clock."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def verdict(camera: ScriptedCamera, timeout_ms: int, monkeypatch: pytest.MonkeyP
 
 
 @pytest.mark.parametrize(("timeout_ms", "beats"), [(500, SILENT_BEATS), (3000, 3), (10_000, 10)])
-def test_a_silent_camera_is_lost_when_its_time_out_has_passed(
+def test_a_silent_camera_is_lost_once_its_time_out_has_passed(
     timeout_ms: int, beats: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     camera = ScriptedCamera([CCP_CONTROL, SILENT], takes_s=1.0)

@@ -1,4 +1,4 @@
-"""Who a camera says it is in its reply to discovery."""
+"""The identity of a camera in its reply to discovery."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def memory(serial="21900001", model="acA2000-50gmNIR"):
     return bytes(data)
 
 
-def test_the_reply_says_who_is_there():
+def test_the_reply_identifies_the_camera():
     found = decode_identity(memory(), "10.0.0.1")
     assert (found.vendor, found.model, found.serial) == ("Basler", "acA2000-50gmNIR", "21900001")
     assert (found.version, found.user_name, found.mac) == ("106755-17", "left", "00:30:53:11:22:33")
@@ -29,7 +29,7 @@ def test_a_reply_of_another_length_is_malformed():
         decode_identity(memory()[:-1], "10.0.0.1")
 
 
-def test_text_that_is_not_utf8_is_read_all_the_same():
+def test_text_that_is_not_utf8_is_still_read():
     data = bytearray(memory())
     data[0x48:0x68] = b"\xff" * 32
     assert decode_identity(bytes(data), "x").vendor

@@ -47,7 +47,7 @@ def taken(camera: HeldCamera, limit_s: float) -> None:
 
 
 @pytest.mark.parametrize("heartbeat_ms", [3000, None])
-def test_control_that_a_dead_client_held_is_awaited(heartbeat_ms: int | None) -> None:
+def test_control_held_by_a_dead_client_is_awaited(heartbeat_ms: int | None) -> None:
     camera = HeldCamera(3, heartbeat_ms)
     taken(camera, 10.0)
     assert camera.asked == 4
@@ -66,7 +66,7 @@ def test_control_is_awaited_no_longer_than_the_time_limit(heartbeat_ms: int | No
         taken(HeldCamera(1000, heartbeat_ms), 0.5)
 
 
-def test_another_refusal_is_not_taken_for_a_controller() -> None:
+def test_another_refusal_is_not_taken_for_a_second_controller() -> None:
     camera = HeldCamera(1000, 3000, GevStatus.INVALID_ADDRESS)
     with pytest.raises(CommandRefused, match="GEV-006"):
         taken(camera, 10.0)

@@ -1,4 +1,4 @@
-"""The camera's own description: where it lies, what XML is accepted."""
+"""The camera's own description: where it is stored, and which XML is accepted."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def test_nodes_are_found_by_name_inside_groups_and_without_namespace():
     ],
     ids=["empty", "cut off", "other root", "bad number", "document type", "not XML"],
 )
-def test_what_is_no_strict_description_is_refused(data):
+def test_an_invalid_description_is_refused(data):
     with pytest.raises(BadDescription, match="GEV-009"):
         parse_description(data)
 
@@ -46,7 +46,7 @@ def test_what_is_no_strict_description_is_refused(data):
 @pytest.mark.parametrize(
     "url", ["Local:cam.xml;100000;4ed4", "local:///cam.xml;100000;4ed4?SchemaVersion=1.1.0"]
 )
-def test_the_address_of_a_description_on_the_camera_is_read(url):
+def test_the_address_of_a_description_on_the_camera_is_parsed(url):
     assert parse_url(url) == ("cam.xml", 0x100000, 0x4ED4)
 
 
@@ -62,7 +62,7 @@ def test_the_address_of_a_description_on_the_camera_is_read(url):
         "Local:c;0;1" + "0" * 5000,
     ],
 )
-def test_an_address_that_makes_no_sense_is_refused(url):
+def test_an_invalid_address_is_refused(url):
     with pytest.raises(BadDescription, match="GEV-009"):
         parse_url(url)
 
@@ -76,7 +76,7 @@ def test_a_packed_description_is_unpacked_and_a_broken_one_refused():
         unpacked(file.getvalue()[:40])
 
 
-def test_a_packed_description_that_would_grow_too_large_is_refused():
+def test_a_packed_description_that_expands_too_far_is_refused():
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("cam.xml", bytes(9 * 1024 * 1024))

@@ -1,4 +1,4 @@
-"""Features through nodes to registers, against a memory in a dictionary."""
+"""Features through nodes to registers, against a memory held in a dictionary."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_an_integer_reads_and_writes_its_register_big_endian(features, memory):
     assert features.whole("Width") == 640
 
 
-def test_little_endian_and_signed_registers(features, memory):
+def test_little_endian_and_signed_registers_are_read_and_written(features, memory):
     features.set_number("Little", 0x01020304)
     assert memory.read(0x14, 4).hex() == "04030201"
     features.set_number("Signed", -2)
@@ -115,7 +115,7 @@ def test_masked_registers_keep_the_other_bits(features, memory):
     assert memory.read(0x20, 4).hex() == "a0000000"
 
 
-def test_floats_and_converters(features, memory):
+def test_floats_and_converters_are_read_and_written(features, memory):
     features.set_number("Real", 1.5)
     assert memory.read(0x24, 4).hex() == "3fc00000"
     assert features.number("Real") == 1.5
@@ -132,7 +132,7 @@ def test_selectors_and_pointers_move_the_address(features, memory):
     assert memory.read(0x48, 4).hex() == "00000009"
 
 
-def test_enumerations_go_by_name(features):
+def test_enumerations_are_set_and_read_by_name(features):
     features.choose("Mode", "On")
     assert features.choice("Mode") == "On"
     with pytest.raises(MissingFeature, match=r"GEV-010.*Off or On"):
@@ -142,7 +142,7 @@ def test_enumerations_go_by_name(features):
         features.choice("Mode")
 
 
-def test_a_command_writes_its_value_to_the_register_below(features, memory):
+def test_a_command_writes_its_value_to_its_register(features, memory):
     assert features.command_write("Go") == (0x54, bytes.fromhex("00000005"))
     features.execute("Go")
     assert memory.read(0x54, 4).hex() == "00000005"
@@ -156,13 +156,13 @@ def test_limits_come_from_the_node_or_the_nodes_it_names(features):
 
 
 @pytest.mark.parametrize("condition", ["Installed", "Ready"])
-def test_what_its_conditions_rule_out_is_absent(features, condition):
+def test_a_feature_is_absent_when_its_conditions_are_not_met(features, condition):
     assert features.has("Gamma")
     features.set_number(condition, 0)  # the one of the feature, the other of its register
     assert not features.has("Gamma")
 
 
-def test_entries_that_this_model_has_not_cannot_be_chosen(features):
+def test_entries_that_this_model_lacks_cannot_be_chosen(features):
     features.choose("Source", "Action1")
     features.set_number("Installed", 0)
     assert features.entries("Source") == {"Software": 0}
@@ -171,7 +171,7 @@ def test_entries_that_this_model_has_not_cannot_be_chosen(features):
     assert features.choice("Source") == "Action1"  # what it is, it tells nevertheless
 
 
-def test_parts_of_a_shared_register_have_names_of_their_own(features, memory):
+def test_parts_of_a_shared_register_have_their_own_names(features, memory):
     memory.write(0x60, bytes.fromhex("1234fffe"))
     assert (features.number("High"), features.number("Lowest")) == (0x1234, 0)
     features.set_number("Lowest", 1)
@@ -185,25 +185,25 @@ def test_formulas_have_constants_and_expressions(features):
     assert features.number("Little") == 27
 
 
-def test_an_index_chooses_the_node_below(features):
+def test_an_index_selects_the_underlying_node(features):
     for selector, register in ((1, "Little"), (2, "Signed"), (7, "WidthReg")):
         features.set_number("Selector", selector)
         features.set_number("Gain", 40 + selector)
         assert features.number(register) == features.number("Gain") == 40 + selector
 
 
-def test_a_formula_of_features(features):
+def test_a_formula_can_use_features(features):
     features.set_number("Width", 33)
     assert features.number("Size") == 49
 
 
 @pytest.mark.parametrize("name", ["RoundA", "Empty", "Odd", "Outside", "NoFormula"])
-def test_nodes_that_make_no_sense_are_refused(features, name):
+def test_invalid_nodes_are_refused(features, name):
     with pytest.raises(BadDescription, match="GEV-009"):
         features.number(name)
 
 
-def test_unknown_features_and_unwritable_ones_are_named(features):
+def test_unknown_and_unwritable_features_are_named(features):
     assert not features.has("Saturation")
     with pytest.raises(MissingFeature, match=r"GEV-010.*Saturation"):
         features.number("Saturation")
@@ -232,11 +232,11 @@ def test_unknown_features_and_unwritable_ones_are_named(features):
         ("+A", 3),
     ],
 )
-def test_formulas_of_whole_numbers(formula, value):
+def test_integer_formulas_are_evaluated(formula, value):
     assert evaluate(formula, {"A": 3}, whole=True) == value
 
 
-def test_formulas_of_real_numbers_divide_exactly():
+def test_real_formulas_divide_exactly():
     assert evaluate("1000000 / PERIOD", {"PERIOD": 32}, whole=False) == 31250.0
     assert evaluate("SQRT(2.25) + 1e-3", {}, whole=False) == pytest.approx(1.501)
 

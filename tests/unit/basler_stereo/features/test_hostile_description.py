@@ -1,4 +1,4 @@
-"""A camera that wishes us ill: its description may cost neither memory nor time."""
+"""A malicious camera: its description may cost neither memory nor time."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_a_formula_costs_neither_memory_nor_time(formula, whole):
         evaluate(formula, {}, whole=whole)
 
 
-def test_formulas_reach_the_ends_of_64_bits():
+def test_formulas_cover_the_full_64_bit_range():
     assert evaluate("2**63 - 1", {}, whole=True) == 2**63 - 1
     assert evaluate("1 << 63", {}, whole=True) == 1 << 63
     assert evaluate("3**40", {}, whole=True) == 3**40
@@ -88,7 +88,7 @@ def test_formulas_reach_the_ends_of_64_bits():
     assert evaluate("1 >> 400", {}, whole=True) == 0
 
 
-def test_nodes_that_each_name_two_others_do_not_cost_a_power_of_two():
+def test_nodes_that_each_name_two_others_do_not_cost_exponential_time():
     knives = "".join(
         f'<IntSwissKnife Name="N{level}"><pVariable Name="A">N{level + 1}</pVariable>'
         f'<pVariable Name="B">N{level + 1}</pVariable><Formula>A+B</Formula></IntSwissKnife>'
@@ -113,7 +113,7 @@ def test_nodes_that_each_name_two_others_do_not_cost_a_power_of_two():
     ],
     ids=["groups", "elements", "fields", "shared fields", "namespaces"],
 )
-def test_a_description_is_neither_deep_nor_dense(what, content):
+def test_a_deep_or_dense_description_is_refused(what, content):
     with bounded_cost(), pytest.raises(BadDescription, match=f"GEV-009.*{what}"):
         features(content)
 
@@ -129,6 +129,6 @@ def test_a_description_is_neither_deep_nor_dense(what, content):
     ],
     ids=["before memory", "behind memory", "not a number", "a word", "a long number"],
 )
-def test_numbers_that_no_camera_has_are_refused(nodes):
+def test_impossible_numbers_are_refused(nodes):
     with pytest.raises(BadDescription, match="GEV-009"):
         features(nodes).number("F")

@@ -1,4 +1,4 @@
-"""Frames out of packets in every order, with losses, repetitions and rubbish."""
+"""Frames from packets in any order, with losses, repeats and garbage."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_packets_in_order_make_the_image(assembler):
 
 
 @given(st.permutations(range(14)), st.lists(st.integers(0, 13), max_size=6))
-def test_order_and_repetition_do_not_matter(order, doubled):
+def test_reordering_and_duplicates_do_not_matter(order, doubled):
     assembler = FrameAssembler(PAYLOAD, PACKET)
     all_packets = packets()
     sequence = [number for number in order for _ in range(1 + (number in doubled))]
@@ -67,7 +67,7 @@ def test_order_and_repetition_do_not_matter(order, doubled):
     assert bytes(frame.data) == IMAGE
 
 
-def test_missing_packets_are_asked_for_after_a_pause(assembler):
+def test_missing_packets_are_requested_after_a_pause(assembler):
     all_packets = packets()
     assert feed(assembler, [p for i, p in enumerate(all_packets) if i not in (0, 4, 5, 13)], now_s=1.0) == []
     assert assembler.overdue(1.0 + 0.5 * RESEND_INTERVALS_S[0]) == ([], None)
@@ -78,7 +78,7 @@ def test_missing_packets_are_asked_for_after_a_pause(assembler):
     assert bytes(frame.data) == IMAGE
 
 
-def test_the_pauses_grow_and_then_the_frame_is_given_up(assembler):
+def test_the_pauses_grow_until_the_frame_is_given_up(assembler):
     feed(assembler, packets()[:-3])
     now_s, asked = 0.0, 0
     while True:
@@ -110,7 +110,7 @@ def test_unavailable_before_the_trailer_means_not_yet(assembler):
     assert frame.missing_packets == 0
 
 
-def test_a_frame_without_leader_is_given_without_one(assembler):
+def test_a_frame_without_a_leader_is_delivered_without_one(assembler):
     feed(assembler, packets()[1:])
     now_s = 0.0
     frame = None
@@ -120,7 +120,7 @@ def test_a_frame_without_leader_is_given_without_one(assembler):
     assert frame.leader is None
 
 
-def test_a_few_blocks_may_be_open_and_one_more_pushes_the_oldest_out(assembler):
+def test_a_few_blocks_may_be_open_and_one_more_pushes_out_the_oldest(assembler):
     begun = [packets(block_id) for block_id in range(1, OPEN_BLOCKS + 2)]
     assert feed(assembler, [packet for block in begun[:-1] for packet in block[:2]]) == []
     (pushed,) = feed(assembler, [begun[-1][0]])
@@ -130,13 +130,13 @@ def test_a_few_blocks_may_be_open_and_one_more_pushes_the_oldest_out(assembler):
     assert (frame.block_id, frame.missing_packets) == (2, 0)
 
 
-def test_a_block_that_has_ended_is_asked_for_almost_at_once(assembler):
+def test_missing_packets_are_requested_almost_at_once_after_the_trailer(assembler):
     feed(assembler, [packet for number, packet in enumerate(packets()) if number != 4])
     assert assembler.overdue(0.5 * AFTER_TRAILER_S) == ([], None)
     assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 4)], None)
 
 
-def test_a_block_is_asked_for_almost_at_once_when_the_next_has_begun(assembler):
+def test_missing_packets_are_requested_almost_at_once_when_the_next_block_has_begun(assembler):
     feed(assembler, [*packets()[:4], packets(2)[0]])
     assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 13)], None)
 
@@ -157,7 +157,7 @@ def test_a_block_is_asked_for_almost_at_once_when_the_next_has_begun(assembler):
         struct.pack(">HHI", 0, 1, 9 << 24 | 1) + bytes(100),
     ],
 )
-def test_packets_of_the_wrong_form_are_counted_and_left_out(assembler, packet):
+def test_malformed_packets_are_counted_and_ignored(assembler, packet):
     assert assembler.accept(memoryview(packet), 0.0) is None
     assert assembler.counters.ignored == 1
     (frame,) = feed(assembler, packets())
@@ -166,7 +166,7 @@ def test_packets_of_the_wrong_form_are_counted_and_left_out(assembler, packet):
 
 @settings(max_examples=300)
 @given(st.lists(st.one_of(st.binary(max_size=60), st.integers(0, 13)), max_size=40))
-def test_no_sequence_of_packets_upsets_the_assembler(sequence):
+def test_no_sequence_of_packets_breaks_the_assembler(sequence):
     assembler = FrameAssembler(PAYLOAD, PACKET)
     all_packets = packets()
     for number, item in enumerate(sequence):
@@ -179,7 +179,7 @@ def test_block_ids_wrap_without_zero():
     assert decode_header(packets(0xFFFF)[3]).block_id == 0xFFFF
 
 
-def test_a_block_that_was_triggered_is_asked_for_when_nothing_of_it_came(assembler):
+def test_a_triggered_block_is_requested_when_nothing_of_it_arrived(assembler):
     assembler.expect(1, from_s=5.0)
     assert assembler.overdue(5.0) == ([], None)
     assert assembler.overdue(5.0 + 1.01 * RESEND_INTERVALS_S[0]) == ([(1, 0, 13)], None)
@@ -188,7 +188,7 @@ def test_a_block_that_was_triggered_is_asked_for_when_nothing_of_it_came(assembl
     assert not assembler.waiting
 
 
-def test_a_triggered_block_is_not_given_up_before_a_newer_one_comes(assembler):
+def test_a_triggered_block_is_not_given_up_before_a_newer_one_arrives(assembler):
     assembler.expect(1, from_s=0.0)
     now_s = 0.0
     for _ in range(3 * len(RESEND_INTERVALS_S)):
@@ -211,7 +211,7 @@ def test_missing_packets_leave_no_pixels_of_an_earlier_frame():
     assert bytes(frame.data) == IMAGE[:300] + bytes(100) + IMAGE[400:]
 
 
-def test_a_request_that_was_answered_is_followed_by_the_next_almost_at_once():
+def test_an_answered_request_is_followed_by_the_next_almost_at_once():
     payload = bytes(100 * 3 * PACKETS_PER_ROUND)
     assembler = FrameAssembler(len(payload), PACKET)
     sent = packets(image=payload)
@@ -228,14 +228,14 @@ def test_a_request_that_was_answered_is_followed_by_the_next_almost_at_once():
     assert assembler.counters.incomplete_frames == 0
 
 
-def test_a_block_that_was_lost_whole_between_two_others_is_asked_for(assembler):
+def test_a_block_lost_entirely_between_two_others_is_requested(assembler):
     assert [frame.block_id for frame in feed(assembler, [*packets(1), *packets(3)])] == [1, 3]
     assert assembler.overdue(1.01 * RESEND_INTERVALS_S[0]) == ([(2, 0, 13)], None)
     (frame,) = feed(assembler, packets(2, status=0x0100))
     assert frame.block_id == 2
 
 
-def test_a_block_id_far_away_or_wrapped_tells_nothing(assembler):
+def test_a_distant_or_wrapped_block_id_triggers_no_request(assembler):
     for before, after in ((1, 5000), (5000, 2), (65535, 1)):
         feed(assembler, [*packets(before), *packets(after)])
         assert not assembler.waiting

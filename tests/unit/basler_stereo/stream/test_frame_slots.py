@@ -1,4 +1,4 @@
-"""Frames through shared memory: whole, or known to be overwritten."""
+"""Frames through shared memory: complete, or known to be overwritten."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def test_a_frame_is_fetched_as_it_was_written(sides):
     assert bytes(frame.data) == bytes([9]) * PAYLOAD
 
 
-def test_a_frame_without_a_leader_stays_without(sides):
+def test_a_frame_without_a_leader_is_fetched_without_one(sides):
     writer, reader = sides
     assert reader.fetch(written(writer, 1, leader=None)).leader is None
 
@@ -56,7 +56,7 @@ def test_a_copy_is_not_changed_by_later_frames(sides):
     assert bytes(frame.data) == bytes([1]) * PAYLOAD
 
 
-def test_counters_are_seen_by_the_other_side(sides):
+def test_counters_are_visible_to_the_other_side(sides):
     writer, reader = sides
     writer.write_counters(StreamCounters(1, 2, 3, 4, 5, 6, 7))
     assert reader.counters() == StreamCounters(1, 2, 3, 4, 5, 6, 7)

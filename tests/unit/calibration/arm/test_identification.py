@@ -1,4 +1,4 @@
-"""An arm is identified from looks of the simulator's own arm, and judged by looks that were kept apart."""
+"""An arm is identified from looks of the simulator's own arm, and judged by held-out looks."""
 
 from datetime import timedelta
 from pathlib import Path
@@ -36,7 +36,7 @@ def identified() -> tuple[LookingArm, ArmLooks, ArmResult]:
     return arm, observed, calibrate_arm(observed, life=timedelta(days=10))
 
 
-def test_looks_that_were_not_used_are_met_as_well_as_predicted(
+def test_held_out_looks_are_predicted_as_well_as_stated(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     _, _, result = identified
@@ -46,19 +46,19 @@ def test_looks_that_were_not_used_are_met_as_well_as_predicted(
     assert held.error_mm < 0.04
 
 
-def test_the_random_error_of_the_arm_is_found(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
+def test_the_random_error_of_the_arm_is_estimated(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
     arm, _, result = identified
     assert result.fit.scatter_mm == pytest.approx(arm.scene.arm.repeatability_mm, rel=0.2)
 
 
-def test_backlash_is_found_from_looks_that_arrive_from_both_sides(
+def test_backlash_is_estimated_from_looks_that_arrive_from_both_sides(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     arm, _, result = identified
     np.testing.assert_allclose(result.arm.backlash_rad, arm.scene.arm.backlash_rad, atol=1e-4)
 
 
-def test_points_near_the_spheres_are_reached_relative_to_each_other(
+def test_points_near_the_spheres_are_reached_accurately_relative_to_each_other(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     arm, _, result = identified
@@ -84,7 +84,7 @@ def test_points_near_the_spheres_are_reached_relative_to_each_other(
     assert spread[1] > 5.0 * spread[0]
 
 
-def test_records_are_dated_and_the_tip_moves_with_the_head(
+def test_records_are_dated_and_match_the_fit(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     _, observed, result = identified
@@ -95,7 +95,7 @@ def test_records_are_dated_and_the_tip_moves_with_the_head(
     assert ArmDeviations.of(result.arm).flat() == pytest.approx(result.fit.deviations.flat())
 
 
-def test_an_unchanged_arm_passes_its_check_and_a_screw_that_gave_way_does_not(
+def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     arm, _, result = identified
@@ -112,7 +112,7 @@ def test_an_unchanged_arm_passes_its_check_and_a_screw_that_gave_way_does_not(
         check_arm(later.model_copy(update={"stereo_head": slipped})).require()
 
 
-def test_a_check_without_a_record_says_how_to_get_one() -> None:
+def test_a_check_without_a_record_names_the_command_that_makes_one() -> None:
     with pytest.raises(NoArmRecord, match="ronna-arm calibrate"):
         check_arm(LookingArm.of(3).looks(0, 12, SPHERES_MM))
 
@@ -132,7 +132,7 @@ def test_looks_from_one_orientation_are_refused() -> None:
         calibrate_arm(observed.model_copy(update={"looks": alike}))
 
 
-def test_a_sphere_that_moves_on_the_way_is_refused() -> None:
+def test_a_sphere_that_moves_between_looks_is_refused() -> None:
     observed = LookingArm.of(3).looks(LOOKS, VALIDATION, SPHERES_MM)
     late = tuple(
         one
@@ -150,19 +150,19 @@ def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
         calibrate_arm(one_side)
 
 
-def test_looks_of_an_arm_that_nobody_knows_are_refused(tmp_path: Path) -> None:
+def test_looks_of_an_unknown_arm_are_refused(tmp_path: Path) -> None:
     KIND.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
     with pytest.raises(BadObservations, match=r"CAL-005.*there is no arm named 'kr3'"):
         KIND.read_looks(tmp_path)
 
 
-def test_a_model_that_the_looks_leave_open_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_model_that_the_looks_leave_undetermined_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.calibration.arm.validation.LARGEST_ERROR_MM", 0.005)
     with pytest.raises(Unobservable, match="least of all"):
         calibrate_arm(LookingArm.of(3).looks(60, 24, SPHERES_MM))
 
 
-def test_chosen_looks_leave_less_unknown_than_the_first_ones() -> None:
+def test_chosen_looks_carry_more_information_than_the_first_ones() -> None:
     arm = LookingArm.of(3)
     model = ArmModel(KINEMATICS, arm.head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
     candidates = arrays_of(arm.looks(200, 0, SPHERES_MM).looks)

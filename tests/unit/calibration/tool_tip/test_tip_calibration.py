@@ -1,4 +1,4 @@
-"""The tip of the guide is found beside what the head sees, and bad readings are refused."""
+"""The tip of the guide is found relative to what the head sees, and bad readings are refused."""
 
 from __future__ import annotations
 
@@ -48,7 +48,9 @@ def among(observed: TipLooks, readings: list[DivotReading]) -> TipLooks:
 
 
 @pytest.mark.parametrize(("seed", "calibrated"), [(0, True), (5, False), (11, False)])
-def test_the_tip_is_found_beside_what_the_head_sees_whatever_the_arm(seed: int, calibrated: bool) -> None:
+def test_the_tip_is_found_relative_to_what_the_head_sees_whatever_the_arm(
+    seed: int, calibrated: bool
+) -> None:
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(COUNT, VALIDATION))
     true = matrix_of(cell.scene.mount.tool_from_tip_true)[:3, 3]
@@ -56,7 +58,7 @@ def test_the_tip_is_found_beside_what_the_head_sees_whatever_the_arm(seed: int, 
     assert np.linalg.norm(result.fit.tip_mm - cell.seen_mm(true)) <= 4.0 * result.tool_tip.stated_error_mm
 
 
-def test_the_record_is_dated_and_keeps_where_the_guide_points(read: tuple[TipCell, TipLooks]) -> None:
+def test_the_record_is_dated_and_keeps_the_direction_of_the_guide(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     record = calibrate_tip(observed, life=timedelta(days=3)).tool_tip
     assert (record.created, record.expires) == (observed.created, observed.created + timedelta(days=3))
@@ -67,7 +69,7 @@ def test_the_record_is_dated_and_keeps_where_the_guide_points(read: tuple[TipCel
     assert record.stated_direction_error_rad == observed.start.stated_direction_error_rad > 0.0
 
 
-def test_the_record_puts_the_tip_where_the_fit_has_it(read: tuple[TipCell, TipLooks]) -> None:
+def test_the_record_places_the_tip_where_the_fit_does(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     result = calibrate_tip(observed)
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
@@ -91,7 +93,7 @@ def test_a_narrow_cone_is_refused(read: tuple[TipCell, TipLooks]) -> None:
         calibrate_tip(cell.readings(COUNT, VALIDATION, tilt_rad=0.05))
 
 
-def test_dials_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) -> None:
+def test_dial_readings_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     generator = np.random.default_rng(2)
     spoilt = [with_dials(one, generator.normal(0.0, 0.2, 3)) for one in observed.readings]
@@ -99,7 +101,7 @@ def test_dials_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) ->
         calibrate_tip(among(observed, spoilt))
 
 
-def test_readings_that_the_fit_has_not_seen_must_agree_with_it(read: tuple[TipCell, TipLooks]) -> None:
+def test_held_out_readings_must_agree_with_the_fit(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     spoilt = [
         with_dials(one, (0.2, 0.2, 0.0)) if one.look in observed.validation else one
@@ -110,7 +112,7 @@ def test_readings_that_the_fit_has_not_seen_must_agree_with_it(read: tuple[TipCe
 
 
 @pytest.mark.parametrize("dials", [(350.0, 20.0, -10.0), (0.0, float("nan"), 0.0)])
-def test_readings_in_another_unit_are_refused_with_what_was_read(
+def test_implausible_readings_are_refused_with_the_value_read(
     read: tuple[TipCell, TipLooks], dials: Numbers3
 ) -> None:
     _, observed = read
@@ -121,7 +123,7 @@ def test_readings_in_another_unit_are_refused_with_what_was_read(
     assert refused.value.got == " ".join(f"{value:g}" for value in dials)
 
 
-def test_each_reading_needs_a_look_of_its_own(read: tuple[TipCell, TipLooks]) -> None:
+def test_each_reading_needs_its_own_look(read: tuple[TipCell, TipLooks]) -> None:
     _, observed = read
     first, *others = observed.readings
     for wrong in (first.model_copy(update={"look": 99}), first.model_copy(update={"look": others[0].look})):
@@ -129,7 +131,7 @@ def test_each_reading_needs_a_look_of_its_own(read: tuple[TipCell, TipLooks]) ->
             calibrate_tip(among(observed, [wrong, *others]))
 
 
-def test_a_divot_that_is_not_where_the_ball_was_is_told_from_a_shifted_tip_by_pivoting() -> None:
+def test_pivoting_distinguishes_a_displaced_divot_from_a_shifted_tip() -> None:
     generator = np.random.default_rng(4)
     turns = Rotation.from_rotvec(generator.normal(0.0, 0.35, (12, 3))).as_matrix()
     place, tip, gap = np.array([560.0, -320.0, 230.0]), np.array([0.4, -0.2, 0.1]), np.array([0.0, 0.2, 0.0])
@@ -145,7 +147,7 @@ def test_a_divot_that_is_not_where_the_ball_was_is_told_from_a_shifted_tip_by_pi
         fit_tip(apart)
 
 
-def test_a_gap_that_is_accepted_is_counted_and_bad_readings_excuse_none(
+def test_an_accepted_gap_counts_in_the_stated_error_and_bad_readings_cannot_hide_one(
     read: tuple[TipCell, TipLooks],
 ) -> None:
     _, observed = read
@@ -158,7 +160,7 @@ def test_a_gap_that_is_accepted_is_counted_and_bad_readings_excuse_none(
         calibrate_tip(among(observed, shaky))
 
 
-def test_a_figure_beyond_its_limit_by_little_is_told_apart_from_it(
+def test_a_value_slightly_beyond_its_limit_is_shown_as_different_from_the_limit(
     read: tuple[TipCell, TipLooks], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     _, observed = read
@@ -170,7 +172,7 @@ def test_a_figure_beyond_its_limit_by_little_is_told_apart_from_it(
     assert got > limit
 
 
-def test_no_large_gap_goes_unnoticed_between_orientations_that_are_alike() -> None:
+def test_similar_orientations_that_could_hide_a_large_gap_are_refused() -> None:
     generator = np.random.default_rng(5)
     turns = Rotation.from_rotvec(generator.normal(0.0, 0.17, (8, 3))).as_matrix()
     at_ball = np.tile(np.eye(4), (8, 1, 1))
@@ -180,7 +182,7 @@ def test_no_large_gap_goes_unnoticed_between_orientations_that_are_alike() -> No
         fit_tip(pairs)
 
 
-def test_the_command_asks_for_as_many_readings_as_the_fit_needs() -> None:
+def test_the_command_requires_as_many_readings_as_the_fit_needs() -> None:
     for option, least in (("--readings", LEAST_READINGS), ("--validation", LEAST_VALIDATION)):
         done = in_this_process(app, "calibrate", "tool-tip", "--sim", option, str(least - 1))
         assert done.returncode == 2

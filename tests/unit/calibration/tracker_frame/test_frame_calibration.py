@@ -83,7 +83,7 @@ def test_with_a_calibrated_arm_the_frame_is_where_a_perfect_tracker_would_find_i
     assert drawn_deg <= 0.05
 
 
-def test_an_uncalibrated_arm_states_its_own_error(seen: tuple[FrameCell, FrameLooks]) -> None:
+def test_an_uncalibrated_arm_enters_the_stated_error(seen: tuple[FrameCell, FrameLooks]) -> None:
     cell, observed = looks_of(3, calibrated=False)
     result = calibrate_frame(observed)
     error_mm, _ = apart(result.fit.flange_from_marker, cell.true_frame)
@@ -106,7 +106,7 @@ def test_the_record_is_dated_and_relative_to_the_head_on_the_same_mount(
     assert np.allclose(again.as_matrix(), result.fit.flange_from_marker, atol=1e-6)
 
 
-def test_looks_that_were_kept_apart_agree_with_what_is_expected_of_them(
+def test_held_out_looks_agree_with_the_predicted_error(
     seen: tuple[FrameCell, FrameLooks],
 ) -> None:
     result = calibrate_frame(seen[1])
@@ -134,7 +134,7 @@ def test_turns_about_nearly_parallel_axes_are_refused() -> None:
         solve(pairs)
 
 
-def test_a_frame_that_does_not_hang_on_the_arm_is_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
+def test_a_frame_that_is_not_mounted_on_the_arm_is_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
     _, observed = seen
     resting = observed.looks[0].tracker_from_marker
     looks = [one.model_copy(update={"tracker_from_marker": resting}) for one in observed.looks]
@@ -142,7 +142,7 @@ def test_a_frame_that_does_not_hang_on_the_arm_is_refused(seen: tuple[FrameCell,
         calibrate_frame(among(observed, looks))
 
 
-def test_a_tracker_that_moved_meanwhile_is_noticed_at_the_pose_that_is_returned_to(
+def test_a_tracker_that_moved_during_calibration_is_detected_at_the_repeated_pose(
     seen: tuple[FrameCell, FrameLooks],
 ) -> None:
     _, observed = seen
@@ -154,7 +154,9 @@ def test_a_tracker_that_moved_meanwhile_is_noticed_at_the_pose_that_is_returned_
     assert refused.value.got.startswith("0.4")
 
 
-def test_a_tracker_that_creeps_is_noticed_though_no_step_of_it_is(seen: tuple[FrameCell, FrameLooks]) -> None:
+def test_a_creeping_tracker_is_detected_although_no_single_step_is(
+    seen: tuple[FrameCell, FrameLooks],
+) -> None:
     _, observed = seen
     first, *_ = (one for one in observed.looks if one.use is Use.RETURN)
     others = [one for one in observed.looks if one.use is not Use.RETURN]
@@ -180,7 +182,7 @@ def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, Fra
         calibrate_frame(spoilt(Use.VALIDATION, 1.0))
 
 
-def test_a_result_far_from_the_record_is_refused_with_what_to_correct(
+def test_a_result_far_from_the_record_is_refused_with_a_corrective_action(
     seen: tuple[FrameCell, FrameLooks],
 ) -> None:
     _, observed = seen

@@ -1,4 +1,4 @@
-"""Each case about cameras on the wire finds the mistake that it is there for, made in one of a pair."""
+"""Each case of the GigE suite finds its mistake, made in one camera of a pair."""
 
 from __future__ import annotations
 
@@ -148,18 +148,16 @@ def test_good_cameras_pass_every_case(make_stand: Callable[[], Stand], monkeypat
     assert {result.number: result.reason for result in results if result.outcome is not Outcome.PASS} == {}
 
 
-def test_cameras_that_do_not_hear_what_is_said_to_everybody_are_found_out(
-    make_stand: Callable[[], Stand], monkeypatch: Patch
-) -> None:
+def test_cameras_that_ignore_broadcasts_fail(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
     monkeypatch.setattr("sim.basler.pair.bind_broadcast", list)
     assert make_stand().run("G01").outcome is Outcome.FAIL
 
 
-def test_every_case_about_the_wire_has_its_mistake() -> None:
+def test_every_gige_case_has_its_mistake() -> None:
     assert {number for number, _ in MISTAKES.values()} | {"G01"} == {case.number for case in PROTOCOL.cases}
 
 
-def test_a_packed_description_is_read_as_well(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
+def test_a_zipped_description_is_read_too(make_stand: Callable[[], Stand], monkeypatch: Patch) -> None:
     stand = make_stand()
     for camera in (stand.left, stand.right):
         spoil.pack_description(camera, monkeypatch)

@@ -1,4 +1,4 @@
-"""The byte-level cases of the robot suite notice what a real client would choke on."""
+"""The byte-level cases of the robot suite catch what would break a real client's parser."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def telegram(raw: bytes) -> Telegram:
     return Telegram(raw, ("127.0.0.1", 1), 0.0)
 
 
-def test_the_layout_of_a_kr_c4_is_taken() -> None:
+def test_the_layout_of_a_kr_c4_passes() -> None:
     assert layout_is_that_of_a_kr_c4(RIGHT)
 
 
@@ -31,18 +31,18 @@ def test_the_layout_of_a_kr_c4_is_taken() -> None:
         (b"</IPOC><Delay/></Rob>", b"</IPOC></Rob>"),
     ],
 )
-def test_what_breaks_a_positional_parser_is_noticed(wrong: bytes, right: bytes) -> None:
+def test_a_layout_that_would_break_a_positional_parser_fails(wrong: bytes, right: bytes) -> None:
     assert right in RIGHT
     assert not layout_is_that_of_a_kr_c4(RIGHT.replace(right, wrong))
 
 
-def test_a_delay_that_is_no_whole_number_is_noticed() -> None:
+def test_a_delay_that_is_not_an_integer_fails_and_a_missing_one_is_inconclusive() -> None:
     with pytest.raises(Nonconformity):
         _ = telegram(RIGHT.replace(b'D="0"', b'D="0.0"')).late
     with pytest.raises(NotShown):
         _ = telegram(RIGHT.replace(b'<Delay D="0"/>', b"")).late
 
 
-def test_a_reply_without_a_correction_is_noticed() -> None:
+def test_a_reply_without_a_correction_fails() -> None:
     with pytest.raises(Nonconformity):
         corrections(b'<Sen Type="KROSHU"><Stop>0</Stop><IPOC>1</IPOC></Sen>')

@@ -1,4 +1,4 @@
-"""P27 on units of several rates, answering at the level of single frames."""
+"""Case P27 on units of several frame rates, at the level of single frames."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def judge(monkeypatch: pytest.MonkeyPatch) -> Callable[[Counter, bool], None]:
     return run
 
 
-def test_a_unit_of_60_frames_per_second_passes(judge: Callable[[Counter, bool], None]) -> None:
+def test_a_unit_at_60_frames_per_second_passes(judge: Callable[[Counter, bool], None]) -> None:
     judge(_free_running(60.0), False)
 
 
@@ -65,14 +65,14 @@ def test_a_unit_of_60_frames_per_second_passes(judge: Callable[[Counter, bool], 
         (lambda: itertools.repeat(7).__next__, True),
     ],
 )
-def test_a_unit_of_another_rate_fails(
+def test_a_unit_at_another_rate_fails(
     judge: Callable[[Counter, bool], None], counter: Callable[[], Counter], clock_known: bool
 ) -> None:
     with pytest.raises(Nonconformity, match="frames"):
         judge(counter(), clock_known)
 
 
-def test_a_unit_that_counts_requests_is_left_undecided_only_where_its_clock_is_unknown(
+def test_a_unit_that_counts_requests_is_undecided_only_when_its_clock_is_unknown(
     judge: Callable[[Counter, bool], None],
 ) -> None:
     with pytest.raises(NotShown, match="--config"):

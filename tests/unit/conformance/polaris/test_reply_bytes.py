@@ -1,4 +1,4 @@
-"""What the suite itself knows of the protocol, held against the published examples."""
+"""The suite's own knowledge of the protocol agrees with the published examples."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_the_published_replies_are_read() -> None:
     assert (missing.status, missing.pose, missing.frame) == (HandleStatus.MISSING, None, 301)
 
 
-def test_a_body_of_another_length_is_no_reply() -> None:
+def test_a_body_of_the_wrong_length_is_rejected() -> None:
     with pytest.raises(Nonconformity, match="bytes in the body"):
         read_body(body_of(SEEN) + b"\0", 0x0001)
 
@@ -37,7 +37,7 @@ def test_a_reply_is_rebuilt_byte_for_byte() -> None:
     assert text_reply("OKAY") == b"OKAYA896\r"
 
 
-def test_another_system_status_keeps_the_rest() -> None:
+def test_replacing_the_system_status_keeps_the_rest_of_the_reply() -> None:
     changed = with_system_status(SEEN, 0x0200)
     assert read_body(body_of(changed), 0x0001).system_status == 0x0200
     assert body_of(changed)[:-2] == body_of(SEEN)[:-2]
@@ -77,13 +77,13 @@ def test_the_clearance_of_a_point_is_negative_outside() -> None:
     assert pyramid.clearance_mm((0.0, 0.0, -2401.0)) < 0
 
 
-def test_the_published_definition_is_read_by_another_reader() -> None:
+def test_the_simulators_parser_reads_the_published_definition() -> None:
     tool = parse_definition(published())
     assert (tool.part_number, tool.manufacturer, tool.minimum_markers) == ("8700339", "NDI", 4)
     assert tool.markers_mm[1] == pytest.approx((28.59, 41.02, 0.0), abs=1e-5)
 
 
-def test_variants_of_a_definition_are_sound() -> None:
+def test_variants_of_a_definition_are_valid() -> None:
     block = published()
     away = parse_definition(looking_away(block))
     assert (away.normals[:, 2] == -1.0).all()

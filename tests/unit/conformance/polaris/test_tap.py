@@ -1,4 +1,4 @@
-"""The tap changes the reply that it is told to, whole and once, and lets everything else pass."""
+"""The tap changes one requested reply as a whole, and passes everything else."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def ask(client: socket.socket, command: bytes, length: int) -> bytes:
     return heard
 
 
-def test_commands_of_both_forms_are_written_down(tap: PolarisTap, client: socket.socket) -> None:
+def test_commands_in_both_formats_are_recorded(tap: PolarisTap, client: socket.socket) -> None:
     ask(client, b"PHSR:0020FF\r", 9)
     ask(client, b"TSTART 80\r", 9)
     assert tap.commands == ["PHSR:00", "TSTART:80"]
@@ -97,7 +97,7 @@ def test_a_binary_reply_is_changed_as_a_whole(tap: PolarisTap, client: socket.so
     assert ask(client, b"BX 0001\r", len(BINARY)) == BINARY
 
 
-def test_words_that_the_unit_never_said(tap: PolarisTap, client: socket.socket) -> None:
+def test_the_tap_injects_bytes_that_the_unit_never_sent(tap: PolarisTap, client: socket.socket) -> None:
     ask(client, b"PENA 01D\r", 9)
     tap.inject(b"RESETBE6F\r")
     assert client.recv(100) == b"RESETBE6F\r"

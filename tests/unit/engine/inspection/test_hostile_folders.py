@@ -1,4 +1,4 @@
-"""Files and folders that would cost memory, time or a forged line cost nothing of it."""
+"""Hostile files and folders in a run cost neither memory nor time and forge no line of output."""
 
 import os
 import subprocess
@@ -36,7 +36,7 @@ def chain_of_folders() -> Iterator[Callable[[Path], None]]:
 
 
 @pytest.mark.parametrize("where", ["", "report/", "theatre/"])
-def test_a_chain_of_folders_without_end_is_an_added_one(
+def test_an_endless_chain_of_folders_is_reported_as_added(
     run: Path, where: str, chain_of_folders: Callable[[Path], None]
 ) -> None:
     chain_of_folders(run / f"{where}deep")
@@ -48,7 +48,7 @@ def test_a_chain_of_folders_without_end_is_an_added_one(
 
 
 @pytest.mark.parametrize("where", ["export", ".report.partial"])
-def test_a_chain_of_folders_outside_the_run_is_not_looked_at(
+def test_an_endless_chain_of_folders_that_is_not_part_of_the_run_is_ignored(
     run: Path, where: str, chain_of_folders: Callable[[Path], None]
 ) -> None:
     chain_of_folders(run / where)
@@ -56,13 +56,13 @@ def test_a_chain_of_folders_outside_the_run_is_not_looked_at(
 
 
 @pytest.mark.parametrize("size", [LARGEST_FILE_BYTES + 1, 300_000_000_000])
-def test_a_file_without_end_is_changed_by_its_size_alone(run: Path, size: int) -> None:
+def test_an_oversized_file_is_reported_as_changed_by_its_size_alone(run: Path, size: int) -> None:
     os.truncate(run / "pictures" / "ct-1.png", size)
     (problem,) = inspected(run).problems
     assert str(problem) == "pictures/ct-1.png: changed: larger than any file of a run"
 
 
-def test_a_name_that_is_no_text_never_comes_into_the_seal(run: Path) -> None:
+def test_a_file_whose_name_is_not_valid_text_is_not_sealed(run: Path) -> None:
     (run / SEAL_FILE).unlink()
     (run / "report" / os.fsdecode(b"a\xff")).write_text("from elsewhere")
     seal_run(run)
@@ -71,14 +71,14 @@ def test_a_name_that_is_no_text_never_comes_into_the_seal(run: Path) -> None:
     ]
 
 
-def test_a_file_whose_name_has_a_line_break_forges_no_line(run: Path) -> None:
+def test_a_line_break_in_a_file_name_does_not_forge_a_line(run: Path) -> None:
     (run / "note\nwhole.json").write_text("from elsewhere")
     assert [str(problem) for problem in inspected(run).problems] == [
         "note whole.json: added: not part of the run"
     ]
 
 
-def test_a_seal_of_a_journal_of_any_length_costs_no_memory(run: Path) -> None:
+def test_a_seal_that_claims_a_huge_journal_costs_no_memory(run: Path) -> None:
     made = read_seal(run)
     assert made is not None
     longer = made.model_copy(update={"journal_bytes": 10**18}).signed()
@@ -88,14 +88,14 @@ def test_a_seal_of_a_journal_of_any_length_costs_no_memory(run: Path) -> None:
     assert changed_files(run) == {JOURNAL_FILE}
 
 
-def test_a_line_of_endless_brackets_is_found_like_any_other(run: Path) -> None:
+def test_a_journal_line_of_endless_brackets_is_reported(run: Path) -> None:
     with (run / JOURNAL_FILE).open("ab") as journal:
         journal.write(b"[" * 100_000 + b"\n")
     assert changed_files(run) == {JOURNAL_FILE}
 
 
 @pytest.mark.parametrize("name", ["9" * 300, "a\0b"], ids=["too long", "with a zero byte"])
-def test_a_journal_may_name_files_that_no_disk_can_hold(tmp_path: Path, name: str) -> None:
+def test_impossible_file_names_in_a_journal_are_reported(tmp_path: Path, name: str) -> None:
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: "0"})
     cell.journal.write(Entry.CLOSED, 0.0, files={name: "0"})

@@ -1,4 +1,4 @@
-"""Whatever is changed in a run, byte or file, is found and named."""
+"""Every change to a run, of a byte or of a file, is found and named."""
 
 import json
 import os
@@ -25,7 +25,7 @@ from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.seal import SEAL_FILE
 
 
-def test_a_run_that_was_left_alone_is_whole(finished: Path) -> None:
+def test_an_unchanged_run_is_intact(finished: Path) -> None:
     assert inspected(finished).require_whole().problems == ()
 
 
@@ -42,7 +42,7 @@ def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
 
 
 @pytest.mark.hazard(39)
-def test_any_file_that_is_gone_is_named(finished: Path, tmp_path: Path) -> None:
+def test_any_missing_file_is_named(finished: Path, tmp_path: Path) -> None:
     for path in files_in(finished):
         aside = path.rename(tmp_path / "aside")
         try:
@@ -53,7 +53,7 @@ def test_any_file_that_is_gone_is_named(finished: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(39)
-def test_any_two_files_that_were_exchanged_are_named(run: Path) -> None:
+def test_any_two_swapped_files_are_named(run: Path) -> None:
     for one, other in combinations(files_in(run), 2):
         contents = one.read_bytes(), other.read_bytes()
         one.write_bytes(contents[1])
@@ -67,7 +67,7 @@ def test_any_two_files_that_were_exchanged_are_named(run: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["records/08-image.json", "pictures/more.png", "note.txt", "theatre/a/b"])
-def test_any_file_that_came_is_named(run: Path, name: str) -> None:
+def test_any_added_file_is_named(run: Path, name: str) -> None:
     (run / name).parent.mkdir(parents=True, exist_ok=True)
     (run / name).write_text("from elsewhere")
     assert changed_files(run) == {name}
@@ -75,13 +75,13 @@ def test_any_file_that_came_is_named(run: Path, name: str) -> None:
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("count", [1, 2, 5])
-def test_last_lines_that_are_gone_are_missed_by_the_seal(run: Path, count: int) -> None:
+def test_removed_last_journal_lines_are_detected(run: Path, count: int) -> None:
     without_last_lines(run, count)
     assert JOURNAL_FILE in changed_files(run)
 
 
 @pytest.mark.hazard(39)
-def test_a_record_of_another_run_is_named(run: Path, tmp_path: Path) -> None:
+def test_a_record_from_another_run_is_named(run: Path, tmp_path: Path) -> None:
     name = "records/02-localization-T1.json"
     shutil.copy(finished_run(tmp_path / "another") / name, run / name)
     what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
@@ -89,7 +89,7 @@ def test_a_record_of_another_run_is_named(run: Path, tmp_path: Path) -> None:
     assert "is of run another" in what
 
 
-def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -> None:
+def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(cell: RecordingCell) -> None:
     order = plain_order("T1", image=seen)
     engine = cell.engine(order)
     for _ in range(3):
@@ -100,14 +100,14 @@ def test_a_repeated_step_leaves_the_pictures_of_the_first(cell: RecordingCell) -
 
 
 @pytest.mark.hazard(39)
-def test_a_run_under_another_name_is_not_that_run(run: Path) -> None:
+def test_a_renamed_run_is_refused(run: Path) -> None:
     assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
     renamed = run.rename(run.with_name("another"))
     with pytest.raises(RunChanged, match="of run run, in a folder named another"):
         inspected(renamed).require_whole()
 
 
-def test_exports_are_made_at_any_time_and_are_no_part_of_the_run(run: Path) -> None:
+def test_exports_are_not_part_of_the_run(run: Path) -> None:
     (run / "export").mkdir()
     (run / "export" / "spheres.csv").write_text("M1")
     assert inspected(run).problems == ()

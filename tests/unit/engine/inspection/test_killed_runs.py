@@ -1,4 +1,4 @@
-"""What was changed after a kill is told from what a kill may leave."""
+"""Changes made after a kill are distinguished from what a kill can leave behind."""
 
 import os
 from collections.abc import Callable
@@ -60,7 +60,7 @@ SPOILED = {
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("spoil", SPOILED, ids=lambda spoil: spoil.__name__)
-def test_what_was_changed_after_a_kill_is_told_from_the_kill(
+def test_changes_after_a_kill_are_distinguished_from_the_traces_of_the_kill(
     killed: Path, spoil: Callable[[Path], None]
 ) -> None:
     assert changed_files(killed) == set()
@@ -70,7 +70,7 @@ def test_what_was_changed_after_a_kill_is_told_from_the_kill(
 
 
 @pytest.mark.hazard(39)
-def test_the_truth_is_held_from_the_moment_the_run_is_closed(run: Path) -> None:
+def test_the_truth_is_protected_once_the_run_is_closed_even_without_a_seal(run: Path) -> None:
     (run / SEAL_FILE).unlink()
     assert changed_files(run) == set()
     (run / "theatre" / "truth.jsonl").write_text("elsewhere\n")
@@ -108,9 +108,7 @@ def sampled(tmp_path: Path) -> Path:
     ],
     ids=["scene", "sample", "emptied", "gone", "added"],
 )
-def test_truth_that_is_exchanged_in_a_run_that_was_killed_is_named(
-    sampled: Path, name: str, content: str | None
-) -> None:
+def test_truth_replaced_in_a_killed_run_is_named(sampled: Path, name: str, content: str | None) -> None:
     path = sampled / "theatre" / name
     path.unlink()
     if content is not None:
@@ -118,7 +116,7 @@ def test_truth_that_is_exchanged_in_a_run_that_was_killed_is_named(
     assert changed_files(sampled) == {f"theatre/{name}"}
 
 
-def test_truth_of_any_length_in_the_journal_costs_no_memory(sampled: Path) -> None:
+def test_a_journal_that_claims_a_huge_truth_file_costs_no_memory(sampled: Path) -> None:
     journal = Journal.taken_up(sampled, read_chain(sampled / JOURNAL_FILE))
     journal.write(Entry.FOUND, 3.0, truth={"theatre/truth.jsonl": [10**18, "0"]})
     journal.close()

@@ -1,4 +1,4 @@
-"""A run that goes on after its end, or whose arm goes home, vouches for nothing that was changed."""
+"""Resuming a finished run or sending its arm home does not vouch for changed files."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -28,7 +28,7 @@ def with_a_changed_picture(run: Path) -> Path:
 
 
 @pytest.mark.parametrize("spoil", [renamed, with_a_stray_file, with_a_changed_picture])
-def test_what_the_way_home_is_not_read_in_does_not_keep_the_arm_from_leaving(
+def test_a_change_outside_journal_and_records_passes_the_check_before_homing(
     run: Path, spoil: Callable[[Path], Path]
 ) -> None:
     found = inspected(spoil(run))
@@ -37,7 +37,7 @@ def test_what_the_way_home_is_not_read_in_does_not_keep_the_arm_from_leaving(
     assert found.require_account().changes != ()
 
 
-def test_going_home_does_not_make_an_added_file_part_of_the_run(run: Path) -> None:
+def test_homing_does_not_make_an_added_file_part_of_the_run(run: Path) -> None:
     stray = with_a_stray_file(run) / "notes.txt"
     for _ in range(2):
         gone_home(run)
@@ -46,7 +46,7 @@ def test_going_home_does_not_make_an_added_file_part_of_the_run(run: Path) -> No
     assert inspected(run).problems == ()
 
 
-def test_going_home_does_not_vouch_for_a_changed_file(run: Path) -> None:
+def test_homing_does_not_vouch_for_a_changed_file(run: Path) -> None:
     plan = run / "case" / "plan.toml"
     as_it_was = plan.read_bytes()
     plan.write_bytes(b"schema = 2\n")
@@ -59,14 +59,14 @@ def test_going_home_does_not_vouch_for_a_changed_file(run: Path) -> None:
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("name", [JOURNAL_FILE, "records/01-image.json"])
-def test_a_changed_account_keeps_the_arm_where_it_is(run: Path, name: str) -> None:
+def test_a_changed_journal_or_record_fails_the_check_before_homing(run: Path, name: str) -> None:
     (run / name).write_bytes((run / name).read_bytes().replace(b"image", b"imagf"))
     with pytest.raises(RunChanged, match=name):
         inspected(run).require_account()
 
 
 @pytest.mark.hazard(39)
-def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) -> None:
+def test_a_resumed_run_is_checked_against_its_first_end(run: Path) -> None:
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
     journal.close()
@@ -76,7 +76,7 @@ def test_a_run_that_was_taken_up_again_is_held_against_its_first_end(run: Path) 
     assert changed_files(run) == {"case/plan.toml"}
 
 
-def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
+def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> None:
     files = closed_files(tuple(read_journal(run / JOURNAL_FILE)))
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
@@ -90,7 +90,7 @@ def test_a_seal_of_an_earlier_end_does_not_make_a_run_whole(run: Path) -> None:
     assert inspected(run).problems == ()
 
 
-def test_nobody_adds_a_line_to_a_sealed_run(run: Path) -> None:
+def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.FINDING, 1.0, text="all is well")
     journal.close()

@@ -1,4 +1,4 @@
-"""A background that streaks bend does not pull the centre, and what it may still do is stated."""
+"""A background bent by streaks does not pull the centre, and the remaining uncertainty is stated."""
 
 from __future__ import annotations
 
@@ -55,13 +55,13 @@ def sigma_mm(ball: BlurredBall) -> float:
     return float(np.sqrt(np.trace(ball.covariance_mm2)))
 
 
-def test_without_streaks_no_bend_is_seen_and_the_covariance_is_that_of_noise(bare: Array) -> None:
+def test_a_ball_without_streaks_shows_no_bend_and_has_the_covariance_of_noise(bare: Array) -> None:
     ball = fitted(bare)
     assert ball.streak_hu < 3.0
     assert error_mm(ball) < 3.0 * sigma_mm(ball) < 0.02
 
 
-def test_a_bend_of_the_third_degree_is_seen_and_hardly_moves_the_centre(bare: Array) -> None:
+def test_a_third_degree_bend_is_detected_and_hardly_moves_the_centre(bare: Array) -> None:
     _, y, x = np.moveaxis(offsets(), -1, 0)
     bend_hu = 60.0 * (x**3 - 2.0 * x * y**2 + y**3)
     ball, plain = fitted(bare + bend_hu), fitted(bare)
@@ -70,7 +70,7 @@ def test_a_bend_of_the_third_degree_is_seen_and_hardly_moves_the_centre(bare: Ar
     assert sigma_mm(ball) > sigma_mm(plain)
 
 
-def test_what_no_polynomial_follows_is_covered_by_the_covariance(bare: Array) -> None:
+def test_a_background_beyond_the_polynomials_is_covered_by_the_covariance(bare: Array) -> None:
     z, y, x = np.moveaxis(offsets(), -1, 0)
     lobes = np.sin(4.0 * np.arctan2(y + 1.6, x)) * 2.0 / np.maximum(np.hypot(x, y + 1.6) * RADIUS_MM, 2.0)
     ball = fitted(bare + 250.0 * lobes * np.exp(-2.0 * z**2))
@@ -78,7 +78,7 @@ def test_what_no_polynomial_follows_is_covered_by_the_covariance(bare: Array) ->
     assert sigma_mm(ball) < 0.06
 
 
-def test_derivatives_are_those_of_the_model_when_the_blur_has_no_direction() -> None:
+def test_the_derivatives_of_the_model_are_correct_for_an_isotropic_blur() -> None:
     random = np.random.default_rng(2)
     points_mm = CENTRE_MM + random.uniform(-8.0, 8.0, (50, 3))
     background = polynomial((points_mm - CENTRE_MM) / RADIUS_MM, (1, 2, 3))
@@ -94,7 +94,7 @@ def test_derivatives_are_those_of_the_model_when_the_blur_has_no_direction() -> 
         np.testing.assert_allclose(derivatives[:, number], (after - before) / 2e-5, rtol=1e-4, atol=1e-2)
 
 
-def test_products_in_blocks_are_products() -> None:
+def test_blockwise_products_equal_the_matrix_product() -> None:
     random = np.random.default_rng(3)
     one, other = random.normal(size=(1300, 4)), random.normal(size=(1300, 7))
     np.testing.assert_allclose(products(one, other), one.T @ other, rtol=1e-12)

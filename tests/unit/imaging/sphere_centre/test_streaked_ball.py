@@ -1,4 +1,4 @@
-"""A ball under streaks: carried away by none, honest about it; nothing else is taken for a streak."""
+"""A ball under streaks: its centre is not pulled, its covariance is honest, other shapes are rejected."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def fitted(region: Region, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.
     return found
 
 
-def test_bands_carry_no_centre_away_and_the_covariance_tells_the_truth() -> None:
+def test_streak_bands_do_not_pull_the_centre_and_the_covariance_is_honest() -> None:
     chi2 = []
     for seed in range(12):
         found = fitted(streaked(seed, 250.0))
@@ -76,21 +76,21 @@ def test_bands_carry_no_centre_away_and_the_covariance_tells_the_truth() -> None
     assert 0.3 < np.mean(chi2) < 1.4
 
 
-def test_what_the_scanner_cuts_off_below_does_not_pull_the_centre() -> None:
+def test_clipping_at_the_lowest_scanner_value_does_not_pull_the_centre() -> None:
     values = ball_hu() + NOISE_HU * np.random.default_rng(3).standard_normal(SHAPE)
     values[:, :, : SHAPE[2] // 2] -= 300.0  # dark on one side: in air it is cut off
     region = Region(np.clip(values, LOWEST_HU, 3071.0), np.zeros(3, dtype=np.int64), SPACING_MM)
     assert np.linalg.norm(fitted(region).centre_mm - CENTRE_MM) < 0.06
 
 
-def test_where_it_starts_makes_no_difference() -> None:
+def test_the_starting_point_makes_no_difference() -> None:
     region = streaked(5, 250.0)
     np.testing.assert_allclose(
         fitted(region).centre_mm, fitted(region, (0.1, -0.15, 0.1)).centre_mm, atol=0.005
     )
 
 
-def test_the_cleaned_region_is_the_ball_without_its_streaks() -> None:
+def test_cleaning_a_region_more_than_halves_the_streak_variation() -> None:
     region = streaked(7, 300.0)
     near = fitted(region).cleaned
     axes = np.meshgrid(
@@ -101,7 +101,7 @@ def test_the_cleaned_region_is_the_ball_without_its_streaks() -> None:
     assert after < 0.5 * before
 
 
-def test_streaks_neither_stretch_a_ball_nor_hide_that_one_is_stretched() -> None:
+def test_streaks_neither_make_a_ball_look_stretched_nor_hide_that_it_is() -> None:
     region = streaked(7, 300.0)
     assert fitted(region).stretch.difference_mm < 0.08
     longer = fitted(streaked(7, 300.0, squeezed=0.95))
@@ -109,7 +109,7 @@ def test_streaks_neither_stretch_a_ball_nor_hide_that_one_is_stretched() -> None
     assert longer.stretch.difference_mm > 8.0 * longer.stretch.deviation_mm
 
 
-def test_a_hollow_ball_is_no_streaked_one() -> None:
+def test_a_hollow_ball_is_not_fitted_as_a_streaked_one() -> None:
     values = ball_hu() + NOISE_HU * np.random.default_rng(4).standard_normal(SHAPE)
     axes = np.meshgrid(
         *[np.arange(n) * step for n, step in zip(SHAPE, SPACING_MM, strict=True)], indexing="ij"
@@ -120,5 +120,5 @@ def test_a_hollow_ball_is_no_streaked_one() -> None:
 
 
 @pytest.mark.parametrize("way", np.eye(3).tolist())
-def test_a_ball_that_is_not_where_the_rays_found_it_is_not_taken(way: list[float]) -> None:
+def test_a_ball_far_from_where_the_rays_found_it_is_rejected(way: list[float]) -> None:
     assert fit_streaked_ball(streaked(1, 150.0), edge_near(1.2 * np.array(way))) is None

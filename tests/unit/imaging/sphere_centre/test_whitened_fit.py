@@ -1,4 +1,4 @@
-"""A fit that knows its noise: unbiased, better than one that counts all voxels alike, and honest about it."""
+"""A noise-aware fit: unbiased, better than weighting all voxels equally, with an honest covariance."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def equations(voxels: BallVoxels) -> tuple[WhitenedStep, Array, VoxelGrid]:
     return step, derivatives, grid
 
 
-def test_the_centre_answers_to_itself_and_to_no_other_unknown(
+def test_the_centre_estimate_responds_to_the_centre_alone(
     equations: tuple[WhitenedStep, Array, VoxelGrid],
 ) -> None:
     step, derivatives, _ = equations
@@ -94,7 +94,9 @@ def test_the_centre_answers_to_itself_and_to_no_other_unknown(
     np.testing.assert_allclose(answered[:, 3:] * 20.0, 0.0, atol=1e-4)  # mm by terms of 20 HU
 
 
-def test_whitening_beats_counting_all_voxels_alike(equations: tuple[WhitenedStep, Array, VoxelGrid]) -> None:
+def test_whitening_beats_weighting_all_voxels_equally(
+    equations: tuple[WhitenedStep, Array, VoxelGrid],
+) -> None:
     step, derivatives, grid = equations
     even = np.linalg.pinv(derivatives)[:3].T
     spectra = grid.spectra(even)
@@ -105,7 +107,7 @@ def test_whitening_beats_counting_all_voxels_alike(equations: tuple[WhitenedStep
     assert by_ours <= np.trace(step.covariance[:3, :3])  # which holds a floor of fine noise besides
 
 
-def test_the_noise_is_measured_and_what_the_fit_took_is_given_back(voxels: BallVoxels) -> None:
+def test_the_noise_estimate_compensates_for_what_the_fit_absorbed(voxels: BallVoxels) -> None:
     true_slow = (NOISE_HU * (1.0 + 2.0 * SIDE) ** 2 / (1.0 + 2.0 * SIDE**2)) ** 2
     derivatives, *_ = voxels.at(truth(BENT.start + 16))
     grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
@@ -120,7 +122,7 @@ def test_the_noise_is_measured_and_what_the_fit_took_is_given_back(voxels: BallV
     assert np.mean(kept) < 0.93 * np.mean(given)
 
 
-def test_a_projection_has_the_power_of_its_dimensions(voxels: BallVoxels) -> None:
+def test_the_power_of_a_projection_equals_its_dimension(voxels: BallVoxels) -> None:
     derivatives, *_ = voxels.at(truth(BENT.start + 16))
     grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
     doubled = np.column_stack([derivatives, derivatives[:, 3]])  # adds nothing new
@@ -128,7 +130,7 @@ def test_a_projection_has_the_power_of_its_dimensions(voxels: BallVoxels) -> Non
     assert float(np.sum(power * grid.share)) == pytest.approx(derivatives.shape[1], rel=1e-6)
 
 
-def test_values_come_back_from_their_spectra(voxels: BallVoxels) -> None:
+def test_values_are_recovered_from_their_spectra(voxels: BallVoxels) -> None:
     grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
     columns = np.random.default_rng(1).normal(size=(len(voxels.where), 3))
     spectra = grid.spectra(columns)
@@ -136,7 +138,7 @@ def test_values_come_back_from_their_spectra(voxels: BallVoxels) -> None:
     np.testing.assert_allclose(grid.products(spectra, spectra), columns.T @ columns, rtol=1e-9, atol=1e-6)
 
 
-def test_its_covariance_is_that_of_its_errors(voxels: BallVoxels) -> None:
+def test_the_covariance_matches_the_actual_errors(voxels: BallVoxels) -> None:
     squares = []
     for seed in range(16):
         fitted = fit_whitened(noisy(voxels, seed), truth(BENT.start + 16))
@@ -146,7 +148,7 @@ def test_its_covariance_is_that_of_its_errors(voxels: BallVoxels) -> None:
     assert 0.5 < np.mean(squares) / 3.0 < 1.6  # 48 degrees of freedom
 
 
-def test_what_does_not_belong_to_the_ball_is_left_out_with_its_blur(voxels: BallVoxels) -> None:
+def test_voxels_that_do_not_belong_to_the_ball_are_excluded_with_their_blur(voxels: BallVoxels) -> None:
     spoiled = noisy(voxels, 3)
     at_post = np.linalg.norm(spoiled.points_mm - CENTRE_MM - np.array([0.0, RADIUS_MM, 0.0]), axis=1)
     spoiled.values[at_post < 1.5] += 900.0
@@ -156,7 +158,7 @@ def test_what_does_not_belong_to_the_ball_is_left_out_with_its_blur(voxels: Ball
     assert len(voxels.where) - len(clear.where) < 1.2 * np.sum(at_post < 1.5 + 1.2)
 
 
-def test_a_ball_that_is_half_covered_is_fitted_with_more_doubt(voxels: BallVoxels) -> None:
+def test_a_half_covered_ball_is_fitted_better_when_flagged_as_covered(voxels: BallVoxels) -> None:
     """Where its cover ends it leaves traces that noise nearly hides: 60 HU in noise of 20."""
     from_centre_mm = voxels.points_mm - CENTRE_MM
     at_surface = np.abs(np.linalg.norm(from_centre_mm, axis=1) - RADIUS_MM) < 0.8
@@ -172,7 +174,7 @@ def test_a_ball_that_is_half_covered_is_fitted_with_more_doubt(voxels: BallVoxel
     assert np.mean(offsets_mm[True]) < 0.8 * np.mean(offsets_mm[False])
 
 
-def test_bends_are_seen_when_noise_does_not_explain_them_and_slopes_are_no_smaller() -> None:
+def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> None:
     covariance = np.diag(np.full(16, 4.0))
     none = StreakPrior.of_bends(np.full(16, 1.9), covariance)
     assert (none.bent_hu2, none.streak_hu) == (0.0, 0.0)
@@ -186,7 +188,7 @@ def test_bends_are_seen_when_noise_does_not_explain_them_and_slopes_are_no_small
     assert drawn[: SLOPE.start].max() == 0.0
 
 
-def test_an_estimate_that_knows_nothing_better_gets_no_weight() -> None:
+def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
     ball = BlurredBall(CENTRE_MM, 1e-6 * np.eye(3), RADIUS_MM, NOISE_HU, 0.0, 0.0, 1100.0, Stretch(0.0, 0.0))
     nowhere = np.zeros(1, dtype=bool)
     edge = RadialEdge(

@@ -1,4 +1,4 @@
-"""The thesis' pipeline finds spheres as the thesis says: to a tenth of a millimetre or two."""
+"""The thesis pipeline finds spheres as the thesis reports: to one or two tenths of a millimetre."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_both_fits_find_the_markers_and_nothing_else(volume: Volume, fit: Thesis
     np.testing.assert_array_equal(localize_as_thesis(volume, fit).centres_mm, result.centres_mm)
 
 
-def test_the_covariance_is_the_error_that_the_thesis_reports(volume: Volume) -> None:
+def test_the_covariance_is_the_error_reported_in_the_thesis(volume: Volume) -> None:
     marker = localize_as_thesis(volume, ThesisFit.SPHERE).markers[0]
     assert np.sqrt(marker.covariance_mm2.trace()) == pytest.approx(0.1617)
 
@@ -61,7 +61,7 @@ def exact_cluster(axis: int, centre: np.ndarray, outlying: int = 0) -> Cluster:
     return Cluster(centres, np.sqrt(5.75**2 - heights**2), axis, centre)
 
 
-def test_lines_and_sphere_are_exact_on_exact_circles_and_ransac_leaves_outliers_out() -> None:
+def test_line_and_sphere_fits_are_exact_on_exact_circles_and_ransac_rejects_outliers() -> None:
     centre = np.array([3.0, -7.0, 11.0])
     for outlying in (0, 2):
         pair = exact_cluster(0, centre, outlying), exact_cluster(2, centre)
@@ -72,7 +72,7 @@ def test_lines_and_sphere_are_exact_on_exact_circles_and_ransac_leaves_outliers_
         assert share > 0.8
 
 
-def test_one_circle_found_askew_does_not_part_a_sphere_in_two() -> None:
+def test_one_misplaced_circle_does_not_split_a_sphere_in_two() -> None:
     heights = np.arange(-4.5, 5.0)
     centres = np.column_stack([heights, np.zeros((len(heights), 2))])
     centres[4, 1:] = 0.5

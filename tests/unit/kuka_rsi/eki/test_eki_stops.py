@@ -1,4 +1,4 @@
-"""What only EKI tells while the arm moves: the next telegram gets the first point of a stop.
+"""Facts that only EKI reports during motion: the next telegram gets the first set-point of a stop.
 
 Between two telegrams the controller stands still until the driver has heard it. So the promise is counted in
 cycles and not in the time of a busy machine.
@@ -78,7 +78,7 @@ def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: 
         ({"Err": "1073"}, "message 1073"),
     ],
 )
-def test_what_forbids_motion_stops_the_arm_on_its_way_and_is_named(
+def test_a_controller_fact_that_forbids_motion_stops_the_arm_and_is_named(
     controller: Any, patient_arm: Any, change: dict[str, str], cause: str
 ) -> None:
     before = dict(controller.facts)
@@ -96,7 +96,7 @@ def test_what_forbids_motion_stops_the_arm_on_its_way_and_is_named(
 
 
 @pytest.mark.hazard(4)
-def test_a_cut_eki_channel_stops_the_arm_and_recovery_tries_until_it_is_open_again(
+def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     controller: Any, patient_arm: Any
 ) -> None:
     error = _stopped(patient_arm, controller, lambda c: c.drop_eki())
@@ -139,7 +139,7 @@ def _half(controller: Any, ends_with: bytes) -> bytes:
         ),
     ],
 )
-def test_an_eki_telegram_that_cannot_be_read_stops_the_arm(
+def test_an_unreadable_eki_telegram_stops_the_arm(
     controller: Any, patient_arm: Any, broken: Callable[[Any], bytes], words: str
 ) -> None:
     def send(controller: Any) -> None:
@@ -153,7 +153,7 @@ def test_an_eki_telegram_that_cannot_be_read_stops_the_arm(
     patient_arm.activate()
 
 
-def test_padding_and_words_between_eki_telegrams_are_passed_over(controller: Any, patient_arm: Any) -> None:
+def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, patient_arm: Any) -> None:
     controller.send_raw(bytes(500) + b" ready\r\n")
     controller.tell(Tool="7")
     eventually(lambda: patient_arm._connections.eki.latest.tool == 7)

@@ -1,4 +1,4 @@
-"""What comes on the EKI channel: telegrams are found in the stream, and a State is read or refused."""
+"""Input on the EKI channel: telegrams are found in the stream, and a State is read or refused."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ ACK = b'<Ack Id="3" Cmd="STATUS" Code="0" Text="a &gt; b"></Ack>'
 
 @settings(max_examples=100, deadline=None)
 @given(cuts=st.lists(st.integers(0, 2 * len(STATE) + len(ACK)), max_size=8))
-def test_telegrams_come_whole_however_the_stream_is_cut(cuts: list[int]) -> None:
+def test_telegrams_are_reassembled_however_the_stream_is_split(cuts: list[int]) -> None:
     stream = STATE + b"\0\0\r\n" + ACK + STATE
     places = [0, *sorted(cuts), len(stream)]
     scanner = TelegramScanner()
@@ -30,26 +30,26 @@ def test_telegrams_come_whole_however_the_stream_is_cut(cuts: list[int]) -> None
     assert found == [STATE, ACK, STATE]
 
 
-def test_quoted_brackets_self_closing_elements_and_declarations_do_not_mislead() -> None:
+def test_quoted_brackets_self_closing_elements_and_declarations_are_handled() -> None:
     telegram = b'<State a=">" b="/>"><Axis A1="1"/><Pos/></State>'
     scanner = TelegramScanner()
     assert list(scanner.feed(b'garbage </x><?xml version="1.0"?>' + telegram)) == [telegram]
     assert list(scanner.feed(b"<Ack/>")) == [b"<Ack/>"]
 
 
-def test_a_declaration_of_a_type_is_refused() -> None:
+def test_a_doctype_declaration_is_refused() -> None:
     with pytest.raises(BadEkiTelegram, match="declaration") as caught:
         list(TelegramScanner().feed(b"<!DOCTYPE State><State></State>"))
     assert caught.value.code == "EKI-004"
 
 
-def test_a_telegram_without_end_is_refused() -> None:
+def test_a_telegram_without_an_end_is_refused() -> None:
     with pytest.raises(BadEkiTelegram, match="without end tag"):
         list(TelegramScanner().feed(b"<State>" + b"x" * 20_000))
 
 
 @pytest.mark.parametrize("following", [STATE, ACK], ids=["State", "Ack"])
-def test_wherever_a_telegram_breaks_off_it_is_told_before_the_next_one_has_ended(following: bytes) -> None:
+def test_a_truncated_telegram_is_reported_before_the_end_of_the_next_one(following: bytes) -> None:
     for kept in range(1, len(STATE)):
         scanner = TelegramScanner()
         assert list(scanner.feed(STATE[:kept])) == []
@@ -57,12 +57,12 @@ def test_wherever_a_telegram_breaks_off_it_is_told_before_the_next_one_has_ended
             list(scanner.feed(following[:-1]))
 
 
-def test_a_telegram_grows_to_the_buffer_of_a_channel_and_not_beyond() -> None:
+def test_a_telegram_may_fill_the_buffer_of_a_channel() -> None:
     telegram = b"<State>" + b"x" * (LONGEST_TELEGRAM - len(b"<State></State>")) + b"</State>"
     assert list(TelegramScanner().feed(telegram)) == [telegram]
 
 
-def test_crossed_elements_are_refused() -> None:
+def test_wrongly_nested_elements_are_refused() -> None:
     (telegram,) = TelegramScanner().feed(b"<State><Axis></State></Axis>")
     with pytest.raises(BadEkiTelegram, match="well-formed"):
         parse_telegram(telegram)
@@ -74,7 +74,7 @@ def _state(**changes: str) -> ControllerState:
     return read_state(element, 1.0)
 
 
-def test_a_state_is_read_and_what_it_does_not_say_is_none() -> None:
+def test_a_state_is_read_and_absent_facts_are_none() -> None:
     state = _state()
     assert state.axes_deg[0] == 1.5
     assert state.context_hash is None
@@ -86,13 +86,13 @@ def test_a_state_is_read_and_what_it_does_not_say_is_none() -> None:
 @pytest.mark.parametrize(
     "change", [{"Mode": "FREE"}, {"RSI": "9"}, {"Err": ""}, {"Tool": "x"}, {"EStop": "nan"}, {"Drives": "on"}]
 )
-def test_a_state_with_nonsense_is_refused(change: dict[str, str]) -> None:
+def test_a_state_with_invalid_values_is_refused(change: dict[str, str]) -> None:
     with pytest.raises(BadEkiTelegram):
         _state(**change)
 
 
 @pytest.mark.parametrize("angle", ["nan", "inf", "", "1,5"])
-def test_an_axis_that_is_no_number_is_refused(angle: str) -> None:
+def test_an_axis_that_is_not_a_number_is_refused(angle: str) -> None:
     with pytest.raises(BadEkiTelegram, match="cannot be read"):
         read_state(parse_telegram(STATE.replace(b'A1="1.5"', f'A1="{angle}"'.encode())), 0.0)
 
@@ -102,7 +102,7 @@ def test_a_state_without_axes_is_refused() -> None:
         read_state(parse_telegram(b'<State Mode="EXT"></State>'), 0.0)
 
 
-def test_everything_that_forbids_motion_is_named_at_once() -> None:
+def test_everything_that_forbids_motion_is_reported_at_once() -> None:
     state = _state(Mode="T1", EStop="1", Guard="1", Err="310", Drives="0")
     with pytest.raises(ControllerNotReady) as caught:
         require_ready(state, drives=True)

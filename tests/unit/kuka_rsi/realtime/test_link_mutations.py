@@ -24,19 +24,19 @@ FRESH_EVERY = 200  # mutants over the socket: some of them end a session, as tel
 GENEROUS_S = 30.0
 
 
-def test_mutants_are_read_or_refused_and_nothing_else() -> None:
+def test_every_mutant_is_read_or_refused() -> None:
     read, refused = read_mutants(THROUGH_THE_CODEC, seed=1)
     assert read > THROUGH_THE_CODEC / 100
     assert refused > THROUGH_THE_CODEC / 3
 
 
-def test_mutants_in_a_session_move_nothing() -> None:
+def test_mutants_in_a_session_cause_no_motion() -> None:
     answered, refused = answer_mutants(THROUGH_THE_SESSION, seed=1)
     assert answered > THROUGH_THE_SESSION / 100  # some are still telegrams
     assert refused > THROUGH_THE_SESSION / 3
 
 
-def test_mutants_over_the_socket_crash_nothing_and_move_nothing() -> None:
+def test_mutants_over_the_socket_cause_no_crash_and_no_motion() -> None:
     endpoint = parse_endpoint(own_udp_endpoint())
     options = KukaOptions(silence_limit_s=60.0, heartbeat_limit_s=60.0, real_time_priority=0)
     link = LinkClient(link_settings(endpoint, load_context(), options))

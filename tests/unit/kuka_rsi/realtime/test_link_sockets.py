@@ -1,4 +1,4 @@
-"""In a session only its controller is heard; strangers are counted, and nobody else gets the port."""
+"""A session receives only its own controller; strangers are counted, and the port is exclusive."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def stranger() -> Iterator[socket.socket]:
         yield stranger
 
 
-def test_behind_a_flood_of_strangers_the_controllers_telegram_is_the_next(
+def test_the_controllers_telegram_is_received_next_despite_a_flood_from_a_stranger(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
     peer: Address = controller.getsockname()
@@ -57,7 +57,7 @@ def test_behind_a_flood_of_strangers_the_controllers_telegram_is_the_next(
     assert sockets.stranger() is None
 
 
-def test_the_reply_comes_from_the_port_that_the_controller_sends_to(
+def test_the_reply_is_sent_from_the_port_the_controller_sends_to(
     sockets: LinkSockets, controller: socket.socket
 ) -> None:
     sockets.meet(controller.getsockname())
@@ -65,7 +65,7 @@ def test_the_reply_comes_from_the_port_that_the_controller_sends_to(
     assert controller.recv(100) == b"reply"  # connected: it takes nothing from elsewhere
 
 
-def test_after_the_session_anybody_may_begin_the_next(
+def test_any_controller_may_start_the_next_session(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
     sockets.meet(controller.getsockname())
@@ -76,7 +76,7 @@ def test_after_the_session_anybody_may_begin_the_next(
     assert stranger.recv(100) == b"reply"
 
 
-def test_one_session_after_the_other_may_be_with_another_controller(
+def test_a_new_session_can_be_with_another_controller(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, stranger: socket.socket
 ) -> None:
     sockets.meet(controller.getsockname())
@@ -88,7 +88,7 @@ def test_one_session_after_the_other_may_be_with_another_controller(
 
 
 @pytest.mark.parametrize("in_session", [False, True])
-def test_nobody_else_gets_the_port_not_even_who_asks_to_share_it(
+def test_no_other_socket_can_bind_the_port_even_with_address_reuse(
     sockets: LinkSockets, listening: socket.socket, controller: socket.socket, in_session: bool
 ) -> None:
     sockets.meet(controller.getsockname())
@@ -100,7 +100,7 @@ def test_nobody_else_gets_the_port_not_even_who_asks_to_share_it(
             second.bind(listening.getsockname())
 
 
-def test_a_link_at_all_addresses_hears_a_controller_that_sends_to_any_of_them() -> None:
+def test_a_link_bound_to_all_addresses_receives_a_controller_on_any_of_them() -> None:
     with bind("0.0.0.0", 0) as everywhere, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
         controller.bind(("127.0.0.1", 0))
         sockets = LinkSockets(everywhere)
@@ -110,7 +110,7 @@ def test_a_link_at_all_addresses_hears_a_controller_that_sends_to_any_of_them() 
         assert sockets.processor() == -1
 
 
-def test_the_processor_that_took_the_telegram_in_is_known_in_a_session(
+def test_the_processor_that_received_a_telegram_is_known_during_a_session(
     sockets: LinkSockets, controller: socket.socket
 ) -> None:
     def sent_from(processor: int) -> int:

@@ -1,4 +1,4 @@
-"""Replies and telegrams that are lost on the way, against a controller that holds what it took last."""
+"""Replies and telegrams lost on the way, with a controller that holds the last correction it took."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def _arrived(controller: HoldingController) -> bool:
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("neighbours", [1, 2, 3])
-def test_the_path_slips_by_one_cycle_for_each_lost_reply(neighbours: int) -> None:
+def test_the_path_is_delayed_by_one_cycle_for_each_lost_reply(neighbours: int) -> None:
     whole = _whole()
     controller = _moving()
     controller.lose(["reply"] * neighbours)
@@ -159,7 +159,7 @@ def test_the_path_slips_by_one_cycle_for_each_lost_reply(neighbours: int) -> Non
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("neighbours", [4, 5, 30])
-def test_after_more_than_three_neighbouring_lost_replies_the_motion_begins_from_rest(neighbours: int) -> None:
+def test_a_motion_restarts_from_rest_after_more_than_three_consecutive_lost_replies(neighbours: int) -> None:
     controller = _moving()
     held = controller.taken[-1]
     controller.lose(["reply"] * neighbours)
@@ -174,7 +174,7 @@ def test_after_more_than_three_neighbouring_lost_replies_the_motion_begins_from_
 
 
 @pytest.mark.hazard(18)
-def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_seconds_are_clean() -> None:
+def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_clean_seconds() -> None:
     controller = _moving(100)
     for lost in range(1, 5):
         assert not controller.responder.state(real_time=False, locked=False).degraded
@@ -194,7 +194,7 @@ def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_sec
 @pytest.mark.hazard(18)
 @settings(max_examples=60, deadline=None)
 @given(before=st.integers(0, AT_SPEED), losses=LOSSES)
-def test_whatever_is_lost_each_step_that_acts_is_one_prepared_step(before: int, losses: list[Loss]) -> None:
+def test_every_executed_step_is_one_prepared_step_whatever_is_lost(before: int, losses: list[Loss]) -> None:
     controller = _moving(before)
     controller.lose(losses)
     controller.finish()
@@ -202,7 +202,7 @@ def test_whatever_is_lost_each_step_that_acts_is_one_prepared_step(before: int, 
     assert _arrived(controller)
 
 
-def test_a_point_that_is_too_far_from_the_held_one_is_not_sent_again() -> None:
+def test_a_point_too_far_from_the_held_one_is_not_sent_again() -> None:
     controller = _moving()
     points = controller.responder._points
     assert points is not None
@@ -218,7 +218,7 @@ def test_a_point_that_is_too_far_from_the_held_one_is_not_sent_again() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(before=st.integers(1, 200), losses=LOSSES)
-def test_a_stop_while_replies_are_lost_is_smooth_and_ends_at_rest(before: int, losses: list[Loss]) -> None:
+def test_a_stop_during_lost_replies_is_smooth_and_ends_at_rest(before: int, losses: list[Loss]) -> None:
     here = MODEL.forward(START)
     x, y, z = here.position_mm
     line = Pose((x - 40, y + 60, z - 40), here.rotation)
@@ -239,7 +239,7 @@ def test_a_stop_while_replies_are_lost_is_smooth_and_ends_at_rest(before: int, l
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("gap", [1, 3])
-def test_a_lost_telegram_is_no_lost_reply_though_the_controller_counts_it(gap: int) -> None:
+def test_a_lost_telegram_is_not_a_lost_reply_even_though_the_controller_counts_it(gap: int) -> None:
     whole = _whole()
     controller = _moving()
     at = len(controller.taken)
@@ -270,7 +270,7 @@ def test_a_reply_lost_just_before_a_gap_is_sent_again_after_it() -> None:
 @given(before=st.integers(0, AT_SPEED), losses=LOSSES)
 @example(before=AT_SPEED, losses=["reply"] * 4)
 @example(before=AT_SPEED, losses=["reply"] * 30)
-def test_told_one_telegram_late_no_more_than_two_prepared_steps_act_at_once(
+def test_at_most_two_prepared_steps_act_at_once_when_losses_are_reported_one_telegram_late(
     before: int, losses: list[Loss]
 ) -> None:
     controller = _moving(before, tells=1)
@@ -280,7 +280,7 @@ def test_told_one_telegram_late_no_more_than_two_prepared_steps_act_at_once(
     assert _arrived(controller)
 
 
-def test_a_controller_that_never_tells_gets_the_path_as_it_was_planned() -> None:
+def test_a_controller_that_never_reports_losses_gets_the_path_as_planned() -> None:
     controller, undisturbed = _moving(tells=None), _moving(tells=None)
     controller.lose(["reply", "", "reply", "reply", ""])
     undisturbed.lose([""] * 5)
@@ -291,7 +291,7 @@ def test_a_controller_that_never_tells_gets_the_path_as_it_was_planned() -> None
 # The counts
 
 
-def test_what_is_counted_beyond_a_gap_says_that_the_last_reply_was_not_taken() -> None:
+def test_a_delay_count_higher_than_the_gap_means_that_the_last_reply_was_not_taken() -> None:
     losses = Losses(CYCLE_MS)
     said = []
     for ipoc, delay in ((0, 5), (4, 5), (8, 6), (12, 7), (16, 7), (28, 9), (36, 11), (52, 11), (56, 11)):
@@ -314,7 +314,7 @@ def test_what_is_counted_beyond_a_gap_says_that_the_last_reply_was_not_taken() -
 
 
 @pytest.mark.hazard(18)
-def test_when_half_of_the_replies_are_lost_for_seconds_the_arm_is_stopped_and_told_why() -> None:
+def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_cause() -> None:
     controller = _moving()
     for _ in range(2 * WINDOW_CYCLES):
         controller.lose(["reply", ""])
@@ -331,14 +331,14 @@ def test_when_half_of_the_replies_are_lost_for_seconds_the_arm_is_stopped_and_to
 
 
 @pytest.mark.parametrize("every", [5, 8])
-def test_up_to_a_fifth_of_all_replies_may_be_lost_for_ever(every: int) -> None:
+def test_a_motion_arrives_with_up_to_a_fifth_of_all_replies_lost(every: int) -> None:
     controller = _moving()
     while controller.responder.result is Result.RUNNING:
         controller.lose(["reply", *[""] * (every - 1)])
     assert _arrived(controller)
 
 
-def test_one_stall_of_half_a_second_is_no_unusable_link() -> None:
+def test_a_single_stall_of_half_a_second_does_not_make_the_link_unusable() -> None:
     losses = Losses(CYCLE_MS)
     losses.count(0, 0)
     assert losses.count(CYCLE_MS * 126, 125) == 125

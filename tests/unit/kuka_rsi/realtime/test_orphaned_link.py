@@ -1,4 +1,4 @@
-"""A link whose parent has gone stays until the controller's program has been told to end."""
+"""A link whose parent is gone keeps running until the controller's program has been sent the stop."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def link() -> Iterator[InProcessLink]:
 
 
 @pytest.mark.hazard(30)
-def test_a_controller_that_is_held_up_for_less_than_its_timeout_is_still_told_to_end(
+def test_a_controller_delayed_by_less_than_its_timeout_is_still_sent_the_stop(
     link: InProcessLink, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def done_after(quiet_ms: int) -> bool:

@@ -15,7 +15,7 @@ def places(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
     return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
 
 
-def test_the_schedule_survives_telegrams_that_never_come_and_those_that_come_late() -> None:
+def test_the_schedule_tolerates_missing_and_late_telegrams() -> None:
     pace = Pace()
     due_ns = places(80)
     for number, due in enumerate(due_ns):
@@ -25,7 +25,7 @@ def test_the_schedule_survives_telegrams_that_never_come_and_those_that_come_lat
     assert pace.due_ns - (due_ns[-1] + CYCLE_NS) == pytest.approx(0, abs=75_000)
 
 
-def test_two_clocks_that_drift_apart_are_followed() -> None:
+def test_the_schedule_follows_clock_drift() -> None:
     pace = Pace()
     drifted_ns = places(2000, CYCLE_NS * 1.0002)
     for moment in drifted_ns:
@@ -34,7 +34,7 @@ def test_two_clocks_that_drift_apart_are_followed() -> None:
 
 
 @pytest.mark.parametrize("jump_ns", [CYCLE_NS // 2, (MOST_MISSING + 2) * CYCLE_NS])
-def test_another_schedule_is_learnt_anew(jump_ns: int) -> None:
+def test_a_jump_in_the_schedule_discards_the_learnt_one(jump_ns: int) -> None:
     pace = Pace()
     for moment in places(20):
         pace.arrived(moment)

@@ -1,4 +1,4 @@
-"""The running real-time process imports no more than it needs, from its start over a motion to its end."""
+"""The real-time process imports only what it needs, from its start through a motion to its end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.kuka_rsi.arm import KukaRsiArm
 HEAVY = {"scipy", "pydantic", "cv2", "structlog", "pinocchio", "pydicom", "typer"}
 
 
-def test_a_running_link_has_imported_nothing_heavy(
+def test_a_running_link_imports_no_heavy_package(
     make_arm: Callable[..., KukaRsiArm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # the process lists each import on standard error

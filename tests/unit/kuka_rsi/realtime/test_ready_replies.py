@@ -1,4 +1,4 @@
-"""The reply made ready before its telegram comes is the one that would be made when it comes, to the byte."""
+"""A reply prepared before its telegram arrives is byte for byte the one that would be made on arrival."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def link() -> Iterator[InProcessLink]:
 
 @given(EVENTS)
 @settings(max_examples=30, deadline=None)
-def test_made_ahead_or_on_arrival_the_replies_are_the_same(events: list[str]) -> None:
+def test_replies_prepared_ahead_equal_those_made_on_arrival(events: list[str]) -> None:
     ahead, on_arrival = Follower(ahead=True), Follower(ahead=False)
     for follower in (ahead, on_arrival):
         follower.cycle()
@@ -88,7 +88,7 @@ def test_made_ahead_or_on_arrival_the_replies_are_the_same(events: list[str]) ->
     assert ahead.ahead_used > len(events) / 4
 
 
-def test_a_stop_ordered_after_a_reply_was_made_ready_acts_on_the_very_next_one(
+def test_a_stop_ordered_after_a_reply_was_prepared_acts_on_the_very_next_reply(
     link: InProcessLink,
 ) -> None:
     link.receive(telegram(FIRST_IPOC))
@@ -114,7 +114,7 @@ def test_a_stop_ordered_after_a_reply_was_made_ready_acts_on_the_very_next_one(
         lambda data: data.replace(b"<AIPos", b"<Other"),
     ],
 )
-def test_a_broken_telegram_gets_no_reply_though_its_time_stamp_is_the_expected_one(
+def test_a_malformed_telegram_gets_no_reply_even_with_the_expected_time_stamp(
     link: InProcessLink, change: object
 ) -> None:
     assert link.receive(telegram(FIRST_IPOC))

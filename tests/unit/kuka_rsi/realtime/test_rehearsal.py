@@ -1,4 +1,4 @@
-"""A rehearsal is heard by nobody and changes nothing."""
+"""A rehearsal sends nothing and changes nothing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
         link.close()
 
 
-def test_a_rehearsal_leaves_nothing_behind_and_takes_nothing_from_others() -> None:
+def test_a_rehearsal_leaves_nothing_in_its_socket_even_with_foreign_datagrams() -> None:
     rehearsal = Rehearsal()
     try:
         own = rehearsal._own.getsockname()

@@ -1,4 +1,4 @@
-"""A session in which monitor, silence or the parent's heart stops the arm."""
+"""Sessions in which the monitor, silence or a missing heartbeat of the parent stops the arm."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ MOST_CYCLES = 1000
         (PathLimits(0.5, 50.0, 5000.0), "jerk"),
     ],
 )
-def test_a_generator_that_asks_too_much_is_stopped_by_the_monitor(limits: PathLimits, kind: str) -> None:
+def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, kind: str) -> None:
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
     for _ in range(400):
@@ -55,7 +55,7 @@ def test_a_generator_that_asks_too_much_is_stopped_by_the_monitor(limits: PathLi
     assert stand.smooth(RAMP_DOWN_SHARE)
 
 
-def test_a_path_that_leads_out_of_range_is_stopped_at_the_range() -> None:
+def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
     beyond = radians6(0, -90, 90, 0, 125, 0)
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
@@ -68,7 +68,7 @@ def test_a_path_that_leads_out_of_range_is_stopped_at_the_range() -> None:
     assert stand.smooth()
 
 
-def test_a_line_without_a_solution_on_the_way_is_stopped_by_the_joints() -> None:
+def test_a_line_without_a_joint_solution_on_the_way_is_stopped() -> None:
     here = MODEL.forward(START)
     away = Pose((here.position_mm[0] + 900, here.position_mm[1], here.position_mm[2]), here.rotation)
     stand = begun()
@@ -105,7 +105,7 @@ def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: 
 
 
 @pytest.mark.hazard(38)
-def test_an_arm_that_is_clamped_near_its_end_is_stopped_and_not_waited_for() -> None:
+def test_an_arm_clamped_near_its_target_is_stopped_instead_of_waited_for() -> None:
     stand = moving(cycles=1, target=(START[0] + radians(2.0), *START[1:]))
     stand.clamp_deg = 1.0
     cycles = _until_fault(stand)
@@ -114,7 +114,7 @@ def test_an_arm_that_is_clamped_near_its_end_is_stopped_and_not_waited_for() -> 
     assert cycles * CYCLE_S < 2.0
 
 
-def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
+def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion() -> None:
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
     stand.responder.idle(orders, stand.now_ns + 240_000_000)
@@ -128,7 +128,7 @@ def test_silence_beyond_the_limit_is_latched_and_the_motion_forgotten() -> None:
 
 
 @pytest.mark.hazard(30)
-def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
+def test_a_missing_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     stand = moving(cycles=1)
     stand.beats = False
     cycles = _until_fault(stand)
@@ -141,7 +141,7 @@ def test_a_late_heartbeat_stops_the_arm_and_ends_the_program() -> None:
     assert stand.smooth()
 
 
-def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
+def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
     stand = begun()
     for k in range(1000):
         stand.beats = k % 200 == 0
@@ -150,7 +150,7 @@ def test_a_heart_that_beats_now_and_then_keeps_the_session() -> None:
 
 
 @pytest.mark.hazard(30)
-def test_without_its_parent_the_arm_stops_and_the_program_is_ended() -> None:
+def test_losing_the_parent_process_stops_the_arm_and_ends_the_program() -> None:
     stand = moving()
     stand.responder.parent_gone = True
     assert _rests_within(stand, LONGEST_STOP_S)

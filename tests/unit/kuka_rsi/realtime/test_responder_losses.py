@@ -1,4 +1,4 @@
-"""A session in which telegrams are lost, late, repeated, or from somebody else."""
+"""Sessions in which telegrams are lost, late, repeated, or from another sender."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.link_state import (
 from drivers.kuka_rsi.realtime.losses import Losses
 
 
-def test_more_than_three_lost_cycles_are_degraded_and_a_clean_second_later_forgotten() -> None:
+def test_more_than_three_lost_cycles_degrade_the_link_until_a_clean_second_has_passed() -> None:
     losses = Losses(4)
     ipoc = 0
     for k in range(4):
@@ -33,7 +33,7 @@ def test_more_than_three_lost_cycles_are_degraded_and_a_clean_second_later_forgo
     assert not losses.degraded
 
 
-def test_the_time_stamp_may_wrap_and_may_repeat_but_not_run_back() -> None:
+def test_the_time_stamp_may_wrap_and_repeat_but_not_run_backwards() -> None:
     losses = Losses(4)
     assert losses.count(2**32 - 4, -1) == 0
     assert losses.count(0, -1) == 0
@@ -49,7 +49,7 @@ def test_the_time_stamp_may_wrap_and_may_repeat_but_not_run_back() -> None:
 
 
 @pytest.mark.hazard(18)
-def test_overtaken_and_repeated_telegrams_get_no_reply_and_disturb_no_motion() -> None:
+def test_overtaken_and_repeated_telegrams_get_no_reply_and_do_not_disturb_the_motion() -> None:
     stand = moving()
     for back in (4, 8, 12):
         stand.ipoc -= back
@@ -64,7 +64,7 @@ def test_overtaken_and_repeated_telegrams_get_no_reply_and_disturb_no_motion() -
 
 @pytest.mark.hazard(18)
 @pytest.mark.parametrize("stall_ms", [8, 20, 50, 100, 250, 400, 500])
-def test_after_a_stall_of_the_host_the_motion_goes_on_smoothly_and_arrives(stall_ms: int) -> None:
+def test_a_motion_continues_smoothly_after_a_host_stall_and_arrives(stall_ms: int) -> None:
     stand = moving()
     assert stand.cycle(lost=stall_ms // 4)
     stand.run()
@@ -85,7 +85,7 @@ def test_telegrams_of_another_run_get_no_reply_and_latch_a_fault() -> None:
 
 
 @pytest.mark.hazard(34)
-def test_when_only_another_sender_is_left_the_controller_was_started_again() -> None:
+def test_silence_while_only_another_sender_is_heard_latches_the_restarted_fault() -> None:
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
     stand.responder.strangers.met("10.0.0.3")
@@ -95,7 +95,7 @@ def test_when_only_another_sender_is_left_the_controller_was_started_again() -> 
     assert fault_of(stand) is Fault.RESTARTED
 
 
-def test_a_stranger_among_the_telegrams_changes_nothing() -> None:
+def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:
     stand = moving()
     stand.responder.strangers.met("10.0.0.3")
     stand.run()

@@ -1,4 +1,4 @@
-"""A session from its first telegram to its end: motions, stops, and what is refused."""
+"""Sessions from first telegram to end: motions, stops, and what is refused."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from ronna_hw.arm.motion.progress import PathLimits
 from ronna_hw.arm.pose import Pose
 
 
-def test_nothing_is_answered_before_a_session_is_open() -> None:
+def test_no_telegram_is_answered_before_a_session_is_open() -> None:
     session = Responder(SETTINGS)
     assert session.answer(Telegram(START_DEG, 0, b"4"), Orders(1, 0, 0), 1) is None
     assert session.phase is Phase.IDLE
@@ -51,7 +51,7 @@ def test_the_first_correction_is_zero_whatever_the_pose() -> None:
     assert stand.responder.phase is Phase.RUNNING
 
 
-def test_a_first_pose_outside_the_ranges_is_a_fault_and_still_gets_zero() -> None:
+def test_a_first_pose_out_of_range_latches_a_fault_and_still_gets_a_zero_correction() -> None:
     stand = ResponderStand()
     stand.axes = (0.0, 60.0, 0.0, 0.0, 0.0, 0.0)
     stand.follows = False
@@ -73,7 +73,7 @@ def test_a_motion_ends_at_its_target_and_is_done_after_ten_settled_cycles() -> N
     assert cycles > 200
 
 
-def test_a_motion_is_not_done_while_the_arm_is_off_by_more_than_the_tolerance() -> None:
+def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_tolerance() -> None:
     stand = moving(cycles=1, target=radians6(0.5, -90, 90, 0, 60, 0))
     for _ in range(300):
         stand.cycle()
@@ -90,7 +90,7 @@ def test_a_motion_is_not_done_while_the_arm_is_off_by_more_than_the_tolerance() 
     kind=st.sampled_from([StopOrder.HOLD, StopOrder.PROTECTIVE, StopOrder.DRIVES_OFF]),
     line=st.booleans(),
 )
-def test_a_stop_in_any_cycle_is_smooth(cycles: int, kind: StopOrder, line: bool) -> None:
+def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopOrder, line: bool) -> None:
     stand = begun()
     here = MODEL.forward(START)
     x, y, z = here.position_mm
@@ -121,7 +121,7 @@ def test_a_stop_acts_on_the_reply_to_the_very_next_telegram() -> None:
     assert one.sent[-1] != other.sent[-1]
 
 
-def test_link_stop_ceases_replies_at_once() -> None:
+def test_a_link_stop_ceases_replies_at_once() -> None:
     stand = moving()
     stand.stop(StopOrder.LINK)
     assert not stand.cycle()
@@ -130,7 +130,7 @@ def test_link_stop_ceases_replies_at_once() -> None:
     assert not stand.responder.moving
 
 
-def test_the_end_sends_stop_with_the_last_point() -> None:
+def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
     stand.give(CommandKind.END)
     for _ in range(4):
@@ -143,7 +143,7 @@ def test_the_end_sends_stop_with_the_last_point() -> None:
     assert not stand.cycle()
 
 
-def test_the_end_waits_for_rest() -> None:
+def test_ending_the_session_does_not_send_stop_while_the_arm_moves() -> None:
     stand = moving()
     stand.give(CommandKind.END)
     stand.cycle()
@@ -177,7 +177,7 @@ def test_a_motion_planned_before_a_stop_is_refused() -> None:
     assert not stand.responder.moving
 
 
-def test_a_motion_with_impossible_numbers_is_refused() -> None:
+def test_a_motion_with_invalid_limits_is_refused() -> None:
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, FAR, PathLimits(1.0, -1.0, 1.0)))
     stand.cycle()

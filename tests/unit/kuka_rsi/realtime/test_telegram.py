@@ -1,4 +1,4 @@
-"""Telegrams of the real-time link: what is accepted, what is refused, how the reply is written."""
+"""Telegrams of the real-time link: which are accepted or rejected, and how the reply is written."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GOOD = (
 )
 
 
-def test_the_exact_form_is_read_by_the_expression() -> None:
+def test_the_fast_reader_parses_the_exact_form_like_the_strict_one() -> None:
     telegram = READER.read(GOOD)
     assert telegram.axes_deg == (1.0, -90.5, 90.0, 0.0, 60.25, -10.0)
     assert telegram.delay == 3
@@ -54,12 +54,12 @@ def test_the_exact_form_is_read_by_the_expression() -> None:
         lambda t: t.replace(b'"', b"'"),
     ],
 )
-def test_other_spacing_order_and_form_are_read_strictly(change: object) -> None:
+def test_variants_in_spacing_quoting_and_number_form_parse_to_the_same_axes(change: object) -> None:
     assert callable(change)
     assert READER.read(change(GOOD)).axes_deg == READER.read(GOOD).axes_deg
 
 
-def test_a_telegram_without_delay_says_so() -> None:
+def test_a_telegram_without_delay_has_a_delay_of_minus_one() -> None:
     assert READER.read(GOOD.replace(b'<Delay D="3"/>', b"")).delay == -1
 
 
@@ -82,7 +82,7 @@ def test_a_telegram_without_delay_says_so() -> None:
         b"<Rob>" + b" " * 10_000 + b"</Rob>",
     ],
 )
-def test_anything_else_is_rejected_with_its_last_bytes(data: bytes) -> None:
+def test_a_malformed_telegram_is_rejected_with_its_last_bytes(data: bytes) -> None:
     with pytest.raises(BadTelegram) as caught:
         READER.read(data)
     assert caught.value.code == "RSI-014"
@@ -91,7 +91,7 @@ def test_anything_else_is_rejected_with_its_last_bytes(data: bytes) -> None:
 
 @settings(max_examples=300, deadline=None)
 @given(st.binary(max_size=120), st.integers(0, len(GOOD)), st.integers(0, 40))
-def test_noise_in_a_telegram_is_read_or_rejected_and_nothing_else(noise: bytes, at: int, cut: int) -> None:
+def test_noise_in_a_telegram_raises_nothing_but_bad_telegram(noise: bytes, at: int, cut: int) -> None:
     with contextlib.suppress(BadTelegram):
         READER.read(GOOD[:at] + noise + GOOD[at + cut :])
 
@@ -109,7 +109,7 @@ def test_tags_become_elements_as_the_ethernet_file_defines() -> None:
     assert tech.attributes[9:11] == ("C110", "C21")
 
 
-def test_other_layouts_are_read_as_well() -> None:
+def test_other_element_layouts_are_parsed() -> None:
     reader = TelegramReader(("DEF_AIPos", "DEF_ASPos", "Temperature", "DEF_Delay"))
     axes = b'A1="1.0" A2="2.0" A3="3.0" A4="4.0" A5="5.0" A6="6.0"/>'
     data = (
@@ -134,14 +134,14 @@ def test_the_reply_has_the_declared_elements_in_order() -> None:
 @given(st.floats(-400.0, 400.0) | st.floats(-1e-5, 1e-5))
 @example(-4e-7)
 @example(-0.0)
-def test_a_correction_is_rounded_to_six_decimals_and_never_a_negative_zero(value: float) -> None:
+def test_a_correction_is_rounded_to_six_decimals_and_is_never_negative_zero(value: float) -> None:
     writer = ReplyWriter("KROSHU", tuple(e.tag for e in CONTEXT.receive), AXES, "Stop")
     head = writer.head((value, 0.0, 0.0, 0.0, 0.0, value))
     assert head.count(b'"%.6f"' % (round(value, 6) + 0.0)) >= 2
     assert b"-0.000000" not in head
 
 
-def test_received_tags_that_feed_nothing_are_sent_as_zero() -> None:
+def test_reply_tags_without_a_source_are_sent_as_zero() -> None:
     writer = ReplyWriter("ImFree", ("EStr", *AXES, "EK.E1", "Stop"), AXES, "Stop")
     head = writer.head((1.0, 2.0, 3.0, 4.0, 5.0, 6.0), stop=True)
     assert head.startswith(b'<Sen Type="ImFree"><EStr>0</EStr><AK A1="1.000000"')

@@ -1,4 +1,4 @@
-"""The receiver wakes up once before each telegram that is due, to rehearse. Time is given, never measured."""
+"""The receiver wakes once before each telegram that is due, to rehearse the reply. Time is simulated."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def served(world: ToldTime, reception: TelegramReceiver) -> int:
 
 
 @pytest.mark.parametrize("cycle_ns", [1_000_000, 4_000_000, 8_000_000])
-def test_once_the_pace_is_known_each_reply_is_rehearsed_the_lead_before(cycle_ns: int) -> None:
+def test_each_reply_is_rehearsed_one_lead_ahead_once_the_pace_is_known(cycle_ns: int) -> None:
     due_ns = places(60, cycle_ns)
     world = ToldTime(due_ns)
     assert served(world, world.reception()) == 60
@@ -88,7 +88,7 @@ def test_once_the_pace_is_known_each_reply_is_rehearsed_the_lead_before(cycle_ns
     assert world.rehearsed_ns == pytest.approx([due - LEAD_NS for due in awaited_ns], abs=1_000)
 
 
-def test_a_cycle_longer_than_the_look_around_is_rehearsed_too() -> None:
+def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
     due_ns = places(60, 12_000_000)
     world = ToldTime(due_ns)
     reception = world.reception()
@@ -100,7 +100,7 @@ def test_a_cycle_longer_than_the_look_around_is_rehearsed_too() -> None:
     assert world.rehearsed_ns == pytest.approx([due - LEAD_NS for due in due_ns[learning:]], abs=1_000)
 
 
-def test_orders_and_silence_are_looked_at_within_twice_the_usual_time() -> None:
+def test_a_wait_without_telegrams_returns_within_twice_the_idle_time() -> None:
     world = ToldTime(places(30))
     reception = world.reception()
     served(world, reception)
@@ -115,7 +115,7 @@ def test_a_lead_of_zero_rehearses_nothing() -> None:
     assert world.rehearsed_ns == []
 
 
-def test_with_a_controller_that_begins_to_hurry_nothing_is_rehearsed_from_then_on() -> None:
+def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
     paced = places(20)
     hurried = [paced[-1] + 120_000 * k for k in range(1, 100)]
     world = ToldTime(paced + hurried)
@@ -129,7 +129,7 @@ def test_with_a_controller_that_begins_to_hurry_nothing_is_rehearsed_from_then_o
     assert [moment for moment in world.rehearsed_ns if moment > paced[-1]] == []
 
 
-def test_a_controller_that_pauses_still_keeps_a_pace_and_one_that_hurries_does_not() -> None:
+def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it() -> None:
     before = places(STEADY_ARRIVALS + 2)
     after = [moment + 3_000_000_000 for moment in before]
     world = ToldTime(before + after)
@@ -143,7 +143,7 @@ def test_a_controller_that_pauses_still_keeps_a_pace_and_one_that_hurries_does_n
     assert not reception.paced()
 
 
-def test_an_early_telegram_is_taken_when_it_comes_without_a_rehearsal() -> None:
+def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
     due_ns = places(30)
     due_ns[-1] -= 700_000
     world = ToldTime(due_ns)
@@ -155,7 +155,7 @@ def test_an_early_telegram_is_taken_when_it_comes_without_a_rehearsal() -> None:
     assert max(world.rehearsed_ns) < due_ns[-2]
 
 
-def test_what_came_while_nobody_waited_is_known_from_what_was_waited_for() -> None:
+def test_telegrams_queued_during_a_stall_are_distinguished_from_awaited_ones() -> None:
     due_ns = places(40)
     world = ToldTime([*due_ns, *[due_ns[-1] + 5 * CYCLE_NS] * 5])
     reception = world.reception()
@@ -177,7 +177,7 @@ def slowly(_limit_s: float) -> bool:
 
 @pytest.mark.parametrize("rehearses", [False, True])
 @pytest.mark.parametrize("late", [False, True])
-def test_of_telegrams_that_were_held_up_only_the_newest_is_taken(rehearses: bool, late: bool) -> None:
+def test_only_the_newest_of_several_queued_telegrams_is_taken(rehearses: bool, late: bool) -> None:
     with bind("127.0.0.1", 0) as link, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as controller:
         own = InProcessLink(link=link, rehearses=rehearses)
         own.open()

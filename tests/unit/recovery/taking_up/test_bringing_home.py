@@ -1,4 +1,4 @@
-"""Only the arm of a case is brought home: by what the way needs, and nothing else."""
+"""Only the arm of the case is brought home: by checking what the way needs, and nothing else."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ronna_hw.evidence.inspection import Problem
 
 
 @pytest.mark.hazard(2)
-def test_nothing_moves_before_it_is_accepted(cell: ClinicalCell) -> None:
+def test_nothing_moves_before_the_operator_accepts(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     again.operator.refusing = (Topic.RESUME,)
     with pytest.raises(RecoveryRefused, match="PRO-032"):
@@ -29,7 +29,7 @@ def test_nothing_moves_before_it_is_accepted(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.hazard(2)
-def test_the_guide_comes_back_first_and_the_run_is_resumed_as_it_was(cell: ClinicalCell) -> None:
+def test_the_guide_is_withdrawn_first_and_the_run_then_resumes_as_before(cell: ClinicalCell) -> None:
     order = case_order(cell)
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     assert bring_home(engine, left)
@@ -44,13 +44,13 @@ def test_the_guide_comes_back_first_and_the_run_is_resumed_as_it_was(cell: Clini
     engine.run_to()
 
 
-def test_an_arm_that_is_home_stays_there_unasked(cell: ClinicalCell) -> None:
+def test_an_arm_at_home_stays_there_and_nothing_is_asked(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     assert not bring_home(engine, left)
     assert again.operator.asked == []
 
 
-def test_neither_a_silent_tracker_nor_an_expired_record_keeps_the_arm_over_the_head(
+def test_a_silent_tracker_and_an_expired_record_do_not_keep_the_arm_over_the_head(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def silent(timeout_s: float = 10.0) -> Identity:
@@ -68,7 +68,7 @@ def test_neither_a_silent_tracker_nor_an_expired_record_keeps_the_arm_over_the_h
     assert "it expired in the night" in asked.value
 
 
-def test_a_renewed_record_of_the_tracker_s_frame_does_not_keep_the_arm_over_the_head(
+def test_a_renewed_tracker_frame_record_does_not_keep_the_arm_over_the_head(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
@@ -84,7 +84,7 @@ def test_another_tracker_does_not_keep_the_arm_over_the_head(cell: ClinicalCell)
     assert bring_home(engine, left)
 
 
-def test_changes_that_do_not_concern_the_way_home_are_shown_before_it_is_accepted(cell: ClinicalCell) -> None:
+def test_changes_that_do_not_concern_the_way_home_are_shown_before_acceptance(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     changed = replace(left, changes=(Problem("notes.txt", "added: not part of the run"),))
     assert bring_home(engine, changed)
@@ -92,7 +92,7 @@ def test_changes_that_do_not_concern_the_way_home_are_shown_before_it_is_accepte
 
 
 @pytest.mark.hazard(2)
-def test_another_tip_is_not_led_out_along_the_axis(cell: ClinicalCell) -> None:
+def test_a_guide_with_another_tip_is_not_withdrawn_along_the_axis(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     other_calibration(again)
     with pytest.raises(RecoveryRefused, match="tool_tip"):

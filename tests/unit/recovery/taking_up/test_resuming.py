@@ -1,4 +1,4 @@
-"""A case is resumed: compared, accepted, then moved, in this order and no other."""
+"""A case is resumed in this order and no other: compare, accept, move."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def test_nothing_moves_before_the_findings_are_accepted(cell: ClinicalCell) -> N
 
 
 @pytest.mark.hazard(2)
-def test_when_the_time_to_accept_ran_out_that_is_said_with_the_time(
+def test_an_acceptance_that_times_out_is_reported_with_its_time_limit(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     again, engine, left = left_after(cell, "tool_change")
@@ -52,7 +52,7 @@ def test_when_the_time_to_accept_ran_out_that_is_said_with_the_time(
         recover(engine, left)
 
 
-def test_what_the_controller_waits_for_is_reported_with_the_whole_command_before_anything_is_asked(
+def test_a_pending_controller_message_is_reported_with_its_full_command_before_any_question(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     again, engine, left = left_after(cell, "positioning:T1")
@@ -66,7 +66,7 @@ def test_what_the_controller_waits_for_is_reported_with_the_whole_command_before
 
 
 @pytest.mark.hazard(2)
-def test_dangerous_findings_come_first_one_to_a_line_and_unchanged_items_share_one_line(
+def test_dangerous_findings_come_first_on_a_line_each_and_unchanged_items_share_one_line(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_after(cell, "positioning:T1")
@@ -79,7 +79,7 @@ def test_dangerous_findings_come_first_one_to_a_line_and_unchanged_items_share_o
 
 
 @pytest.mark.hazard(2)
-def test_a_case_whose_guide_is_away_from_the_head_continues_with_its_next_step(cell: ClinicalCell) -> None:
+def test_a_case_with_the_guide_away_from_the_head_resumes_with_its_next_step(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, "tool_change")
     recover(engine, left)
     assert again.arm.motions == []  # it was home
@@ -89,7 +89,7 @@ def test_a_case_whose_guide_is_away_from_the_head_continues_with_its_next_step(c
 
 
 @pytest.mark.hazard(2)
-def test_a_guide_before_an_entry_comes_back_before_anything_else(cell: ClinicalCell) -> None:
+def test_a_guide_in_front_of_an_entry_is_withdrawn_before_anything_else(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     before = len(again.motions("withdraw"))
     recover(engine, left)
@@ -101,7 +101,9 @@ def test_a_guide_before_an_entry_comes_back_before_anything_else(cell: ClinicalC
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("lost_from", [b'"what":"insert"', b'"step":"tool_change"'])
-def test_a_guide_whose_lines_were_lost_is_found_by_its_position(cell: ClinicalCell, lost_from: bytes) -> None:
+def test_a_guide_whose_journal_lines_were_lost_is_found_by_its_position(
+    cell: ClinicalCell, lost_from: bytes
+) -> None:
     order = case_order(cell)
     cell.engine(order).run_to(order.find(f"positioning:{FIRST}"))
     broken_off(cell)
@@ -120,7 +122,7 @@ def test_a_guide_whose_lines_were_lost_is_found_by_its_position(cell: ClinicalCe
 @pytest.mark.hazard(44)
 @pytest.mark.parametrize("way", [recover, bring_home])
 @pytest.mark.parametrize("torn", [False, True])
-def test_when_only_the_line_of_the_instrument_was_lost_it_counts_as_inside(
+def test_an_instrument_whose_journal_line_was_lost_counts_as_inside(
     cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], torn: bool
 ) -> None:
     order = case_order(cell)
@@ -141,7 +143,7 @@ def test_when_only_the_line_of_the_instrument_was_lost_it_counts_as_inside(
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 @pytest.mark.parametrize("way", [recover, bring_home])
 @pytest.mark.parametrize("inside", [True, False])
-def test_a_guide_at_the_gauge_holds_the_mandrel_until_it_is_said_to_be_out(
+def test_a_guide_at_the_gauge_counts_as_holding_the_mandrel_until_confirmed_out(
     cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], inside: bool
 ) -> None:
     order = case_order(cell)
@@ -179,7 +181,7 @@ def left_with_an_instrument_inside(cell: ClinicalCell) -> tuple[ClinicalCell, En
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
-def test_after_a_kill_during_the_insertion_it_is_asked_whether_the_instrument_is_out(
+def test_a_resume_after_a_kill_during_the_insertion_asks_whether_the_instrument_is_out(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell)
@@ -194,7 +196,7 @@ def test_after_a_kill_during_the_insertion_it_is_asked_whether_the_instrument_is
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("WORK_BEGUN")
-def test_work_done_before_a_kill_is_asked_about_when_the_guide_is_back(
+def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell)
@@ -210,7 +212,7 @@ def test_work_done_before_a_kill_is_asked_about_when_the_guide_is_back(
 @pytest.mark.hazard(44)
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 @pytest.mark.parametrize("way", [recover, bring_home])
-def test_after_a_kill_during_the_insertion_nothing_moves_while_the_instrument_is_inside(
+def test_nothing_moves_after_a_kill_during_the_insertion_while_the_instrument_is_inside(
     cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell)
@@ -220,7 +222,7 @@ def test_after_a_kill_during_the_insertion_nothing_moves_while_the_instrument_is
     assert again.arm.motions == []
 
 
-def test_after_the_work_at_the_target_the_retreat_is_all_that_remains(cell: ClinicalCell) -> None:
+def test_only_the_retreat_remains_after_the_work_at_the_target(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"at_target:{FIRST}")
     recover(engine, left)
     assert engine.upcoming is None
@@ -228,7 +230,7 @@ def test_after_the_work_at_the_target_the_retreat_is_all_that_remains(cell: Clin
     assert len(again.motions("withdraw")) == 1
 
 
-def test_a_retreat_that_was_killed_outside_the_entry_is_finished_from_there(cell: ClinicalCell) -> None:
+def test_a_retreat_killed_outside_the_entry_is_finished_from_there(cell: ClinicalCell) -> None:
     order = case_order(cell)
     engine = cell.engine(order)
     engine.run_to(order.find(f"at_target:{FIRST}"))
@@ -244,7 +246,7 @@ def test_a_retreat_that_was_killed_outside_the_entry_is_finished_from_there(cell
     assert len(again.motions("withdraw")) == 1
 
 
-def test_an_exchange_of_tools_that_had_begun_may_have_been_done(cell: ClinicalCell) -> None:
+def test_a_tool_change_killed_midway_may_already_have_been_done(cell: ClinicalCell) -> None:
     def killed(_context: object) -> None:
         raise MemoryError
 

@@ -1,4 +1,4 @@
-"""What was swapped while a case was left is refused before anything is asked or moved."""
+"""Anything swapped while a case was left is refused before anything is asked or moved."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def other_camera(cell: ClinicalCell) -> None:
 
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("swap", [other_tool, other_arm, other_calibration, other_frame, other_camera])
-def test_what_was_swapped_is_refused_and_nothing_is_asked(
+def test_a_swapped_device_or_record_is_refused_and_nothing_is_asked(
     cell: ClinicalCell, swap: Callable[[ClinicalCell], None]
 ) -> None:
     again, engine, left = left_after(cell, "tool_change")
@@ -74,7 +74,7 @@ def other_settings(engine: Engine) -> None:
         (other_settings, r"settings of the procedure: recorded standoff_mm 60\.0, found standoff_mm 12\.0"),
     ],
 )
-def test_another_theatre_file_is_refused_with_its_differences_and_nothing_is_asked(
+def test_a_changed_theatre_file_is_refused_with_its_differences_and_nothing_is_asked(
     cell: ClinicalCell, change: Callable[[Engine], None], reported: str
 ) -> None:
     again, engine, left = left_after(cell, "tool_check")
@@ -86,7 +86,7 @@ def test_another_theatre_file_is_refused_with_its_differences_and_nothing_is_ask
 
 
 @pytest.mark.hazard(2)
-def test_an_arm_that_was_moved_with_the_guide_before_an_entry_is_refused(cell: ClinicalCell) -> None:
+def test_an_arm_moved_with_the_guide_in_front_of_an_entry_is_refused(cell: ClinicalCell) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     A1, *others = again.arm.joints_rad
     again.arm.joints_rad = (A1 + 0.02, *others)  # type: ignore[assignment]
@@ -96,7 +96,7 @@ def test_an_arm_that_was_moved_with_the_guide_before_an_entry_is_refused(cell: C
 
 
 @pytest.mark.hazard(1)
-def test_a_plan_that_was_changed_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_changed_plan_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
     again, engine, left = left_after(cell, "tool_change")
     monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
     with pytest.raises(RecoveryRefused, match="plan"):

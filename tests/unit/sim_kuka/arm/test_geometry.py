@@ -1,4 +1,4 @@
-"""The controller's own description of the arm, against poses that were computed elsewhere."""
+"""The controller's own description of the arm, against independently computed poses."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def test_the_chain_reaches_the_golden_poses(variant: Variant, row: tuple[tuple[f
 
 
 @pytest.mark.parametrize("row", GOLDEN)
-def test_the_written_orientation_is_the_golden_one(row: tuple[tuple[float, ...], ...]) -> None:
+def test_the_written_orientation_matches_the_golden_one(row: tuple[tuple[float, ...], ...]) -> None:
     axes_deg, _, _, orientation_deg = row
     written = frame_of(JointChain(description("kr6_r900_sixx")).flange(in_radians(axes_deg)))[3:]
     difference = [(a - b + 180.0) % 360.0 - 180.0 for a, b in zip(written, orientation_deg, strict=True)]
     assert max(abs(value) for value in difference) < 0.001
 
 
-def test_writing_and_reading_a_frame_is_the_identity_even_at_gimbal_lock() -> None:
+def test_a_frame_survives_writing_and_reading_even_at_gimbal_lock() -> None:
     generator = np.random.default_rng(5)
     for _ in range(500):
         A, B, C = generator.uniform((-180, -90, -180), (180, 90, 180))
@@ -53,7 +53,7 @@ def test_writing_and_reading_a_frame_is_the_identity_even_at_gimbal_lock() -> No
         assert np.allclose(pose_of_frame(frame_of(pose)), pose, atol=1e-9)
 
 
-def test_the_pose_that_is_told_is_that_of_the_axes_with_tool_and_base(make_bench: Callable[..., Any]) -> None:
+def test_the_reported_pose_is_that_of_the_axes_with_tool_and_base(make_bench: Callable[..., Any]) -> None:
     generator = np.random.default_rng(12)
     controller = make_bench(start=False).controller
     for number in range(1, 17):
@@ -66,7 +66,7 @@ def test_the_pose_that_is_told_is_that_of_the_axes_with_tool_and_base(make_bench
         assert np.abs(pose_of_frame(controller.arm.frame) - expected).max() < 1e-9
 
 
-def test_inverse_kinematics_finds_the_joints_of_a_pose_near_by() -> None:
+def test_inverse_kinematics_finds_the_joints_of_a_nearby_pose() -> None:
     chain = JointChain(description("kr6_r900_sixx"))
     joints = in_radians((30, -75, 110, -20, 45, 60))
     found = chain.joints_at(chain.flange(joints), [angle + 0.03 for angle in joints])
@@ -81,7 +81,7 @@ def test_inverse_kinematics_gives_up_out_of_reach() -> None:
     assert chain.joints_at(far, in_radians((0, -20, 30, 0, 10, 0))) is None
 
 
-def test_status_and_turn_tell_postures_apart() -> None:
+def test_status_and_turn_distinguish_postures() -> None:
     arm = description("kr6_r900_sixx")
     assert status_and_turn(arm, (0, -90, 90, 0, 90, 0)) == (2, 2)
     assert status_and_turn(arm, (0, -90, 90, 0, -90, 0)) == (6, 18)
@@ -120,7 +120,7 @@ def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[...,
     )
 
 
-def test_sag_turns_the_stretched_arm_down(perfect_arm: Callable[..., ArmTruth]) -> None:
+def test_sag_lowers_the_stretched_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
     stretched = in_radians((0, 0, 0, 0, 0, 0))
     sagging = TrueArm(perfect_arm(sag_rad=(radians(0.03), radians(0.03))), seed=0)
     nominal = JointChain(description("kr6_r900_sixx")).flange(stretched)
@@ -136,7 +136,7 @@ def test_repeatability_depends_on_the_motion_number_alone(perfect_arm: Callable[
     assert np.allclose(places.std(axis=0), 0.015, rtol=0.15)
 
 
-def test_a_drawn_arm_is_off_by_the_size_of_an_uncalibrated_robot() -> None:
+def test_a_drawn_arm_is_off_by_as_much_as_an_uncalibrated_robot() -> None:
     errors_mm = []
     for seed in range(30):
         truth = draw_arm(np.random.default_rng(seed))

@@ -1,4 +1,4 @@
-"""The arm at rest: exact, and the same however the way there was timed."""
+"""The arm at rest: exact, and the same whatever the timing of the motion."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def poses(bench: Any, idle: list[int], lost: set[int] = frozenset()) -> list[np.
     return found
 
 
-def test_the_pose_at_rest_is_the_same_however_long_the_arm_was_idle(
+def test_the_pose_at_rest_does_not_depend_on_idle_time(
     make_bench: Callable[..., Any], truth: ArmTruth
 ) -> None:
     first = poses(make_bench(truth=truth), [0, 0, 0])
@@ -54,7 +54,7 @@ def test_the_pose_at_rest_is_the_same_however_long_the_arm_was_idle(
         assert np.array_equal(one, other)
 
 
-def test_lost_replies_on_the_way_do_not_change_the_pose_at_rest(
+def test_lost_replies_during_a_motion_do_not_change_the_pose_at_rest(
     make_bench: Callable[..., Any], truth: ArmTruth
 ) -> None:
     first = poses(make_bench(truth=truth), [0, 0, 0])
@@ -63,7 +63,7 @@ def test_lost_replies_on_the_way_do_not_change_the_pose_at_rest(
         assert np.array_equal(one, other)
 
 
-def test_motions_are_counted_by_the_command_and_not_by_the_pause_between_them(
+def test_motions_are_counted_by_commands_and_not_by_the_pauses_between_them(
     make_bench: Callable[..., Any], truth: ArmTruth
 ) -> None:
     for pause in (0, 400):
@@ -80,7 +80,7 @@ def test_motions_are_counted_by_the_command_and_not_by_the_pause_between_them(
         assert bench.published[-1].motion_number == len(GOALS)
 
 
-def test_another_seed_stops_elsewhere_by_the_repeatability(
+def test_another_seed_changes_the_pose_at_rest_by_the_repeatability(
     make_bench: Callable[..., Any], truth: ArmTruth
 ) -> None:
     first = poses(make_bench(truth=truth, seed=1), [0, 0, 0])
@@ -89,7 +89,7 @@ def test_another_seed_stops_elsewhere_by_the_repeatability(
     assert all(0.001 < distance < 0.15 for distance in distance_mm)
 
 
-def test_the_direction_of_approach_decides_on_which_flank_the_arm_rests(
+def test_the_direction_of_approach_decides_on_which_backlash_flank_the_arm_rests(
     make_bench: Callable[..., Any], perfect_arm: Callable[..., ArmTruth]
 ) -> None:
     truth = perfect_arm(backlash_rad=(np.radians(0.02),) + (0.0,) * 5)
@@ -122,7 +122,9 @@ def test_nothing_is_published_while_nothing_changes(bench: Any) -> None:
     assert len(bench.published) == before
 
 
-def test_what_the_controller_believes_stays_nominal(make_bench: Callable[..., Any], truth: ArmTruth) -> None:
+def test_the_pose_believed_by_the_controller_stays_nominal(
+    make_bench: Callable[..., Any], truth: ArmTruth
+) -> None:
     bench = make_bench(truth=truth.model_copy(update={"home_deg": (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)}))
     believed = np.array(bench.controller.arm.frame[:3])
     really = bench.published[-1].robot_from_flange[:3, 3]

@@ -1,4 +1,4 @@
-"""The controller's states, and how the EKI channels cut, answer and reset."""
+"""Controller states and autostart, extraction of EKI requests, and address errors of the sockets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sim.kuka.rsi.rsi_socket import RsiSocket, resolve
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_start_needs_drives_key_and_an_idle_program(make_bench: Callable[..., Any]) -> None:
+def test_start_needs_drives_on_the_key_in_ext_and_an_idle_program(make_bench: Callable[..., Any]) -> None:
     controller = make_bench(start=False).controller
     assert controller.start().code is AckCode.NOT_READY
     controller.turn_key(OperationMode.T1)
@@ -55,7 +55,7 @@ def test_a_start_needs_drives_key_and_an_idle_program(make_bench: Callable[..., 
 
 @pytest.mark.parametrize("reason", ["stop", "drives", "emergency", "guard", "key"])
 @pytest.mark.parametrize("streams", [True, False])
-def test_every_interruption_brakes_the_arm_and_no_correction_acts_any_more(
+def test_every_interruption_brakes_the_arm_and_later_corrections_have_no_effect(
     make_bench: Callable[..., Any], reason: str, streams: bool
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(streams_after_stop=streams))
@@ -88,7 +88,7 @@ def test_every_interruption_brakes_the_arm_and_no_correction_acts_any_more(
         assert controller.program_state is ProState.FREE
 
 
-def test_a_fault_is_left_only_by_acknowledgement(bench: Any) -> None:
+def test_only_an_acknowledgement_clears_a_fault(bench: Any) -> None:
     bench.enter_movecorr()
     bench.answer((50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     controller = bench.controller
@@ -101,7 +101,7 @@ def test_a_fault_is_left_only_by_acknowledgement(bench: Any) -> None:
     assert controller.start().code is AckCode.OK
 
 
-def test_tool_base_and_override_are_taken_outside_a_run_only(bench: Any) -> None:
+def test_set_tool_is_refused_during_a_run_and_tool_base_and_override_apply_outside_it(bench: Any) -> None:
     controller = bench.controller
     frame = (10.0, 0.0, 100.0, 0.0, 0.0, 0.0)
     assert controller.set_tool(2, frame).code is AckCode.REFUSED
@@ -116,7 +116,9 @@ def test_tool_base_and_override_are_taken_outside_a_run_only(bench: Any) -> None
     assert controller.set_override(30).code is AckCode.OK
 
 
-def test_autostart_waits_for_its_client_and_serves_the_next_one(make_bench: Callable[..., Any]) -> None:
+def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fault(
+    make_bench: Callable[..., Any],
+) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
     autostart = Autostart(controller, wanted=True)
@@ -142,7 +144,7 @@ def test_autostart_waits_for_its_client_and_serves_the_next_one(make_bench: Call
     assert controller.message is None
 
 
-def test_autostart_begins_again_when_an_emergency_stop_is_over(make_bench: Callable[..., Any]) -> None:
+def test_autostart_restarts_after_an_emergency_stop_is_released(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
     autostart = Autostart(controller, wanted=True)
@@ -161,7 +163,7 @@ def test_autostart_begins_again_when_an_emergency_stop_is_over(make_bench: Calla
     assert controller.rsi_state is RsiState.MOVECORR
 
 
-def test_requests_are_cut_from_padding_fragments_and_merged_reads() -> None:
+def test_requests_are_extracted_from_padding_fragments_and_merged_reads() -> None:
     one = b'<External REQTYPE="0" CycleTime="0" ControlMode="0"></External>'
     two = b'<Cmd Id="1" Name="STATUS"/>'
     nested = b'<Cmd Id=">"><A b="/Cmd>"/><A>x</A></Cmd>'
@@ -174,7 +176,7 @@ def test_requests_are_cut_from_padding_fragments_and_merged_reads() -> None:
         assert left == b""
 
 
-def test_cutting_survives_any_bytes() -> None:
+def test_cut_requests_survives_arbitrary_bytes() -> None:
     generator = random.Random(3)
     alphabet = b"<>/=\"'\0 aCmd"
     for _ in range(20_000):
@@ -193,7 +195,7 @@ def test_a_port_in_use_has_its_own_error() -> None:
         server.close()
 
 
-def test_a_client_without_an_address_has_its_own_error() -> None:
+def test_an_unresolvable_client_address_has_its_own_error() -> None:
     with pytest.raises(ClientAddressInvalid) as caught:
         resolve(parse_endpoint("udp://ip.address.of.rospc:59152"))
     assert caught.value.code == "KRC-002"

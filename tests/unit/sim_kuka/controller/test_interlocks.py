@@ -1,4 +1,4 @@
-"""Key switch, guard, enabling switch, messages: who may move the arm, and what stops it."""
+"""Key switch, guard, enabling switch and messages: what lets the arm move and what stops it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def in_T1(make_bench: Callable[..., Any]) -> Any:
     return bench
 
 
-def test_an_open_guard_does_not_matter_in_T1(in_T1: Any) -> None:
+def test_an_open_guard_is_ignored_in_t1(in_T1: Any) -> None:
     controller = in_T1.controller
     controller.open_guard(True)
     assert controller.start().code is AckCode.OK
@@ -34,7 +34,7 @@ def test_an_open_guard_does_not_matter_in_T1(in_T1: Any) -> None:
     assert controller.switch_drives(True).code is AckCode.NOT_READY
 
 
-def test_corrections_wait_for_a_confirmation_in_T1_and_not_in_EXT(in_T1: Any, bench: Any) -> None:
+def test_corrections_wait_for_confirmation_in_t1_but_not_in_ext(in_T1: Any, bench: Any) -> None:
     bench.enter_movecorr()
     assert bench.controller.rsi_state is RsiState.MOVECORR
     in_T1.controller.start()
@@ -49,7 +49,7 @@ def test_corrections_wait_for_a_confirmation_in_T1_and_not_in_EXT(in_T1: Any, be
     assert in_T1.controller.arm.axes_deg[0] == 2.0
 
 
-def test_the_start_key_and_the_enabling_switch_stop_what_they_let_run(in_T1: Any) -> None:
+def test_releasing_the_start_key_or_the_enabling_switch_stops_the_program(in_T1: Any) -> None:
     controller = in_T1.controller
     controller.start()
     in_T1.answer()
@@ -70,7 +70,7 @@ def test_the_start_key_and_the_enabling_switch_stop_what_they_let_run(in_T1: Any
     assert controller.start().code is AckCode.OK
 
 
-def test_the_first_message_stands_until_it_is_acknowledged(bench: Any) -> None:
+def test_the_first_message_is_kept_until_it_is_acknowledged(bench: Any) -> None:
     controller = bench.controller
     bench.enter_movecorr()
     controller.collide()
@@ -84,7 +84,7 @@ def test_the_first_message_stands_until_it_is_acknowledged(bench: Any) -> None:
     assert controller.rsi_state is RsiState.IDLE
 
 
-def test_an_overload_is_nobodys_message_and_ends_with_the_program(bench: Any) -> None:
+def test_an_overload_holds_the_arm_without_a_message_until_the_program_is_cancelled(bench: Any) -> None:
     controller = bench.controller
     bench.enter_movecorr()
     bench.ramp(on_a1(2.0), steps=50)
@@ -105,7 +105,7 @@ def test_an_overload_is_nobodys_message_and_ends_with_the_program(bench: Any) ->
     assert controller.arm.axes_deg[0] == pytest.approx(held[0] + 1.0)
 
 
-def test_an_axis_that_sticks_is_held_until_the_command_has_run_ahead(bench: Any) -> None:
+def test_a_sticking_axis_holds_until_the_command_is_far_enough_ahead(bench: Any) -> None:
     drives = bench.controller.arm.drives
     bench.enter_movecorr()
     drives.stick(frozenset({0}))
@@ -118,7 +118,7 @@ def test_an_axis_that_sticks_is_held_until_the_command_has_run_ahead(bench: Any)
     assert bench.controller.arm.axes_deg[0] == 0.07
 
 
-def test_in_T1_a_correction_beyond_250_mm_per_second_stops_the_arm(in_T1: Any) -> None:
+def test_in_t1_a_correction_faster_than_250_mm_per_second_stops_the_arm(in_T1: Any) -> None:
     controller = in_T1.controller
     controller.start()
     in_T1.enter_movecorr()

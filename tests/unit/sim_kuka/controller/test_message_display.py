@@ -1,4 +1,4 @@
-"""What people read on the pendant: each message once, with its number, and texts of the client."""
+"""The pendant display: each message once with its number, and the client's texts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from sim.kuka.controller.message_display import MessageDisplay
 from sim.kuka.controller.messages import rsi_timeout, too_fast
 
 
-def test_messages_and_texts_are_shown_once_each_and_their_acknowledgement(
+def test_messages_texts_and_acknowledgements_are_each_shown_once(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     pendant = MessageDisplay(lambda: 12.5)

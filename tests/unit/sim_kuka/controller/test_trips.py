@@ -1,4 +1,4 @@
-"""What ends a run or clamps it by order of a fault: messages, consequences, and Stat."""
+"""Scripted trips: the message each raises, how the run ends or is clamped, and what Stat reports."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def on_a1(value: float) -> tuple[float, ...]:
     return (value, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_a_script_can_name_exactly_the_messages_there_are() -> None:
+def test_a_script_can_name_every_existing_message_and_no_other() -> None:
     assert set(TRIPS) == set(MESSAGES) == set(NUMBERS)
     with pytest.raises(BadFaultScript, match=r"expected trip timeout, .*, got tea"):
         check_faults(parse_faults("now: robot trip tea"), named_scene("mini"))
@@ -57,13 +57,13 @@ def test_a_trip_ends_the_run_in_a_braked_stop_with_its_message(bench: Any, name:
     assert controller.acknowledge().code is AckCode.OK
 
 
-def test_a_trip_of_an_idle_controller_is_none(make_bench: Callable[..., Any]) -> None:
+def test_a_trip_of_an_idle_controller_raises_no_message(make_bench: Callable[..., Any]) -> None:
     controller = make_bench(start=False).controller
     controller.trip("velocity")
     assert controller.message is None
 
 
-def test_narrowed_corrections_are_clamped_where_they_are_and_stat_tells_it(bench: Any) -> None:
+def test_narrowed_limits_clamp_corrections_from_the_current_position_and_stat_shows_it(bench: Any) -> None:
     controller = bench.controller
     bench.enter_movecorr()
     bench.ramp(on_a1(4.0))
@@ -83,7 +83,7 @@ def test_narrowed_corrections_are_clamped_where_they_are_and_stat_tells_it(bench
     assert (controller.arm.axes_deg[0], controller.message) == (6.0, None)
 
 
-def test_a_fault_of_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time() -> None:
+def test_a_fault_set_for_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time() -> None:
     world = World.create(named_scene("mini"), paced=False)
     seen: list[tuple[bool, int]] = []
     board = FaultBoard(world, "robot", lambda: len(seen) + 1)

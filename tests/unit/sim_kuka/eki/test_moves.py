@@ -1,4 +1,4 @@
-"""PTP and LIN of the EKI program: where they lead, how fast, and what they refuse."""
+"""PTP and LIN motions of the EKI program: goal, speed, interruption and refusals."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def program(make_bench: Callable[..., Any]) -> Program:
 
 
 @pytest.mark.parametrize("variant", ["kr6_r900_sixx", "kr6_r900_2"])
-def test_status_and_turn_lead_back_to_the_axes_they_were_told_of(variant: Variant) -> None:
+def test_status_and_turn_recover_the_axes_they_were_computed_from(variant: Variant) -> None:
     arm, generator = description(variant), np.random.default_rng(8)
     chain = JointChain(arm)
     for _ in range(2000):
@@ -76,7 +76,7 @@ def test_status_and_turn_lead_back_to_the_axes_they_were_told_of(variant: Varian
         assert np.allclose(found, axes_deg, atol=1e-6)
 
 
-def test_a_straight_wrist_keeps_A4_where_it_is() -> None:
+def test_a_straight_wrist_keeps_a4_where_it_is() -> None:
     arm = description("kr6_r900_sixx")
     axes_deg = [10.0, -80.0, 100.0, 35.0, 0.0, 20.0]
     flange = JointChain(arm).flange(np.radians(axes_deg))
@@ -85,7 +85,7 @@ def test_a_straight_wrist_keeps_A4_where_it_is() -> None:
     assert np.allclose(found, axes_deg, atol=1e-6)
 
 
-def test_out_of_reach_and_beyond_an_end_switch_there_is_no_posture() -> None:
+def test_a_pose_out_of_reach_or_beyond_an_end_switch_has_no_posture() -> None:
     arm = description("kr6_r900_sixx")
     flange = JointChain(arm).flange(np.radians(GOAL_DEG))
     status, turn = status_and_turn(arm, GOAL_DEG)
@@ -104,7 +104,7 @@ def test_a_profile_begins_and_ends_at_rest_within_its_limits() -> None:
         assert np.abs(np.diff(way, 2)).max() <= acceleration * 0.004**2 * 1.6  # the last step is rounded
 
 
-def test_a_ptp_arrives_exactly_and_says_so_twice(program: Program) -> None:
+def test_a_ptp_arrives_exactly_and_is_acknowledged_on_acceptance_and_on_completion(program: Program) -> None:
     assert program.ptp(Vel=50, Acc=50) == Acknowledgement(AckCode.OK, "accepted")
     assert program.controller.program_state is ProState.ACTIVE
     assert not program.ends
@@ -116,7 +116,7 @@ def test_a_ptp_arrives_exactly_and_says_so_twice(program: Program) -> None:
     assert program.finish() is AckCode.OK
 
 
-def test_a_ptp_keeps_the_axis_limits_and_the_override(program: Program) -> None:
+def test_a_ptp_scales_the_axis_speed_by_vel_and_override(program: Program) -> None:
     program.controller.set_override(50)
     program.ptp((160.0, *HOME_DEG[1:]), Vel=40)
     program.finish()
@@ -124,7 +124,7 @@ def test_a_ptp_keeps_the_axis_limits_and_the_override(program: Program) -> None:
     assert fastest_deg_s == pytest.approx(0.2 * 360.0, rel=0.01)
 
 
-def test_a_pose_is_reached_in_the_posture_that_was_asked_for(program: Program) -> None:
+def test_a_pose_is_reached_in_the_requested_posture(program: Program) -> None:
     arm = description("kr6_r900_sixx")
     frame = frame_of(JointChain(arm).flange(np.radians(GOAL_DEG)))
     status, turn = status_and_turn(arm, GOAL_DEG)
@@ -138,7 +138,7 @@ def test_a_pose_is_reached_in_the_posture_that_was_asked_for(program: Program) -
     assert program.controller.arm.frame == pytest.approx(frame, abs=1e-6)
 
 
-def test_a_pose_counts_in_the_base_and_for_the_tool_that_are_named(program: Program) -> None:
+def test_a_pose_refers_to_the_named_tool_and_base(program: Program) -> None:
     controller = program.controller
     controller.set_tool(3, (0.0, 0.0, 150.0, 0.0, 0.0, 0.0))
     controller.set_base(5, (100.0, 50.0, 0.0, 90.0, 0.0, 0.0))
@@ -153,7 +153,7 @@ def test_a_pose_counts_in_the_base_and_for_the_tool_that_are_named(program: Prog
     assert (controller.frames.tool_number, controller.frames.base_number) == (3, 5)
 
 
-def test_a_line_is_straight_and_as_fast_as_it_was_asked_for(program: Program) -> None:
+def test_a_line_is_straight_and_runs_at_the_requested_speed(program: Program) -> None:
     begin = list(program.controller.arm.frame)
     goal = [begin[0] + 60.0, begin[1] + 80.0, begin[2], *begin[3:]]
     assert program.to_pose("LIN", goal, Vel=0.1).code is AckCode.OK
@@ -166,7 +166,7 @@ def test_a_line_is_straight_and_as_fast_as_it_was_asked_for(program: Program) ->
     assert max(speeds) == pytest.approx(100.0, rel=0.02)
 
 
-def test_a_line_turns_the_tool_evenly(program: Program) -> None:
+def test_a_line_can_turn_the_tool_in_place(program: Program) -> None:
     begin = list(program.controller.arm.frame)
     goal = [*begin[:3], begin[3] - 20.0, begin[4], begin[5]]
     assert program.to_pose("LIN", goal, Vel=0.1).code is AckCode.OK
@@ -177,7 +177,7 @@ def test_a_line_turns_the_tool_evenly(program: Program) -> None:
     )
 
 
-def test_a_line_through_the_straight_wrist_is_stopped_and_not_jumped(program: Program) -> None:
+def test_a_line_through_the_straight_wrist_is_stopped_or_refused_without_a_jump(program: Program) -> None:
     program.ptp((0.0, -80.0, 100.0, 20.0, 8.0, 0.0))
     program.finish()
     program.axes.clear()
@@ -219,7 +219,7 @@ def test_a_fast_stop_is_shorter(make_bench: Callable[..., Any]) -> None:
         (lambda c: c.collide(), ProState.STOP),
     ],
 )
-def test_whatever_interrupts_a_motion_is_told_as_aborted(
+def test_an_interrupted_motion_is_reported_as_aborted(
     program: Program, event: Callable[[Any], object], state: ProState
 ) -> None:
     program.ptp()
@@ -230,7 +230,9 @@ def test_whatever_interrupts_a_motion_is_told_as_aborted(
     assert program.controller.program_state is state
 
 
-def test_what_cannot_be_moved_is_refused_before_anything_moves(program: Program, bench: Any) -> None:
+def test_impossible_or_incomplete_motions_are_refused_before_anything_moves(
+    program: Program, bench: Any
+) -> None:
     with pytest.raises(ValueError, match="A2"):
         program.moves.ptp_axis({"A1": "1"})
     with pytest.raises(ValueError, match="Vel"):
@@ -249,7 +251,7 @@ def test_what_cannot_be_moved_is_refused_before_anything_moves(program: Program,
     assert running.ptp().code is AckCode.BUSY  # RSI is running
 
 
-def test_in_T1_a_motion_needs_the_start_key_and_is_slow(program: Program) -> None:
+def test_in_t1_a_motion_needs_the_start_key_and_is_slow(program: Program) -> None:
     controller = program.controller
     controller.turn_key(OperationMode.T1)
     assert controller.switch_drives(True).code is AckCode.OK

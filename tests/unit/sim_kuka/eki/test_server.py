@@ -1,4 +1,4 @@
-"""The EKI channel's loop: one telegram read and one written per loop, and a memory that can overflow."""
+"""The EKI channel loop: one telegram read and one written per loop, and a buffer that can overflow."""
 
 from __future__ import annotations
 
@@ -126,7 +126,7 @@ def test_one_request_is_read_per_loop_and_the_others_wait(line: Line) -> None:
     assert line.server.due_s is None
 
 
-def test_a_memory_of_512_unread_requests_overflows_and_ends_the_connection(line: Line) -> None:
+def test_a_buffer_of_512_unread_requests_overflows_and_closes_the_connection(line: Line) -> None:
     line.server.silent = True
     line.say(*range(UNREAD_LIMIT))
     assert line.server.connected
@@ -137,7 +137,7 @@ def test_a_memory_of_512_unread_requests_overflows_and_ends_the_connection(line:
     assert line.heard() == b""  # an orderly end
 
 
-def test_a_silent_program_keeps_what_was_said_to_it(line: Line) -> None:
+def test_requests_to_a_silent_program_are_kept_until_it_reads_again(line: Line) -> None:
     line.server.silent = True
     line.say(1, 2)
     line.server.send("<Robot>unheard</Robot>")
@@ -149,7 +149,7 @@ def test_a_silent_program_keeps_what_was_said_to_it(line: Line) -> None:
     assert line.program.read == ["1", "2"]
 
 
-def test_half_a_telegram_is_written_once(line: Line) -> None:
+def test_the_half_telegram_fault_spoils_only_one_telegram(line: Line) -> None:
     line.server.spoil_next(half)
     for _ in range(2):
         line.server.send("<Robot></Robot>")
@@ -164,7 +164,7 @@ def test_half_a_telegram_is_written_once(line: Line) -> None:
         (padded, PADDING + b"<Robot></Robot>" + PADDING),
     ],
 )
-def test_a_telegram_may_come_after_garbage_or_between_padding_once(
+def test_the_garbage_and_padding_faults_spoil_only_one_telegram(
     line: Line, how: Callable[[bytes], bytes], written: bytes
 ) -> None:
     assert b"<" not in GARBAGE
@@ -175,7 +175,7 @@ def test_a_telegram_may_come_after_garbage_or_between_padding_once(
     assert line.heard() == written + b"<Robot></Robot>"
 
 
-def test_a_channel_that_is_taken_refuses_whoever_comes_and_keeps_its_client(line: Line) -> None:
+def test_an_occupied_channel_refuses_another_client_and_keeps_its_own(line: Line) -> None:
     line.server.taken = True
     host, port = line.server.endpoint.removeprefix("tcp://").split(":")
     with socket.create_connection((host, int(port)), timeout=10.0) as other:
@@ -185,7 +185,7 @@ def test_a_channel_that_is_taken_refuses_whoever_comes_and_keeps_its_client(line
     assert line.program.read == ["1"]
 
 
-def test_a_full_memory_has_no_room_for_the_next_request(line: Line) -> None:
+def test_a_request_to_a_full_buffer_closes_the_connection(line: Line) -> None:
     line.server.overflow()
     assert line.server.connected
     line.say(1)
@@ -193,7 +193,7 @@ def test_a_full_memory_has_no_room_for_the_next_request(line: Line) -> None:
     assert line.program.read == []
 
 
-def test_the_sdks_client_is_told_the_status_once_and_again_when_it_changes(
+def test_the_sdk_client_receives_the_status_once_and_again_when_it_changes(
     line: Line, make_bench: Callable[..., Any]
 ) -> None:
     controller = make_bench(start=False).controller
@@ -208,7 +208,7 @@ def test_the_sdks_client_is_told_the_status_once_and_again_when_it_changes(
     assert told == [1, 0, 1, 0]
 
 
-def test_the_drivers_client_is_told_a_change_before_the_next_state_is_due(
+def test_the_driver_receives_a_state_change_before_the_next_periodic_state_is_due(
     line: Line, make_bench: Callable[..., Any]
 ) -> None:
     controller = make_bench(start=False).controller
@@ -224,14 +224,14 @@ def test_the_drivers_client_is_told_a_change_before_the_next_state_is_due(
 
 
 @pytest.mark.parametrize("tail", [b"9", b"a ", b"'", b'"', b"/", b"<a ", b"<a>", b'<a "'])
-def test_a_request_without_an_end_costs_no_more_than_its_length(tail: bytes) -> None:
+def test_an_unterminated_request_is_scanned_in_bounded_time(tail: bytes) -> None:
     began_s = process_time()
     found, _ = cut_requests(b'<Cmd Id="1"></Cmd><Cmd' + tail * (READ_BYTES // len(tail)))
     assert found == [b'<Cmd Id="1"></Cmd>']
     assert process_time() - began_s < 1.0
 
 
-def test_who_has_the_port_of_a_channel_is_named_with_a_free_one() -> None:
+def test_a_port_conflict_names_the_process_holding_the_port_and_suggests_a_free_one() -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         address = Endpoint("tcp", "127.0.0.1", other.getsockname()[1])
         with pytest.raises(EndpointTaken, match=rf"in use by .*\(pid {os.getpid()}\)") as refused:

@@ -1,4 +1,4 @@
-"""A fault script acts on interlocks, arm and EKI channels for as long as it says, without sockets."""
+"""Fault scripts act on interlocks, arm and EKI channels for as long as they specify, without sockets."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_a_lasting_fault_acts_until_it_ends(
 
 
 @pytest.mark.parametrize(("fault", "happened"), HAPPENINGS, ids=[fault for fault, _ in HAPPENINGS])
-def test_what_happens_once_has_happened_at_the_next_cycle(
+def test_a_one_time_fault_has_happened_by_the_next_cycle(
     world: World, faults: ControllerFaults, bench: Any, fault: str, happened: Callable[[Any], bool]
 ) -> None:
     bench.enter_movecorr()

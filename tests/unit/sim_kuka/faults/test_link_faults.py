@@ -1,4 +1,4 @@
-"""Faults of the RSI link without sockets: which telegrams they meet, and that a broken one is no telegram."""
+"""Faults of the RSI link, without sockets: which telegrams each one affects, and how."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def arrivals(faults: LinkFaults, read: Callable[[bytes], Any], cycles: int) -> l
     return seen
 
 
-def test_a_delay_is_a_number_of_cycles(link: Any, read: Any) -> None:
+def test_a_delay_is_counted_in_cycles(link: Any, read: Any) -> None:
     assert arrivals(link("delay 3 cycles"), read, 8) == [None, None, None, 0, 1, 2, 3, 4]
 
 
-def test_what_is_overtaken_comes_after_what_overtook_it(link: Any, read: Any) -> None:
+def test_an_overtaken_reply_arrives_after_the_one_that_overtook_it(link: Any, read: Any) -> None:
     faults = link("reorder 100 %")
     assert arrivals(faults, read, 4) == [None, 0, 1, 2]
     faults.look(())
@@ -69,7 +69,7 @@ def test_nothing_passes_a_cut_network(link: Any, read: Any) -> None:
     assert arrivals(faults, read, 3) == [None] * 3
 
 
-def test_the_same_cycles_are_met_whatever_was_met_before(link: Any, read: Any) -> None:
+def test_the_affected_cycles_depend_on_the_seed_and_not_on_earlier_cycles(link: Any, read: Any) -> None:
     whole = arrivals(link("drop 20 %"), read, 200)
     late = link("drop 20 %")
     late.begin_cycle(150)
@@ -83,7 +83,7 @@ def test_the_same_cycles_are_met_whatever_was_met_before(link: Any, read: Any) -
     assert arrivals(link("drop 20 %", seed=2), read, 200) != whole
 
 
-def test_a_wrong_time_stamp_is_that_of_no_cycle(link: Any, read: Any) -> None:
+def test_wrong_ipoc_raises_the_time_stamp_by_one_in_its_share_of_replies(link: Any, read: Any) -> None:
     stamps = arrivals(link("wrong ipoc 50 %"), read, 400)
     wrong = [stamp for cycle, stamp in enumerate(stamps) if stamp != cycle]
     assert 100 < len(wrong) < 300
@@ -91,7 +91,9 @@ def test_a_wrong_time_stamp_is_that_of_no_cycle(link: Any, read: Any) -> None:
 
 
 @pytest.mark.parametrize("fault", ["future ipoc", "missing ipoc", "wrong type", "bad number"])
-def test_a_reply_that_is_xml_and_yet_none_is_missed_in_its_share(link: Any, read: Any, fault: str) -> None:
+def test_a_well_formed_but_invalid_reply_occurs_in_its_share_of_cycles(
+    link: Any, read: Any, fault: str
+) -> None:
     whole = arrivals(link(f"{fault} 0 %"), read, 100)
     assert whole == list(range(100))
     part = arrivals(link(f"{fault} 50 %"), read, 400)
@@ -103,7 +105,7 @@ def test_a_reply_that_is_xml_and_yet_none_is_missed_in_its_share(link: Any, read
         assert set(missed) == {None}
 
 
-def test_a_bad_number_is_nan_infinite_or_a_word_and_all_of_them_come(link: Any) -> None:
+def test_a_bad_number_is_nan_inf_or_a_word_and_each_of_them_occurs(link: Any) -> None:
     faults = link("bad number 100 %")
     seen: list[bytes] = []
     for cycle in range(100):
@@ -112,7 +114,7 @@ def test_a_bad_number_is_nan_infinite_or_a_word_and_all_of_them_come(link: Any) 
     assert {data.split(b"<Stop>")[1].split(b"<")[0] for data in seen} == {b"nan", b"inf", b"one"}
 
 
-def test_a_constant_time_stamp_is_that_of_the_first_reply_until_the_fault_ends(link: Any, read: Any) -> None:
+def test_constant_ipoc_repeats_the_first_time_stamp_until_the_fault_ends(link: Any, read: Any) -> None:
     faults = link("constant ipoc")
     assert arrivals(faults, read, 5) == [0, 0, 0, 0, 0]
     faults.look(())
@@ -124,7 +126,7 @@ def test_a_constant_time_stamp_is_that_of_the_first_reply_until_the_fault_ends(l
 
 
 @pytest.mark.parametrize(("takes_second", "value"), [(False, 2.5), (True, 1.5)])
-def test_of_two_replies_to_one_telegram_the_first_or_the_second_counts(
+def test_of_two_replies_to_one_telegram_the_configured_one_counts(
     read: Any, takes_second: bool, value: float
 ) -> None:
     faults = LinkFaults(1, FaultLog(moment), takes_second=takes_second)
@@ -139,7 +141,7 @@ def test_of_two_replies_to_one_telegram_the_first_or_the_second_counts(
     assert reply.values[1] == value  # the one that was on the way comes behind
 
 
-def test_a_broken_reply_is_none_and_a_broken_telegram_cannot_be_read(link: Any, read: Any) -> None:
+def test_corrupt_replies_are_not_read_and_corrupt_telegrams_cannot_be_parsed(link: Any, read: Any) -> None:
     faults = link("corrupt replies 100 %", "corrupt telegrams 100 %")
     telegram = b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/><IPOC>8</IPOC></Rob>'
     for cycle in range(2000):
@@ -152,7 +154,7 @@ def test_a_broken_reply_is_none_and_a_broken_telegram_cannot_be_read(link: Any, 
             ElementTree.fromstring(broken)
 
 
-def test_begin_end_and_every_happening_are_logged_with_the_telegram(
+def test_the_log_shows_begin_end_and_each_occurrence_with_its_ipoc(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     log = FaultLog(moment)

@@ -1,4 +1,4 @@
-"""Mutated telegrams through the simulator's codecs: nothing is raised, and nothing is invented."""
+"""Mutated telegrams through the simulator's codecs: no exception is raised and no value is invented."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_mutated_replies_never_raise_and_never_invent_numbers(read: Callable[[by
     _replies_survive(read, FEW)
 
 
-def test_mutated_requests_are_cut_and_read_without_an_exception() -> None:
+def test_mutated_requests_raise_nothing_but_parse_errors() -> None:
     rest = b""
     for data in mutations(REQUESTS, FEW // 4, seed=5):
         requests, rest = cut_requests(rest[-2000:] + data)
@@ -69,13 +69,13 @@ def test_a_million_mutated_replies_never_raise_and_never_invent_numbers(
     _replies_survive(read, MANY)
 
 
-def test_no_mutant_moves_a_resting_arm(bench: Any) -> None:
+def test_mutated_replies_never_make_a_resting_arm_jump(bench: Any) -> None:
     _nothing_moves(bench, 3000)
 
 
 @pytest.mark.soak
 @pytest.mark.timeout(3600)
-def test_a_million_mutants_move_no_resting_arm(bench: Any) -> None:
+def test_a_million_mutated_replies_never_make_a_resting_arm_jump(bench: Any) -> None:
     _nothing_moves(bench, MANY)
 
 

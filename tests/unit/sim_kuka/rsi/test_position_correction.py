@@ -1,4 +1,4 @@
-"""POSCORR: corrections of a pose, clamped and watched, in their correction system, and near a singularity."""
+"""POSCORR: pose corrections in base or tool, limited and monitored, also through a singularity."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_a_cartesian_correction_moves_the_tool_in_base(
     assert bench.controller.run.correction_stats == (0, 1)
 
 
-def test_cartesian_corrections_are_clamped_and_watched(
+def test_cartesian_corrections_are_clamped_and_monitored(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = position_bench(make_bench, context_with)
@@ -64,7 +64,7 @@ def test_cartesian_corrections_are_clamped_and_watched(
     assert message_of(bench) == 29000
 
 
-def test_a_cartesian_correction_through_a_singularity_is_a_velocity_fault_of_the_wrist(
+def test_a_cartesian_correction_through_a_singularity_raises_a_wrist_velocity_fault(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext], perfect_arm: Callable[..., Any]
 ) -> None:
     truth = perfect_arm(home_deg=(0.0, -80.0, 100.0, 20.0, 0.5, 0.0))
@@ -93,7 +93,7 @@ def test_relative_cartesian_corrections_integrate(
 
 
 @pytest.mark.parametrize(("reference", "direction"), [("Base", (1.0, 0.0, 0.0)), ("Tool", (-1.0, 0.0, 0.0))])
-def test_the_correction_system_is_the_bases_or_the_tools(
+def test_corrections_refer_to_base_or_tool_as_configured(
     make_bench: Callable[..., Any],
     context_with: Callable[..., RsiContext],
     reference: str,

@@ -1,4 +1,4 @@
-"""A run of RSI, cycle by cycle, without sockets: HOLDON, late replies, clamps, monitors, faults."""
+"""An RSI run, cycle by cycle, without sockets: HOLDON, late replies, limits, monitors, faults."""
 
 from __future__ import annotations
 
@@ -28,7 +28,9 @@ def message_of(bench: Any) -> int:
     return int(bench.controller.message.number)
 
 
-def test_time_stamps_step_by_the_cycle_and_restart_elsewhere(make_bench: Callable[..., Any]) -> None:
+def test_ipoc_advances_by_the_cycle_time_and_a_new_run_starts_at_another_value(
+    make_bench: Callable[..., Any],
+) -> None:
     bench = make_bench()
     run = bench.controller.run
     first = run.ipoc
@@ -41,7 +43,7 @@ def test_time_stamps_step_by_the_cycle_and_restart_elsewhere(make_bench: Callabl
     assert bench.controller.run.ipoc % 4 == 0
 
 
-def test_corrections_act_only_in_movecorr_and_setpoints_never_follow(bench: Any) -> None:
+def test_corrections_move_the_arm_in_movecorr_and_show_in_aipos(bench: Any) -> None:
     assert bench.controller.rsi_state is RsiState.ON
     bench.enter_movecorr()
     assert bench.controller.rsi_state is RsiState.MOVECORR
@@ -52,7 +54,7 @@ def test_corrections_act_only_in_movecorr_and_setpoints_never_follow(bench: Any)
     assert b'<AIPos A1="10.0000"' in bench.telegram()
 
 
-def test_the_arm_answers_after_the_dead_time_with_a_lag(bench: Any) -> None:
+def test_the_arm_responds_after_the_dead_time_with_a_first_order_lag(bench: Any) -> None:
     bench.enter_movecorr()
     seen = []
     for _ in range(40):
@@ -74,7 +76,7 @@ def test_a_lost_reply_freezes_the_arm_with_holdon_1(bench: Any) -> None:
     assert b'<Delay D="20"/>' in bench.telegram()
 
 
-def test_a_lost_reply_commands_the_way_back_with_holdon_0(
+def test_a_lost_reply_with_holdon_0_commands_a_jump_back_and_ends_in_a_fault(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     context = context_with()
@@ -89,7 +91,7 @@ def test_a_lost_reply_commands_the_way_back_with_holdon_0(
     assert message_of(bench) == 1074
 
 
-def test_relative_corrections_integrate_and_run_on_while_replies_are_missing(
+def test_relative_corrections_integrate_and_continue_while_replies_are_missing(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = make_bench(context_with(program={"corrections": "relative"}))
@@ -105,7 +107,7 @@ def test_relative_corrections_integrate_and_run_on_while_replies_are_missing(
 
 
 @pytest.mark.parametrize(("counting", "ends"), [("consecutive", False), ("total", True)])
-def test_the_timeout_counts_late_replies_in_both_ways(
+def test_the_timeout_counts_late_replies_consecutively_or_in_total(
     make_bench: Callable[..., Any], counting: Any, ends: bool
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(timeout_counting=counting))
@@ -134,14 +136,14 @@ def test_silence_ends_the_run_at_the_timeout_and_needs_acknowledgement(bench: An
 
 
 @pytest.mark.parametrize("stamp", [0, -4, 4, 1 << 40])
-def test_a_reply_of_another_cycle_is_no_reply(bench: Any, stamp: int) -> None:
+def test_a_reply_for_another_cycle_is_rejected(bench: Any, stamp: int) -> None:
     run = bench.controller.run
     ipoc = run.ipoc + stamp if stamp else run.ipoc
     data = f'<Sen Type="KROSHU"><IPOC>{max(0, ipoc)}</IPOC></Sen>'.encode()
     assert (run.read(data) is not None) is (stamp == 0)
 
 
-def test_one_held_value_at_an_eighth_of_full_speed_passes(bench: Any) -> None:
+def test_a_lost_reply_at_an_eighth_of_full_speed_causes_no_fault(bench: Any) -> None:
     bench.enter_movecorr()
     step = A1_FULL_STEP_DEG / 8
     value = 0.0
@@ -163,7 +165,7 @@ def test_a_step_above_a_quarter_of_full_speed_stops_the_drives_and_moves_nothing
     assert axis_of(bench) == 0.0
 
 
-def test_a_teleport_at_speed_ends_in_a_braked_stop(bench: Any) -> None:
+def test_a_jump_of_the_correction_at_speed_ends_in_a_braked_stop(bench: Any) -> None:
     bench.enter_movecorr()
     value = 0.0
     for _ in range(50):
@@ -194,7 +196,7 @@ def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Ca
 
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 @pytest.mark.parametrize("axis", range(6))
-def test_one_held_value_at_the_working_speed_passes_and_no_acceleration_is_read_into_it(
+def test_a_lost_reply_at_working_speed_causes_no_acceleration_fault(
     make_bench: Callable[..., Any], cycle_ms: int, axis: int
 ) -> None:
     bench = make_bench(start=False)
@@ -221,7 +223,7 @@ def test_one_held_value_at_the_working_speed_passes_and_no_acceleration_is_read_
 
 
 @pytest.mark.parametrize("lost", [3, 25])
-def test_a_motion_frozen_by_lost_replies_goes_on_at_speed_after_few_and_from_rest_after_many(
+def test_a_motion_resumes_at_speed_after_few_lost_replies_and_faults_after_many(
     make_bench: Callable[..., Any], lost: int
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(step_share=1.0))
@@ -247,7 +249,7 @@ def test_a_motion_frozen_by_lost_replies_goes_on_at_speed_after_few_and_from_res
         assert message_of(bench) == 1074
 
 
-def test_acceleration_that_lasts_is_a_fault_though_no_step_is_too_large(bench: Any) -> None:
+def test_sustained_excess_acceleration_is_a_fault_even_if_no_step_is_too_large(bench: Any) -> None:
     bench.enter_movecorr()
     A2_step_deg = 0.24 * 300.0 * 0.004
     with pytest.raises(AssertionError):
@@ -266,7 +268,7 @@ def test_the_default_context_clamps_at_the_software_end_switches(bench: Any) -> 
     assert bench.controller.run.correction_stats == (0b11, 0)
 
 
-def test_a_foreign_context_keeps_the_makers_narrow_limits(
+def test_a_context_without_limits_uses_the_narrow_vendor_defaults(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = make_bench(context_with(axis_correction=None, axis_monitor=None))
@@ -276,7 +278,7 @@ def test_a_foreign_context_keeps_the_makers_narrow_limits(
     assert axis_of(bench) == 5.0
 
 
-def test_a_monitor_stops_what_the_limits_let_pass(
+def test_a_monitor_stops_a_correction_that_the_limits_let_pass(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = make_bench(context_with(axis_monitor=None))
@@ -287,7 +289,7 @@ def test_a_monitor_stops_what_the_limits_let_pass(
     assert axis_of(bench) < 6.5
 
 
-def test_stop_acts_on_its_rising_edge_and_ends_the_run(bench: Any) -> None:
+def test_a_rising_stop_input_ends_the_run(bench: Any) -> None:
     bench.enter_movecorr()
     bench.ramp(on_a1(3.0))
     bench.answer(on_a1(3.0), stop=1)
@@ -299,12 +301,12 @@ def test_stop_acts_on_its_rising_edge_and_ends_the_run(bench: Any) -> None:
     assert axis_of(bench) == 3.0
 
 
-def test_stop_before_movecorr_is_an_error_of_the_object(bench: Any) -> None:
+def test_stop_before_movecorr_raises_an_object_error(bench: Any) -> None:
     bench.answer(stop=1)
     assert message_of(bench) == 29002
 
 
-def test_a_stop_object_may_only_tell_and_the_motion_goes_on(
+def test_a_stop_object_set_to_info_message_only_notifies_and_the_motion_continues(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = make_bench(context_with(stop={"mode": "InfoMessage"}))
@@ -317,7 +319,7 @@ def test_a_stop_object_may_only_tell_and_the_motion_goes_on(
     assert axis_of(bench) == 4.0
 
 
-def test_a_stop_object_may_brake_the_arm_on_its_path_and_faster_and_the_run_streams_on(
+def test_a_path_stop_brakes_the_arm_while_the_run_streams_and_path_fast_stops_shorter(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     ways = {}
@@ -337,7 +339,7 @@ def test_a_stop_object_may_brake_the_arm_on_its_path_and_faster_and_the_run_stre
     assert 0.0 < ways["PathFast"] < ways["PathNormal"] == ways["Velocity"] < 2.0
 
 
-def test_only_send_never_counts_and_never_corrects(
+def test_only_send_counts_no_late_replies_and_applies_no_corrections(
     make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
 ) -> None:
     bench = make_bench(context_with(ethernet={"only_send": True}))
@@ -348,7 +350,7 @@ def test_only_send_never_counts_and_never_corrects(
     assert axis_of(bench) == 0.0
 
 
-def test_a_restarted_run_takes_the_arm_where_it_is_as_its_base(bench: Any) -> None:
+def test_a_restarted_run_uses_the_current_arm_position_as_its_base(bench: Any) -> None:
     bench.enter_movecorr()
     bench.ramp(on_a1(7.0))
     bench.rest(on_a1(7.0))
@@ -362,7 +364,7 @@ def test_a_restarted_run_takes_the_arm_where_it_is_as_its_base(bench: Any) -> No
     assert axis_of(bench) == 0.0
 
 
-def test_twelve_milliseconds_allow_three_times_the_step(make_bench: Callable[..., Any]) -> None:
+def test_a_12_ms_cycle_allows_three_times_the_step(make_bench: Callable[..., Any]) -> None:
     bench = make_bench(start=False)
     bench.controller.switch_drives(True)
     assert bench.controller.start(cycle_ms=12).code == 0
@@ -385,7 +387,7 @@ def test_twelve_milliseconds_allow_three_times_the_step(make_bench: Callable[...
         (b'<Sen Type="KROSHU"><AK A1="0"><IPOC>%d</IPOC></Sen>', "not well-formed XML"),
     ],
 )
-def test_why_a_reply_is_rejected_is_told_once_a_second_with_how_many_were(
+def test_rejected_replies_are_reported_once_a_second_with_reason_and_count(
     bench: Any, reply: bytes, reason: str
 ) -> None:
     run = bench.controller.run
@@ -399,6 +401,6 @@ def test_why_a_reply_is_rejected_is_told_once_a_second_with_how_many_were(
     assert all(why.startswith(f"reply rejected: {reason}") for why, _ in told)
 
 
-def test_of_a_reply_that_is_taken_nothing_is_told(bench: Any) -> None:
+def test_an_accepted_reply_counts_no_rejection(bench: Any) -> None:
     bench.answer()
     assert bench.controller.run.rejected.count == 0

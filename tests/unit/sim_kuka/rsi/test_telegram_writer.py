@@ -72,7 +72,7 @@ def test_elements_follow_the_configuration_and_groups_share_an_element() -> None
     assert (root.findtext("Source1"), root.findtext("DiL")) == ("0.00", "0")
 
 
-def test_stat_is_on_the_wire_when_file_and_context_ask_for_it() -> None:
+def test_stat_is_sent_if_the_file_lists_it_and_filled_if_the_context_wires_it() -> None:
     elements = [
         SendElement(tag="AKorr.Stat", type="LONG", indx=1),
         *sends("DEF_Delay"),
@@ -94,7 +94,7 @@ def test_a_feedback_needs_a_channel_that_is_sent() -> None:
         RsiContext.model_validate(content)
 
 
-def test_a_feedback_that_is_wired_changes_the_hash() -> None:
+def test_wired_feedback_changes_the_context_hash() -> None:
     context = load_context()
     content = context.model_dump(by_alias=True)
     content["send"] = (*content["send"], {"tag": "Stat", "type": "LONG", "indx": 1})
@@ -108,7 +108,7 @@ def test_an_unknown_keyword_is_refused() -> None:
     assert caught.value.code == "KRC-001"
 
 
-def test_a_new_pose_is_written_and_an_old_one_is_remembered() -> None:
+def test_an_unchanged_pose_gives_the_same_bytes_and_a_changed_pose_is_written() -> None:
     writer = TelegramWriter(sends("DEF_AIPos", "DEF_RIst"), 1, AXES, FRAME)
     first = writer.write(FRAME, AXES, 0, 4)
     assert writer.write(FRAME, AXES, 0, 8) == first.replace(b"<IPOC>4<", b"<IPOC>8<")
@@ -143,7 +143,7 @@ VALUES = [0.0, 1.5, -2.0, 0.0, 0.0, 0.0, 0.25]
         PLAIN.replace("<IPOC>44</IPOC>", "").replace('"KROSHU">', '"KROSHU"><IPOC>44</IPOC>'),
     ],
 )
-def test_replies_are_read_in_any_form(reader: ReplyReader, text: str) -> None:
+def test_a_reply_is_read_in_every_valid_form(reader: ReplyReader, text: str) -> None:
     reply = reader.read(text.encode())
     assert reply is not None
     assert reply.ipoc == 44
@@ -172,17 +172,17 @@ def test_replies_are_read_in_any_form(reader: ReplyReader, text: str) -> None:
         PLAIN + "x" * 20000,
     ],
 )
-def test_what_is_no_reply_is_none(reader: ReplyReader, text: str) -> None:
+def test_an_invalid_reply_is_rejected(reader: ReplyReader, text: str) -> None:
     assert reader.read(text.encode()) is None
 
 
-def test_what_a_reply_does_not_say_is_left_open(reader: ReplyReader) -> None:
+def test_values_missing_from_a_reply_are_none(reader: ReplyReader) -> None:
     reply = reader.read(b'<Sen Type="KROSHU"><AK A2="3"/><IPOC>8</IPOC></Sen>')
     assert reply is not None
     assert list(reply.values) == [None, None, 3.0, None, None, None, None]
 
 
-def test_messages_generators_and_digit_attributes_do_not_disturb() -> None:
+def test_messages_generators_and_digit_attributes_do_not_disturb_parsing() -> None:
     elements = [
         ReceiveElement(tag="DEF_EStr", type="STRING", indx="INTERNAL", holdon=0),
         ReceiveElement(tag="DEF_Tech.T2", type="DOUBLE", indx="INTERNAL", holdon=0),
@@ -243,7 +243,7 @@ def test_wiring_is_inferred_from_the_tags_of_a_foreign_file(read_file: Callable[
     assert [(wire.indx, wire.object) for wire in context.feedback] == [(2, "AXISCORR")]
 
 
-def test_a_context_gives_the_file_its_wiring(read_file: Callable[..., RsiContext]) -> None:
+def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Callable[..., RsiContext]) -> None:
     text = ETHERNET_XML
     for number in range(5, 9):
         text = text.replace(
@@ -269,14 +269,14 @@ def test_a_context_gives_the_file_its_wiring(read_file: Callable[..., RsiContext
         ("64000", "no", "PORT"),
     ],
 )
-def test_a_broken_file_is_refused_with_the_mistake(
+def test_a_broken_file_is_refused_and_its_mistake_named(
     read_file: Callable[..., RsiContext], old: str, new: str, what: str
 ) -> None:
     with pytest.raises(EthernetFileInvalid, match=what):
         read_file(ETHERNET_XML.replace(old, new))
 
 
-def test_a_file_name_may_be_too_long(read_file: Callable[..., RsiContext]) -> None:
+def test_a_file_name_that_is_too_long_is_refused(read_file: Callable[..., RsiContext]) -> None:
     assert read_file(ETHERNET_XML, longest_name=len("link"))
     with pytest.raises(EthernetFileInvalid, match=r"link.xml is too long.*3 characters"):
         read_file(ETHERNET_XML, longest_name=3)

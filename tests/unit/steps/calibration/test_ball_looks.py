@@ -1,4 +1,4 @@
-"""The calibrations move only when confirmed and only where the arm reaches, and keep what was seen."""
+"""Ball acquisitions move only when confirmed and only within reach, and keep what was measured."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def visited(cell: ClinicalCell, baseline: Baseline) -> VisitedBaseline:
     return cell.run(checked_set_up(cell), visit_step(baseline, VISITS)).result
 
 
-def test_a_calibration_has_so_many_poses_and_the_check_again_and_again_from_the_same_joints(
+def test_a_calibration_has_its_free_poses_and_revisits_the_check_poses_at_the_same_joints(
     cell: ClinicalCell,
 ) -> None:
     done = observed(cell)
@@ -91,13 +91,13 @@ def test_a_calibration_has_so_many_poses_and_the_check_again_and_again_from_the_
     assert cell.arm.joints_rad == HOME_RAD
 
 
-def test_where_the_way_home_is_not_clear_what_was_seen_is_kept_and_said(cell: ClinicalCell) -> None:
+def test_a_blocked_way_home_is_remarked_on_and_the_observations_are_kept(cell: ClinicalCell) -> None:
     cell.arm.blocked = lambda _start, target: target == HOME_RAD
     assert observed(cell).remarks == ("the arm stays where it is: the way is not clear",)
 
 
 @pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
-def test_nothing_moves_over_the_ball_unless_it_is_confirmed(
+def test_the_arm_does_not_move_over_the_ball_without_confirmation(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
     cell.operator = RecordingOperator(Topic.CALIBRATION)
@@ -107,7 +107,7 @@ def test_nothing_moves_over_the_ball_unless_it_is_confirmed(
 
 
 @pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
-def test_a_ball_out_of_reach_is_refused_before_anybody_is_asked(
+def test_a_ball_out_of_reach_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, step: StepSpec[StepResult]
 ) -> None:
     with pytest.raises(PosesOutOfReach, match="CAL-010"):
@@ -117,20 +117,22 @@ def test_a_ball_out_of_reach_is_refused_before_anybody_is_asked(
 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("step", [observation_step(LEAST_POSES, VISITS), look_step(over_ball=True)])
-def test_with_another_tool_the_head_is_not_looked_for(cell: ClinicalCell, step: StepSpec[StepResult]) -> None:
+def test_the_ball_is_not_observed_with_a_tool_other_than_the_stereo_head(
+    cell: ClinicalCell, step: StepSpec[StepResult]
+) -> None:
     cell.carrying(MountedTool.GUIDE)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
         cell.run(checked_set_up(cell), BallPlace(ball_mm=BALL_MM, others_mm=()), step)
 
 
-def test_one_look_over_the_ball_measures_it_and_goes_home(cell: ClinicalCell) -> None:
+def test_one_acquisition_over_the_ball_measures_it_and_returns_home(cell: ClinicalCell) -> None:
     seen = over_ball(cell, look_step(over_ball=True)).result
     assert seen.position_mm == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
     assert (seen.left is None, seen.reason) == (False, "")
     assert cell.arm.joints_rad == HOME_RAD
 
 
-def test_a_look_where_the_head_stands_moves_nothing_and_connects_the_cameras_only(cell: ClinicalCell) -> None:
+def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cell: ClinicalCell) -> None:
     seen = cell.run(look_step(over_ball=False)).result
     assert seen == LookedAtBall(position_mm=None, left=None, right=None, reason="no sphere in view")
     assert cell.stereo.state is Lifecycle.ACTIVE
@@ -139,7 +141,7 @@ def test_a_look_where_the_head_stands_moves_nothing_and_connects_the_cameras_onl
 
 
 @pytest.mark.hazard(26)
-def test_an_expired_calibration_is_refused_before_a_camera_is_asked(cell: ClinicalCell) -> None:
+def test_an_expired_calibration_is_refused_before_a_camera_is_connected(cell: ClinicalCell) -> None:
     head = cell.calibrations.stereo_head.model_copy(update=EXPIRED)
     cell.workcell = cell.make_workcell(cell.calibrations.model_copy(update={"stereo_head": head}))
     with pytest.raises(CalibrationExpired, match="CAL-001"):
@@ -148,20 +150,20 @@ def test_an_expired_calibration_is_refused_before_a_camera_is_asked(cell: Clinic
 
 
 @pytest.mark.hazard(25)
-def test_a_look_with_the_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
+def test_a_calibration_of_other_cameras_is_refused(cell: ClinicalCell) -> None:
     cell.stereo.serials = ("1", "2")
     with pytest.raises(WrongCamera, match="STE-010"):
         cell.run(look_step(over_ball=False))
     assert cell.stereo.calls == []
 
 
-def test_the_pictures_of_a_look_are_at_hand_for_whoever_wants_to_see_them(cell: ClinicalCell) -> None:
+def test_the_images_of_an_acquisition_are_kept_in_memory(cell: ClinicalCell) -> None:
     engine = cell.begin(look_step(over_ball=False))
     engine.run_to()
     assert engine.setting.memory.find(Look) is not None
 
 
-def test_a_check_looks_from_the_joints_of_the_baseline_and_goes_home(
+def test_a_check_uses_the_joints_of_the_baseline_and_returns_home(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
     done = visited(cell, baseline)
@@ -172,7 +174,7 @@ def test_a_check_looks_from_the_joints_of_the_baseline_and_goes_home(
     assert done.calibration == cell.calibrations.stereo_head.identifier
 
 
-def test_a_check_is_confirmed_with_the_calibration_that_is_checked(
+def test_a_check_needs_confirmation_and_the_question_names_its_calibration(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
     cell.operator = RecordingOperator(Topic.CALIBRATION)
@@ -182,7 +184,7 @@ def test_a_check_is_confirmed_with_the_calibration_that_is_checked(
 
 
 @pytest.mark.hazard(26)
-def test_an_expired_baseline_is_refused_before_anybody_is_asked(
+def test_an_expired_baseline_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
     head = baseline.stereo_head.model_copy(update=EXPIRED)
@@ -192,7 +194,7 @@ def test_an_expired_baseline_is_refused_before_anybody_is_asked(
 
 
 @pytest.mark.hazard(25)
-def test_the_baseline_of_other_cameras_is_refused_before_anybody_is_asked(
+def test_a_baseline_of_other_cameras_is_refused_before_the_operator_is_asked(
     cell: ClinicalCell, baseline: Baseline
 ) -> None:
     cell.stereo.serials = ("1", "2")
@@ -201,7 +203,7 @@ def test_the_baseline_of_other_cameras_is_refused_before_anybody_is_asked(
     assert cell.operator.asked == []
 
 
-def test_a_check_without_a_ball_says_why_when_the_arm_is_home(cell: ClinicalCell, baseline: Baseline) -> None:
+def test_a_check_without_a_ball_returns_home_and_reports_why(cell: ClinicalCell, baseline: Baseline) -> None:
     cell.workcell.spheres_mm = np.array([BALL_MM]) + 10 * IN_VIEW_MM
     cell.carrying(MountedTool.STEREO_HEAD)
     with pytest.raises(NoSphere, match=f"{VISITS * CHECK_ORIENTATIONS} x no sphere in view"):
@@ -212,7 +214,7 @@ def test_a_check_without_a_ball_says_why_when_the_arm_is_home(cell: ClinicalCell
 @pytest.mark.parametrize(
     ("reason", "error"), [("ARM-007", PosesOutOfReach), ("no sphere in view", TooFewPoses)]
 )
-def test_too_few_looks_are_explained_by_their_commonest_reason(
+def test_too_few_acquisitions_are_explained_by_the_most_frequent_reason(
     cell: ClinicalCell, reason: str, error: type[Exception]
 ) -> None:
     watcher = BallWatcher(cell.workcell, np.array(BALL_MM))
@@ -240,7 +242,7 @@ class Watcher:
         return SimpleNamespace(orientation=orientation, joints_rad=joints)
 
 
-def test_an_orientation_of_the_check_that_cannot_be_taken_gives_way_to_another_one() -> None:
+def test_an_unusable_check_orientation_is_replaced_by_another() -> None:
     watcher: Any = Watcher()
     variants = check_variants(Rotation.identity(), np.array(BALL_MM), 0)
     assert watcher.observe(variants[0]) is None

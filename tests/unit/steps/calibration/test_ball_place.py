@@ -1,4 +1,4 @@
-"""Where the ball is: the one nearest to the head that stands alone, or where the operator says."""
+"""The place of the ball: the isolated ball nearest to the head, or the position the operator states."""
 
 import numpy as np
 import pytest
@@ -20,25 +20,25 @@ def place_among(cell: ClinicalCell, *points_mm: tuple[float, float, float]) -> S
     return cell.run(global_localization(np.array(points_mm)), place_step(None))
 
 
-def test_the_ball_nearest_to_the_head_is_taken(cell: ClinicalCell) -> None:
+def test_the_ball_nearest_to_the_head_is_chosen(cell: ClinicalCell) -> None:
     stored = place_among(cell, FAR, NEAR, OTHER)
     assert stored.result.ball_mm == NEAR
     assert stored.result.others_mm == (FAR, OTHER)
     assert list(stored.record.parents) == ["01-global_localization"]
 
 
-def test_balls_that_stand_together_are_passed_over(cell: ClinicalCell) -> None:
+def test_balls_close_together_are_skipped(cell: ClinicalCell) -> None:
     beside = (NEAR[0] + 10.0, NEAR[1], NEAR[2])
     assert place_among(cell, NEAR, beside, OTHER).result.ball_mm == OTHER
 
 
-def test_without_a_ball_that_stands_alone_nothing_begins(cell: ClinicalCell) -> None:
+def test_the_step_is_refused_without_an_isolated_ball(cell: ClinicalCell) -> None:
     with pytest.raises(NoBall, match="CAL-009") as refused:
         place_among(cell, (700.0, 0.0, 300.0), (710.0, 0.0, 300.0))
     assert refused.value.exit_code == EXIT_REFUSED
 
 
-def test_a_stated_place_is_taken_without_the_tracker(cell: ClinicalCell) -> None:
+def test_a_stated_place_is_used_without_the_tracker(cell: ClinicalCell) -> None:
     stored = cell.run(place_step(NEAR))
     assert stored.result == BallPlace(ball_mm=NEAR, others_mm=())
     assert stored.record.parents == {}

@@ -1,4 +1,4 @@
-"""The reference frame is turned before the tracker only when confirmed, and from poses that can be used."""
+"""The reference frame is turned in view of the tracker only when confirmed and from reachable poses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def turned(cell: ClinicalCell) -> FrameLooks:
     return cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION)).result.observed
 
 
-def test_the_looks_give_the_frame_that_the_cell_has(cell: ClinicalCell) -> None:
+def test_the_measurements_recover_the_reference_frame_of_the_cell(cell: ClinicalCell) -> None:
     observed = turned(cell)
     uses = [one.use for one in observed.looks]
     assert (uses.count(Use.FIT), uses.count(Use.VALIDATION)) == (COUNT, VALIDATION)
@@ -36,21 +36,23 @@ def test_the_looks_give_the_frame_that_the_cell_has(cell: ClinicalCell) -> None:
     assert observed.created > datetime.now(UTC) - timedelta(minutes=1)
 
 
-def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.CALIBRATION)
     with pytest.raises(NotConfirmed, match="The arm will rotate the frame robot_frame"):
         turned(cell)
     assert cell.arm.motions == []
 
 
-def test_a_frame_that_is_not_in_view_is_told_after_the_first_look(cell: ClinicalCell) -> None:
+def test_a_reference_frame_out_of_view_fails_the_gate(cell: ClinicalCell) -> None:
     theatre = cell.calibrations.tracker_frame
     cell.tracker.hidden = True
     with pytest.raises(GateFailed, match=f"the reference frame {theatre.tool} is in 0 of"):
         turned(cell)
 
 
-def test_an_arm_that_cannot_turn_there_is_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
+def test_an_arm_that_cannot_turn_from_its_pose_is_refused_before_the_operator_is_asked(
+    cell: ClinicalCell,
+) -> None:
     cell.arm.joints_rad = (0.0, 0.0, 0.0, 0.0, 0.3, 0.0)  # stretched out
     with pytest.raises(PosesOutOfReach, match="CAL-010"):
         turned(cell)
@@ -58,7 +60,7 @@ def test_an_arm_that_cannot_turn_there_is_refused_before_anybody_is_asked(cell: 
 
 
 @pytest.mark.hazard(37)
-def test_with_the_guide_mounted_the_frame_is_not_calibrated(cell: ClinicalCell) -> None:
+def test_the_frame_is_not_calibrated_with_the_guide_mounted(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.GUIDE)
     with pytest.raises(StepRefused, match="the arm carries the guide"):
         cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION))

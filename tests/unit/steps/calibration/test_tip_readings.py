@@ -1,4 +1,4 @@
-"""The guide is brought to the divot only after a confirmed exchange, in the orientations of the ball."""
+"""The guide goes to the divot only after a confirmed exchange, in the orientations used at the ball."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def read(cell: ClinicalCell, ball_mm: Numbers3 = BALL_MM) -> TipLooks:
     return cell.run(checked_set_up(cell), place, *steps).result.observed
 
 
-def test_the_readings_give_the_tip_of_the_cell(cell: ClinicalCell) -> None:
+def test_the_readings_recover_the_tip_of_the_cell(cell: ClinicalCell) -> None:
     stand(cell)
     observed = read(cell)
     assert len(observed.readings) == COUNT
@@ -60,7 +60,7 @@ def test_the_readings_give_the_tip_of_the_cell(cell: ClinicalCell) -> None:
     assert np.linalg.norm(calibrate_tip(observed).fit.tip_mm - true) < 0.01
 
 
-def test_ball_then_guide_then_divot_in_that_order(cell: ClinicalCell) -> None:
+def test_the_order_is_ball_then_guide_then_divot(cell: ClinicalCell) -> None:
     stand(cell)
     read(cell)
     assert cell.room.stand == ["ball", "divot"]
@@ -69,7 +69,7 @@ def test_ball_then_guide_then_divot_in_that_order(cell: ClinicalCell) -> None:
 
 
 @pytest.mark.parametrize("topic", [Topic.CALIBRATION, Topic.TOOL_CHANGE])
-def test_nothing_is_done_that_is_not_confirmed(cell: ClinicalCell, topic: Topic) -> None:
+def test_an_unconfirmed_calibration_or_tool_change_stops_the_step(cell: ClinicalCell, topic: Topic) -> None:
     stand(cell)
     cell.operator = RecordingOperator(topic)
     with pytest.raises(NotConfirmed):
@@ -78,7 +78,7 @@ def test_nothing_is_done_that_is_not_confirmed(cell: ClinicalCell, topic: Topic)
         assert cell.arm.motions == []
 
 
-def test_after_a_reading_the_arm_stays_until_the_divot_is_lowered_and_hands_are_clear(
+def test_the_arm_stays_after_a_reading_until_hands_are_confirmed_clear(
     cell: ClinicalCell,
 ) -> None:
     stand(cell)
@@ -97,28 +97,28 @@ def test_after_a_reading_the_arm_stays_until_the_divot_is_lowered_and_hands_are_
 
 
 @pytest.mark.hazard(37)
-def test_with_another_tool_than_the_guide_nothing_moves_to_the_divot(cell: ClinicalCell) -> None:
+def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell) -> None:
     stand(cell)
     cell.room.mounts = 7
     with pytest.raises(WrongTool, match="PRO-009"):
         read(cell)
 
 
-def test_an_impossible_reading_is_refused_where_it_is_read(cell: ClinicalCell) -> None:
+def test_an_implausible_reading_is_refused(cell: ClinicalCell) -> None:
     stand(cell)
     cell.room.dials = lambda _joints: (0.0, 350.0, 0.0)
     with pytest.raises(ReadingImplausible, match="CAL-018"):
         read(cell)
 
 
-def test_a_stand_out_of_reach_is_refused_before_anybody_is_asked(cell: ClinicalCell) -> None:
+def test_a_stand_out_of_reach_is_refused_before_the_operator_is_asked(cell: ClinicalCell) -> None:
     stand(cell)
     with pytest.raises(PosesOutOfReach, match="CAL-010"):
         read(cell, (2000.0, 0.0, 300.0))
     assert cell.operator.asked == []
 
 
-def test_without_a_place_of_the_stand_the_option_is_named(cell: ClinicalCell) -> None:
+def test_a_missing_stand_position_is_refused_and_the_option_named(cell: ClinicalCell) -> None:
     with pytest.raises(NoBall, match="CAL-009") as refused:
         cell.run(stand_place_step())
     assert "--ball X Y Z" in refused.value.action

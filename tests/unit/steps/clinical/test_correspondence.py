@@ -1,4 +1,4 @@
-"""Which sphere is which: a unique answer goes on, anything else stops with its reason."""
+"""Pairing of CT and measured spheres: a unique answer continues, anything else stops with its reason."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def match_with(cell: ClinicalCell, room_mm: Array, ct_mm: Array = CENTRES_CT_MM)
     return cell.run(localized_fiducials(ct_mm), global_localization(room_mm), checked_plan(), STEP)
 
 
-def test_spheres_are_paired_in_whatever_order_the_tracker_saw_them(cell: ClinicalCell) -> None:
+def test_spheres_are_paired_regardless_of_the_order_in_which_the_tracker_saw_them(cell: ClinicalCell) -> None:
     found = match_with(cell, np.vstack([SPHERES_MM[[2, 0]], GHOST_MM, SPHERES_MM[[3, 1]]])).result
     assert found.status is MatchStatus.UNIQUE
     assert sorted(found.pairs) == [(0, 1), (1, 4), (2, 0), (3, 3)]
@@ -57,13 +57,13 @@ def test_a_template_finds_its_spheres_among_others_in_ct_and_room(cell: Clinical
     assert sorted(found.pairs) == [(0, 1), (1, 2), (2, 3)]
 
 
-def test_spheres_that_are_not_where_the_template_has_them_pair_with_nothing(cell: ClinicalCell) -> None:
+def test_spheres_off_their_template_places_are_not_paired(cell: ClinicalCell) -> None:
     planned = implanted_by(1.1 * CENTRES_CT_MM[:3])
     with pytest.raises(NoUniqueMatch, match="the template among the image points"):
         cell.run(localized_fiducials(CENTRES_CT_MM[:3]), global_localization(SPHERES_MM[:3]), planned, STEP)
 
 
-def test_its_parents_are_spheres_room_and_plan(cell: ClinicalCell) -> None:
+def test_the_parents_of_the_pairing_are_spheres_room_and_plan(cell: ClinicalCell) -> None:
     assert set(match_with(cell, SPHERES_MM).record.parents) == {
         "01-fiducial_localization",
         "02-global_localization",
@@ -90,7 +90,7 @@ def test_anything_but_a_unique_answer_stops_with_its_reason(
 
 @pytest.mark.hazard(10)
 @pytest.mark.branch("AMBIGUOUS")
-def test_of_two_pairings_both_are_shown(cell: ClinicalCell) -> None:
+def test_an_ambiguous_pairing_shows_both_candidates(cell: ClinicalCell) -> None:
     with pytest.raises(NoUniqueMatch) as caught:
         match_with(cell, SQUARE_MM, SQUARE_MM)
     assert caught.value.got is not None
@@ -116,9 +116,7 @@ MISPLACED = {
 @pytest.mark.hazard(11)
 @pytest.mark.branch("UNMATCHED_SPHERE")
 @pytest.mark.parametrize("what", MISPLACED)
-def test_a_sphere_that_is_not_in_its_place_is_left_out_when_the_operator_agrees(
-    cell: ClinicalCell, what: str
-) -> None:
+def test_a_sphere_out_of_place_is_left_out_when_the_operator_agrees(cell: ClinicalCell, what: str) -> None:
     found = match_five(cell, MISPLACED[what])
     (question,) = cell.operator.asked
     assert question.subject.startswith("sphere 3 of the CT is missing")
@@ -129,20 +127,20 @@ def test_a_sphere_that_is_not_in_its_place_is_left_out_when_the_operator_agrees(
 
 @pytest.mark.hazard(11)
 @pytest.mark.branch("UNMATCHED_SPHERE")
-def test_without_consent_a_case_with_a_sphere_out_of_place_is_refused(cell: ClinicalCell) -> None:
+def test_a_case_with_a_sphere_out_of_place_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.UNMATCHED_SPHERE)
     with pytest.raises(NoUniqueMatch, match="5 image and 4 physical points"):
         match_five(cell, MISPLACED["missing"])
 
 
 @pytest.mark.hazard(11)
-def test_of_four_spheres_none_is_left_out(cell: ClinicalCell) -> None:
+def test_no_sphere_is_left_out_of_four(cell: ClinicalCell) -> None:
     with pytest.raises(NoUniqueMatch):
         match_with(cell, SPHERES_MM[:3])
     assert cell.operator.asked == []
 
 
-def test_the_frame_is_matched_by_its_layout_and_what_is_not_of_it_left_aside(cell: ClinicalCell) -> None:
+def test_the_frame_is_matched_by_its_layout_and_other_spheres_are_ignored(cell: ClinicalCell) -> None:
     planned = checked_plan()
     framed = planned.model_copy(
         update={"plan": planned.plan.model_copy(update={"fiducials": FiducialKind.XFRAME})}

@@ -1,4 +1,4 @@
-"""Which series the case works on, and nothing about whose it is."""
+"""The CT series of the case, recorded without the patient's identity."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ def test_the_record_names_the_series_and_its_geometry(cell: ClinicalCell) -> Non
     assert done.axes[0] == (0.0, 0.0, 1.0)
 
 
-def test_other_voxels_have_another_hash(tmp_path: Path) -> None:
+def test_different_voxels_give_a_different_hash(tmp_path: Path) -> None:
     hashes = []
     for number, voxels in enumerate((PLAIN, PLAIN, PLAIN + 1)):
         cell = ClinicalCell(tmp_path / str(number))
@@ -33,7 +33,7 @@ def test_other_voxels_have_another_hash(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(35)
-def test_who_the_patient_is_does_not_enter_the_run_folder(cell: ClinicalCell) -> None:
+def test_the_patients_identity_does_not_enter_the_run_folder(cell: ClinicalCell) -> None:
     write_series(cell.series, PLAIN)
     cell.run(STEP)
     written = [path for path in cell.folder.rglob("*") if path.is_file() and path.suffix != ".dcm"]
@@ -41,7 +41,7 @@ def test_who_the_patient_is_does_not_enter_the_run_folder(cell: ClinicalCell) ->
     assert not any(b"SECRET" in path.read_bytes().upper() for path in written)
 
 
-def test_without_a_series_there_is_no_result(cell: ClinicalCell) -> None:
+def test_a_missing_series_leaves_no_result(cell: ClinicalCell) -> None:
     with pytest.raises(SeriesNotFound):
         cell.run(STEP)
     assert cell.case.standing == ()

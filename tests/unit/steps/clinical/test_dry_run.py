@@ -1,4 +1,4 @@
-"""What a step would move is told from where the arm stands, with spheres as people count them."""
+"""A dry run lists the motions from the arm's current place, with spheres numbered from one."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def paths(cell: ClinicalCell) -> CheckedPaths:
     return planned.model_copy(update={"motions": tuple(ways)})
 
 
-def test_from_home_every_motion_is_told_and_spheres_count_from_one(
+def test_from_home_every_motion_is_listed_and_spheres_are_numbered_from_one(
     cell: ClinicalCell, paths: CheckedPaths
 ) -> None:
     cell.arm.joints_rad = HOME_RAD
@@ -59,7 +59,7 @@ def test_from_home_every_motion_is_told_and_spheres_count_from_one(
     assert len(lines) == 2 * len(PLACES[1:])
 
 
-def test_over_a_sphere_only_what_follows_is_told(cell: ClinicalCell, paths: CheckedPaths) -> None:
+def test_over_a_sphere_only_the_remaining_motions_are_listed(cell: ClinicalCell, paths: CheckedPaths) -> None:
     cell.arm.joints_rad = paths.localizations["T1"][0].joints_rad
     heading, first, *_others = told(cell, paths)
     assert heading == "the arm is over sphere 1; from there"

@@ -1,4 +1,4 @@
-"""Each sphere of the CT, with what its place is worth."""
+"""Each sphere of the CT, with the uncertainty of its centre."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def test_a_series_that_has_changed_since_its_import_is_refused(
         cell.run(moved, STEP)
 
 
-def test_a_sphere_is_kept_with_its_covariance_its_parent_and_its_picture(
+def test_a_sphere_is_stored_with_its_covariance_parent_and_picture(
     cell: ClinicalCell, imported: ImportedCt
 ) -> None:
     stored = cell.run(imported, STEP)

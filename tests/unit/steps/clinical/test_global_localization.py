@@ -1,4 +1,4 @@
-"""The coarse localization tells what went wrong, not what followed from it."""
+"""The coarse localization reports the cause of a failure, not its consequences."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class TrackerThatFails:
 
 
 @pytest.mark.parametrize("latched", [True, False])
-def test_the_fault_of_the_tracker_is_what_the_step_fails_with(latched: bool, cell: ClinicalCell) -> None:
+def test_the_step_fails_with_the_trackers_own_fault(latched: bool, cell: ClinicalCell) -> None:
     tracker = TrackerThatFails(latched)
     cell.opened._devices["tracker"] = tracker  # type: ignore[assignment]
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
@@ -88,13 +88,13 @@ def read_from(tracker: object) -> tuple[list[TrackerFrame], int]:
     return fresh_frames(cast("Any", tracker), clock, lambda _share: None)
 
 
-def test_a_lost_reply_costs_a_reading_and_not_the_case(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lost_reply_costs_a_reading_but_does_not_end_the_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.workcell.tracker_look.MOST_LOST_READINGS", FRAMES)
     frames, lost = read_from(LineThatLoses(1))
     assert (len(frames), lost) == (FRAMES, FRAMES // 2 - 1)
 
 
-def test_a_line_that_loses_too_much_ends_the_step() -> None:
+def test_too_many_lost_replies_end_the_step() -> None:
     assert MOST_LOST_READINGS < FRAMES // 2
     with pytest.raises(LinkTimeout):
         read_from(LineThatLoses(2))
@@ -109,6 +109,6 @@ def test_a_line_that_loses_too_much_ends_the_step() -> None:
     ],
 )
 @pytest.mark.branch("SIGHT_LOST")
-def test_the_advice_follows_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
+def test_the_advice_depends_on_why_the_tool_was_not_seen(seen: TrackerFrame, action: str) -> None:
     with pytest.raises(GateFailed, match=f"in 0 of 3 frames.*{action}"):
         average_pose([seen] * 3, "M")

@@ -1,4 +1,4 @@
-"""What guide and instrument are predicted to add is what the simulator's guide and instrument do add."""
+"""The predicted error of guide and instrument matches that of the simulated guide and instrument."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def bore_of(guide: Guide) -> GuideBore:
     return GuideBore(reach_mm=guide.reach_mm, length_mm=guide.bore_mm, play_mm=guide.play_mm)
 
 
-def test_an_instrument_lies_in_the_play_of_the_bore_as_widely_as_predicted() -> None:
+def test_the_spread_of_an_instrument_in_the_bore_matches_the_prediction() -> None:
     world = World.create(named_scene("mini"), paced=False)
     world.publish_arm(ArmState((0.0,) * 6, matrix_from((640.0, 0.0, 300.0), HELD), 0, True))
     guide = TrueGuide(world)
@@ -46,7 +46,7 @@ def test_an_instrument_lies_in_the_play_of_the_bore_as_widely_as_predicted() -> 
 
 
 @pytest.mark.parametrize("entry_z_mm", [30.0, 100.0, 130.0])
-def test_a_bore_beside_its_recorded_direction_misses_by_the_angle_times_the_way_from_the_mandrels_end(
+def test_the_error_of_a_tilted_bore_matches_the_prediction(
     entry_z_mm: float,
 ) -> None:
     """The record's frame is turned about the mandrel's end, and the arm holds that on the trajectory."""
@@ -69,5 +69,5 @@ def test_a_bore_beside_its_recorded_direction_misses_by_the_angle_times_the_way_
     assert predicted @ HELD[:, 2] == pytest.approx(np.zeros(3), abs=1e-12)
 
 
-def test_the_depth_stop_is_set_as_exactly_as_the_simulators_hands_set_it() -> None:
+def test_the_depth_stop_error_equals_that_of_the_simulated_hands() -> None:
     assert Guide().depth_stop_mm == SET_BY_HAND_MM

@@ -1,4 +1,4 @@
-"""Every path is checked before anything moves, for the strategy that was chosen."""
+"""Every path is checked before anything moves, for the chosen strategy."""
 
 import pytest
 from clinical_case import FIRST, LAST, ROBOT_FROM_CT, TRAJECTORIES, ClinicalCell, shifted
@@ -30,7 +30,7 @@ def check(cell: ClinicalCell, robot_from_ct: Transform = ROBOT_FROM_CT) -> Store
     )
 
 
-def test_every_localization_and_target_has_joints_that_bring_the_tool_there(cell: ClinicalCell) -> None:
+def test_every_localization_and_target_has_joints_that_reach_its_pose(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD)
     paths = check(cell).result
     assert paths.strategy == "ocs"
@@ -47,7 +47,7 @@ def test_every_localization_and_target_has_joints_that_bring_the_tool_there(cell
     assert cell.arm.motions == []
 
 
-def test_the_strategy_of_the_case_is_asked_and_recorded(cell: ClinicalCell) -> None:
+def test_the_strategy_of_the_case_is_used_and_recorded(cell: ClinicalCell) -> None:
     cell.strategy = NeutralOrientation()
     stored = check(cell)
     paths = stored.result
@@ -59,7 +59,7 @@ def test_the_strategy_of_the_case_is_asked_and_recorded(cell: ClinicalCell) -> N
     assert kinds == {"correspondence", "fiducial_localization", "plan_check", "set_up"}
 
 
-def test_a_head_out_of_reach_is_refused_with_every_pose_that_fails(cell: ClinicalCell) -> None:
+def test_a_head_out_of_reach_is_refused_and_the_failing_poses_are_named(cell: ClinicalCell) -> None:
     with pytest.raises(NotReachable, match=r"PLAN-007.*T1/fiducial 0.*T2/target"):
         check(cell, shifted(ROBOT_FROM_CT, (900.0, 0.0, 0.0)))
     assert not any(stored.record.kind == STEP.name for stored in cell.case.standing)
@@ -95,7 +95,7 @@ def test_a_trajectory_out_of_reach_is_left_out_when_the_operator_agrees(cell: Cl
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
-def test_without_consent_a_trajectory_out_of_reach_is_refused(cell: ClinicalCell) -> None:
+def test_a_trajectory_out_of_reach_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.REACH)
     with pytest.raises(NotReachable, match=f"{LAST}/"):
         check_the_others(cell)
@@ -103,7 +103,9 @@ def test_without_consent_a_trajectory_out_of_reach_is_refused(cell: ClinicalCell
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
-def test_a_trajectory_is_served_by_the_strategy_that_the_operator_agrees_to(cell: ClinicalCell) -> None:
+def test_an_unreachable_trajectory_can_use_another_strategy_that_the_operator_accepts(
+    cell: ClinicalCell,
+) -> None:
     cell.strategy = Stuck(on=LAST)
     paths = check(cell).result
     (question,) = cell.operator.asked

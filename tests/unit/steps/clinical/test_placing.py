@@ -1,4 +1,4 @@
-"""Head and cart before the localization: people act, and the tracker checks what it can."""
+"""Head clamp and cart before the localization: people act, and the tracker checks what it can."""
 
 from __future__ import annotations
 
@@ -66,7 +66,9 @@ def tasks(cell: ClinicalCell) -> list[str]:
     return [task.name for task in cell.room.worked]
 
 
-def test_a_head_is_clamped_by_hand_seen_and_confirmed_as_the_plan_has_it_lying(cell: ClinicalCell) -> None:
+def test_a_clamped_head_is_seen_by_the_tracker_and_confirmed_in_its_planned_position(
+    cell: ClinicalCell,
+) -> None:
     assert clamp(cell).spheres == len(SPHERES_MM)
     assert tasks(cell) == [HEAD_CLAMP]
     (question,) = [one for one in cell.operator.asked if one.topic is Topic.HEAD_CLAMPED]
@@ -74,7 +76,7 @@ def test_a_head_is_clamped_by_hand_seen_and_confirmed_as_the_plan_has_it_lying(c
     assert "4 spheres" in question.value
 
 
-def test_a_head_that_nobody_confirms_or_nothing_sees_is_not_clamped(tmp_path: Path) -> None:
+def test_an_unconfirmed_or_unseen_head_clamp_is_refused(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path / "1").carrying(MountedTool.STEREO_HEAD)
     cell.operator.refusing = (Topic.HEAD_CLAMPED,)
     with pytest.raises(NotConfirmed, match="PRO-002"):
@@ -87,7 +89,7 @@ def test_a_head_that_nobody_confirms_or_nothing_sees_is_not_clamped(tmp_path: Pa
 
 @pytest.mark.hazard(49)
 @pytest.mark.parametrize(("step", "confirmed"), [("head_clamp", 1), ("cart_lock", 2)])
-def test_the_arm_rests_while_hands_work_and_each_look_waits_until_they_say_that_they_are_done(
+def test_the_arm_is_inactive_and_each_measurement_waits_until_the_hands_are_done(
     cell: ClinicalCell, step: str, confirmed: int
 ) -> None:
     asked_by_then: list[int] = []
@@ -104,7 +106,7 @@ def test_the_arm_rests_while_hands_work_and_each_look_waits_until_they_say_that_
     assert sorted(set(asked_by_then)) == list(range(1, confirmed + 1))
 
 
-def test_a_cart_is_placed_locked_confirmed_and_leaned_on(cell: ClinicalCell) -> None:
+def test_a_cart_is_placed_locked_confirmed_and_push_tested(cell: ClinicalCell) -> None:
     found = lock(cell)
     assert tasks(cell) == [CART_PLACE, CART_LOCK, CART_PUSH]
     assert np.linalg.norm(found.moved_mm) < 1e-6
@@ -114,7 +116,7 @@ def test_a_cart_is_placed_locked_confirmed_and_leaned_on(cell: ClinicalCell) -> 
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_a_cart_that_nobody_says_is_locked_is_refused(cell: ClinicalCell) -> None:
+def test_a_cart_that_is_not_confirmed_locked_is_refused(cell: ClinicalCell) -> None:
     cell.operator.refusing = (Topic.CART_LOCKED,)
     with pytest.raises(CartNotLocked, match=r"PRO-041.*Lock the brakes") as refused:
         lock(cell)
@@ -124,7 +126,7 @@ def test_a_cart_that_nobody_says_is_locked_is_refused(cell: ClinicalCell) -> Non
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_UNLOCKED")
-def test_a_cart_that_rolls_when_somebody_leans_on_it_is_refused(cell: ClinicalCell) -> None:
+def test_a_cart_that_rolls_in_the_push_test_is_refused(cell: ClinicalCell) -> None:
     def roll() -> None:
         cell.tracker.frame_shift_mm = (0.3, 0.3, 0.0)
 
@@ -134,7 +136,7 @@ def test_a_cart_that_rolls_when_somebody_leans_on_it_is_refused(cell: ClinicalCe
 
 
 @pytest.mark.hazard(12)
-def test_a_head_that_gives_way_meanwhile_is_told_from_the_cart(cell: ClinicalCell) -> None:
+def test_a_head_that_slips_during_the_push_test_is_not_taken_for_a_rolling_cart(cell: ClinicalCell) -> None:
     def slip() -> None:
         cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 0.5, 0.0))
 
@@ -144,7 +146,9 @@ def test_a_head_that_gives_way_meanwhile_is_told_from_the_cart(cell: ClinicalCel
     assert cell.entries("voided") == [("voided", "head_clamp")]
 
 
-def test_a_tracker_that_is_pushed_meanwhile_is_no_cart_that_rolls(cell: ClinicalCell) -> None:
+def test_a_tracker_that_moves_during_the_push_test_is_not_taken_for_a_rolling_cart(
+    cell: ClinicalCell,
+) -> None:
     def push() -> None:
         cell.tracker.spheres_mm = np.add(SPHERES_MM, (0.0, 2.0, 0.0))
         cell.tracker.frame_shift_mm = (0.0, 2.0, 0.0)
@@ -153,7 +157,7 @@ def test_a_tracker_that_is_pushed_meanwhile_is_no_cart_that_rolls(cell: Clinical
     assert np.linalg.norm(lock(cell).moved_mm) < 1e-6
 
 
-def test_without_sight_of_the_frame_nothing_is_said_of_the_cart(cell: ClinicalCell) -> None:
+def test_the_push_test_fails_without_sight_of_the_frame(cell: ClinicalCell) -> None:
     def hide() -> None:
         cell.tracker.hidden = True
 
@@ -162,7 +166,7 @@ def test_without_sight_of_the_frame_nothing_is_said_of_the_cart(cell: ClinicalCe
         lock(cell)
 
 
-def test_nobody_leans_on_the_cart_while_a_guide_is_held_at_the_head(
+def test_the_cart_is_not_pushed_while_a_guide_is_held_at_the_head(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = cell.begin(
@@ -176,7 +180,7 @@ def test_nobody_leans_on_the_cart_while_a_guide_is_held_at_the_head(
 
 
 @pytest.mark.parametrize("step", [head_clamp.STEP, cart_lock.STEP])
-def test_hands_work_at_clamp_and_cart_only_with_the_arm_home(
+def test_clamp_and_cart_are_handled_only_with_the_arm_at_home(
     cell: ClinicalCell, step: StepSpec[object]
 ) -> None:
     before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
@@ -204,7 +208,7 @@ def propose(cell: ClinicalCell, push_mm: tuple[float, float] = (0.0, 0.0), **cha
 
 
 @pytest.mark.hazard(49)
-def test_a_cart_within_what_its_place_may_be_missed_by_stays(cell: ClinicalCell) -> None:
+def test_a_cart_within_tolerance_of_its_place_is_accepted(cell: ClinicalCell) -> None:
     propose(cell, (20.0, -10.0))
     found = lock(cell)
     assert found.beside_mm == pytest.approx((-20.0, 10.0), abs=0.01)
@@ -214,7 +218,9 @@ def test_a_cart_within_what_its_place_may_be_missed_by_stays(cell: ClinicalCell)
 
 @pytest.mark.hazard(49)
 @pytest.mark.branch("CART_MISPLACED")
-def test_a_cart_beyond_it_is_placed_again_as_told_and_held_in_the_end(cell: ClinicalCell) -> None:
+def test_a_cart_out_of_tolerance_is_placed_again_with_instructions_and_finally_refused(
+    cell: ClinicalCell,
+) -> None:
     propose(cell, (60.0, 0.0))
     with pytest.raises(CartMisplaced, match=r"PRO-042.*60 mm \(x -60, y \+0\).*Push it by x \+60 mm"):
         lock(cell)
@@ -222,7 +228,7 @@ def test_a_cart_beyond_it_is_placed_again_as_told_and_held_in_the_end(cell: Clin
 
 
 @pytest.mark.branch("CART_MISPLACED")
-def test_a_cart_that_was_pushed_to_its_place_is_locked_there(cell: ClinicalCell) -> None:
+def test_a_cart_pushed_into_place_is_locked_there(cell: ClinicalCell) -> None:
     propose(cell, (60.0, 0.0))
     pushed = iter([0.0, 60.0])
 
@@ -236,14 +242,14 @@ def test_a_cart_that_was_pushed_to_its_place_is_locked_there(cell: ClinicalCell)
 
 
 @pytest.mark.branch("CART_MISPLACED")
-def test_the_operator_may_leave_it_to_the_path_check(cell: ClinicalCell) -> None:
+def test_the_operator_may_accept_a_misplaced_cart_and_leave_it_to_the_path_check(cell: ClinicalCell) -> None:
     propose(cell, (60.0, 0.0))
     cell.operator.answers = {Topic.CART_PLACE: AS_IT_STANDS}
     assert lock(cell).beside_mm == pytest.approx((-60.0, 0.0), abs=0.01)
 
 
 @pytest.mark.branch("CART_MISPLACED")
-def test_or_hold_the_case(cell: ClinicalCell) -> None:
+def test_the_operator_may_hold_the_case_because_of_a_misplaced_cart(cell: ClinicalCell) -> None:
     propose(cell, (60.0, 0.0))
     cell.operator.answers = {Topic.CART_PLACE: HOLD}
     with pytest.raises(CartMisplaced):
@@ -256,7 +262,7 @@ def test_or_hold_the_case(cell: ClinicalCell) -> None:
     ("turned_deg", "push_mm", "stays"),
     [(4.0, (0.0, 0.0), True), (-6.0, (0.0, 0.0), False), (4.0, (30.0, 0.0), False), (0.0, (30.0, 0.0), True)],
 )
-def test_a_turned_cart_may_miss_its_place_by_less(
+def test_a_turned_cart_has_a_smaller_position_tolerance(
     cell: ClinicalCell, turned_deg: float, push_mm: tuple[float, float], stays: bool
 ) -> None:
     propose(cell, push_mm, turned_deg=turned_deg)
@@ -267,7 +273,7 @@ def test_a_turned_cart_may_miss_its_place_by_less(
             lock(cell)
 
 
-def test_a_head_that_lies_higher_than_the_map_was_made_for_is_told(cell: ClinicalCell) -> None:
+def test_a_head_higher_than_the_map_assumes_is_a_finding(cell: ClinicalCell) -> None:
     pose = Pose.from_matrix(ROBOT_FROM_CT.as_matrix().tolist())
     x, y, z, a, b, c = pose.to_kuka()
     propose(cell, assumed_robot_from_ct=[x, y, z - 30.0, a, b, c])
@@ -280,7 +286,7 @@ def test_a_head_that_lies_higher_than_the_map_was_made_for_is_told(cell: Clinica
     ("content", "why"),
     [("{", "Invalid JSON"), ("{}", "series_instance_uid"), (None, "made for another CT")],
 )
-def test_a_file_of_no_use_is_refused(cell: ClinicalCell, content: str | None, why: str) -> None:
+def test_an_unusable_place_file_is_refused(cell: ClinicalCell, content: str | None, why: str) -> None:
     propose(cell, series_instance_uid="1.2.3")
     if content is not None:
         cell.setting().clinical.place.write_text(content)  # type: ignore[union-attr]

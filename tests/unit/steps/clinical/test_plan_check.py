@@ -1,4 +1,4 @@
-"""The plan belongs to this CT, to these spheres, and leads into this head."""
+"""The plan belongs to this CT and these spheres, and its trajectories enter this head."""
 
 from dataclasses import replace
 
@@ -58,7 +58,7 @@ def checked(
     return cell.case.get(CheckedPlan).result
 
 
-def test_the_plan_is_kept_as_it_was_checked_with_the_head_it_is_for(cell: ClinicalCell) -> None:
+def test_the_checked_plan_is_stored_with_its_head(cell: ClinicalCell) -> None:
     done = checked(cell)
     assert done.plan == plan()
     assert done.implanted == len(CENTRES_CT_MM)
@@ -74,7 +74,7 @@ def test_the_plan_of_another_series_is_refused(cell: ClinicalCell) -> None:
 
 @pytest.mark.hazard(9)
 @pytest.mark.branch("SPHERE_COUNT")
-def test_with_another_number_of_spheres_all_are_shown_and_it_goes_on_when_the_operator_says_so(
+def test_a_different_sphere_count_lists_all_spheres_and_continues_if_the_operator_agrees(
     cell: ClinicalCell,
 ) -> None:
     done = checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
@@ -85,33 +85,33 @@ def test_with_another_number_of_spheres_all_are_shown_and_it_goes_on_when_the_op
     assert done.warnings[-1] == "the CT shows 5 spheres, 4 were implanted: the operator continued"
 
 
-def test_of_more_implanted_spheres_those_that_the_ct_shows_are_matched_when_the_operator_says_so(
+def test_a_ct_with_fewer_spheres_than_implanted_is_accepted_if_the_operator_agrees(
     cell: ClinicalCell,
 ) -> None:
     assert checked(cell, plan().model_copy(update={"implanted": 5})).implanted == 4
 
 
 @pytest.mark.branch("SPHERE_COUNT")
-def test_another_number_of_spheres_is_refused_when_the_operator_does_not_go_on(cell: ClinicalCell) -> None:
+def test_a_different_sphere_count_is_refused_if_the_operator_declines(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.SPHERE_COUNT)
     with pytest.raises(WrongMarkerCount):
         checked(cell, spheres_mm=np.vstack([CENTRES_CT_MM, STRANGER_MM]))
 
 
-def test_too_few_spheres_are_refused_unasked(cell: ClinicalCell) -> None:
+def test_too_few_spheres_are_refused_without_asking(cell: ClinicalCell) -> None:
     with pytest.raises(WrongMarkerCount):
         checked(cell, spheres_mm=CENTRES_CT_MM[:3])
     assert cell.operator.asked == []
 
 
-def test_a_trajectory_whose_ends_are_exchanged_is_refused(cell: ClinicalCell) -> None:
+def test_a_trajectory_with_entry_and_target_swapped_is_refused(cell: ClinicalCell) -> None:
     first, *others = plan().trajectories
     exchanged = first.model_copy(update={"entry_mm": first.target_mm, "target_mm": first.entry_mm})
     with pytest.raises(NotIntoHead, match=r"trajectory T1.*probably swapped"):
         checked(cell, plan().model_copy(update={"trajectories": (exchanged, *others)}))
 
 
-def test_a_plan_with_a_mistake_is_refused_with_its_name(cell: ClinicalCell) -> None:
+def test_an_invalid_plan_is_refused_and_its_file_named(cell: ClinicalCell) -> None:
     cell.plan.write_text("schema = 1\n")
     engine = cell.begin(imported_ct(), localized_fiducials(), STEP)
     with pytest.raises(PlanMistakes, match=r"plan\.toml"):
@@ -126,7 +126,7 @@ def test_a_plan_whose_trajectories_changed_since_the_case_was_opened_is_refused(
         checked(cell, renamed)
 
 
-def test_another_plan_than_the_one_that_the_case_was_opened_with_is_refused(
+def test_a_plan_that_changed_since_the_case_was_opened_is_refused(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setting = cell.setting()
@@ -146,7 +146,7 @@ def test_patient_and_plan_are_confirmed_without_a_name_or_an_identifier(cell: Cl
 
 
 @pytest.mark.hazard(9)
-def test_the_identifier_that_the_ct_bears_is_read_back_and_nowhere_written(cell: ClinicalCell) -> None:
+def test_the_patient_identifier_of_the_ct_is_read_back_but_never_written(cell: ClinicalCell) -> None:
     checked(cell)
     (question,) = cell.operator.asked
     assert question.read_back is not None

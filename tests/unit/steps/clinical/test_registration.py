@@ -1,4 +1,4 @@
-"""The fit is gated by its own error budget, and accepted by what it predicts at the targets it is for."""
+"""The fit is gated by its error budget and accepted by its predicted error at its targets."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def registered(
     )
 
 
-def test_the_fit_is_that_of_the_fine_points(cell: ClinicalCell) -> None:
+def test_the_fit_uses_the_fine_measurements(cell: ClinicalCell) -> None:
     moved_mm = np.array([1.0, -2.0, 0.5])
     done = registered(cell, SPHERES_MM + moved_mm).result
     assert done.pairs == len(SPHERES_MM)
@@ -46,7 +46,7 @@ def test_the_fit_is_that_of_the_fine_points(cell: ClinicalCell) -> None:
     assert done.robot_from_ct.translation_mm == pytest.approx(origin_mm, abs=1e-6)
 
 
-def test_what_is_accepted_is_the_predicted_error_and_not_the_residual(cell: ClinicalCell) -> None:
+def test_the_operator_accepts_the_predicted_error_and_not_the_residual(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     (question,) = cell.operator.asked
     assert question.subject == f"accept the registration for {FIRST}"
@@ -55,7 +55,7 @@ def test_what_is_accepted_is_the_predicted_error_and_not_the_residual(cell: Clin
     )
 
 
-def test_guide_head_and_arm_stand_in_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:
+def test_guide_head_and_arm_errors_are_part_of_the_prediction_of_a_perfect_fit(cell: ClinicalCell) -> None:
     predicted = registered(cell).result.prediction(FIRST)
     records = cell.calibrations
     least_mm = np.hypot(records.tool_tip.stated_error_mm, records.stereo_head.stated_error_mm)
@@ -77,7 +77,7 @@ def test_the_budget_names_every_source_and_adds_up_to_the_prediction(cell: Clini
     assert shares_mm["CT"] == pytest.approx(shares_mm["stereo measurement"])  # the cell gives both one sigma
 
 
-def test_where_the_tool_is_held_otherwise_at_the_target_the_error_of_its_frame_is_predicted(
+def test_another_orientation_at_the_target_adds_the_tool_frame_error_to_the_prediction(
     cell: ClinicalCell, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
     by_ocs = registered(cell).result.prediction(FIRST)
@@ -94,7 +94,7 @@ def test_where_the_tool_is_held_otherwise_at_the_target_the_error_of_its_frame_i
 
 
 @pytest.mark.hazard(36)
-def test_a_registration_that_is_not_accepted_does_not_stand(cell: ClinicalCell) -> None:
+def test_a_registration_that_is_not_accepted_is_not_kept(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.REGISTRATION)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         registered(cell)
@@ -109,7 +109,7 @@ def moved(*spheres: int) -> Array:
 
 @pytest.mark.hazard(28)
 @pytest.mark.branch("BEYOND_MARGIN")
-def test_a_trajectory_beyond_the_margin_is_refused_and_the_others_go_on_when_the_operator_agrees(
+def test_a_trajectory_beyond_the_margin_is_left_out_when_the_operator_agrees(
     cell: ClinicalCell,
 ) -> None:
     done = registered(cell, margin_mm=0.05).result
@@ -121,7 +121,7 @@ def test_a_trajectory_beyond_the_margin_is_refused_and_the_others_go_on_when_the
 
 @pytest.mark.hazard(28)
 @pytest.mark.branch("BEYOND_MARGIN")
-def test_without_consent_a_predicted_error_beyond_the_margin_is_refused(cell: ClinicalCell) -> None:
+def test_a_predicted_error_beyond_the_margin_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.MARGIN)
     with pytest.raises(GateFailed, match=rf"predicted error at {FIRST} exceeds.*limit 0\.05 mm"):
         registered(cell, margin_mm=0.05)
@@ -149,7 +149,7 @@ def test_a_sphere_that_alone_explains_the_disagreement_is_left_out_when_the_oper
 
 @pytest.mark.hazard(11)
 @pytest.mark.branch("MOVED_SPHERE")
-def test_without_consent_a_registration_with_a_sphere_that_moved_is_refused(cell: ClinicalCell) -> None:
+def test_a_registration_with_a_moved_sphere_is_refused_without_consent(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.MOVED_SPHERE)
     with pytest.raises(GateFailed, match=rf"disagrees with its own error budget at {FIRST}.*sphere 3"):
         registered(cell, moved(2))
@@ -157,7 +157,7 @@ def test_without_consent_a_registration_with_a_sphere_that_moved_is_refused(cell
 
 @pytest.mark.hazard(11)
 @pytest.mark.branch("FIT_DISAGREES")
-def test_when_no_one_sphere_explains_the_disagreement_nobody_is_asked(cell: ClinicalCell) -> None:
+def test_a_disagreement_that_no_single_sphere_explains_is_refused_without_asking(cell: ClinicalCell) -> None:
     places = SPHERES_MM.copy()
     places[[0, 2]] += ((0.0, 0.0, 6.0), (6.0, 0.0, 0.0))
     with pytest.raises(GateFailed, match=r"disagrees with its own error budget.*localize again"):
@@ -165,13 +165,13 @@ def test_when_no_one_sphere_explains_the_disagreement_nobody_is_asked(cell: Clin
     assert cell.operator.asked == []
 
 
-def test_a_registration_serves_the_trajectory_that_was_localized_for(cell: ClinicalCell) -> None:
+def test_a_registration_is_valid_for_the_trajectory_it_was_localized_for(cell: ClinicalCell) -> None:
     stored = registered(cell)
     assert [one.target for one in stored.result.predictions] == [FIRST]
     assert stored.record.trajectory == FIRST
 
 
-def test_localized_once_it_serves_all_and_each_is_accepted(cell: ClinicalCell) -> None:
+def test_a_single_localization_serves_all_trajectories_and_each_is_accepted(cell: ClinicalCell) -> None:
     cell.strategy = NeutralOrientation()
     stored = registered(cell, margin_mm=4.0)
     assert tuple(one.target for one in stored.result.predictions) == TRAJECTORIES

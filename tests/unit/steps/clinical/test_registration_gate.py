@@ -1,4 +1,4 @@
-"""The gate of the registration step: it allows for an error that poses share, not for a moved sphere."""
+"""The registration gate allows for an error that poses share, but not for a moved sphere."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def turned_tool() -> Rotation:
     return Rotation.from_rotvec(np.radians(5.0) * SPHERES_MM[:, [1, 2, 0]] / 60.0)
 
 
-def test_what_a_wrong_tool_frame_does_to_spheres_that_were_looked_at_from_many_sides_passes() -> None:
+def test_the_effect_of_a_wrong_tool_frame_passes_when_the_gate_allows_for_it() -> None:
     shared = 2.0 * turned_tool().as_matrix()
     generator = np.random.default_rng(4)
     passed = []
@@ -63,7 +63,7 @@ def test_what_a_wrong_tool_frame_does_to_spheres_that_were_looked_at_from_many_s
     assert unknown < 0.8
 
 
-def test_a_moved_sphere_is_found_beside_a_wrong_tool_frame() -> None:
+def test_a_moved_sphere_is_found_despite_a_wrong_tool_frame() -> None:
     shared = 2.0 * turned_tool().as_matrix()
     measured = SPHERES_MM + turned_tool().apply([2.0, -1.0, 2.0])
     measured[5, 0] += 1.8
@@ -71,7 +71,7 @@ def test_a_moved_sphere_is_found_beside_a_wrong_tool_frame() -> None:
     assert moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared)[0] == 5
 
 
-def test_two_moved_spheres_are_explained_by_no_single_one() -> None:
+def test_two_moved_spheres_are_not_explained_by_a_single_one() -> None:
     measured = SPHERES_MM.copy()
     measured[1] += [3.0, 0.0, 0.0]
     measured[4] += [0.0, 4.0, 0.0]

@@ -1,4 +1,4 @@
-"""The spheres are measured where they are, one after the other, with nothing but the coarse registration."""
+"""The spheres are measured one after another, starting from the coarse registration alone."""
 
 import math
 from itertools import pairwise
@@ -38,13 +38,13 @@ def before(cell: ClinicalCell, **paths: object) -> tuple[StepResult, ...]:
     return (checked_paths(cell, **paths), *coarse(), checked_plan(), localized_fiducials())
 
 
-def test_every_sphere_is_measured_where_it_is_in_the_order_of_the_paths(cell: ClinicalCell) -> None:
+def test_every_sphere_is_measured_in_the_order_of_the_paths(cell: ClinicalCell) -> None:
     done = relocalize(cell, fiducials=(2, 0, 3, 1)).result
     assert done.fiducials == (2, 0, 3, 1)
     np.testing.assert_allclose(done.points_mm, SPHERES_MM[[2, 0, 3, 1]], atol=1e-6)
 
 
-def test_what_the_first_sphere_teaches_helps_to_find_the_others(cell: ClinicalCell) -> None:
+def test_the_offset_of_the_first_sphere_corrects_the_search_for_the_others(cell: ClinicalCell) -> None:
     done = relocalize(cell, robot_from_ct=shifted(ROBOT_FROM_CT, COARSE_OFF_MM)).result
     first, *others = done.residuals_mm
     assert first[0] == pytest.approx(np.linalg.norm(COARSE_OFF_MM))
@@ -52,7 +52,7 @@ def test_what_the_first_sphere_teaches_helps_to_find_the_others(cell: ClinicalCe
     assert done.coarse_offset_mm == pytest.approx(np.negative(COARSE_OFF_MM), abs=1e-3)
 
 
-def test_every_look_is_settled_onto_as_the_joints_arrive_at_the_target(cell: ClinicalCell) -> None:
+def test_every_measuring_pose_is_approached_in_the_joint_directions_of_the_target(cell: ClinicalCell) -> None:
     relocalize(cell)
     lines = read_journal(cell.folder / JOURNAL_FILE)
     places = [tuple(line["to"]) for line in lines if line.get("what") == "settle"]
@@ -65,7 +65,7 @@ def test_every_look_is_settled_onto_as_the_joints_arrive_at_the_target(cell: Cli
     np.testing.assert_allclose(ways, np.tile(ARRIVING, (len(ways), 1)), atol=1e-6)
 
 
-def test_the_stream_and_the_cameras_run_and_the_surroundings_are_known_before(cell: ClinicalCell) -> None:
+def test_the_step_sends_the_surroundings_and_starts_the_stream_and_the_cameras(cell: ClinicalCell) -> None:
     relocalize(cell)
     assert cell.arm.calls == ["surround", "activate"]
     assert cell.stereo.calls == ["activate"]
@@ -79,7 +79,7 @@ def test_a_picture_of_every_sphere_is_kept(cell: ClinicalCell) -> None:
 
 @pytest.mark.hazard(11)
 @pytest.mark.branch("WRONG_SPHERE")
-def test_a_sphere_that_is_not_where_the_tracker_saw_it_is_refused_by_its_number_in_the_ct(
+def test_a_sphere_off_its_tracker_position_is_refused_with_its_number_in_the_ct(
     cell: ClinicalCell,
 ) -> None:
     cell.workcell.spheres_mm[0] += (0.0, 0.0, 6.0)
@@ -89,7 +89,7 @@ def test_a_sphere_that_is_not_where_the_tracker_saw_it_is_refused_by_its_number_
 
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
-def test_a_sphere_that_is_not_there_ends_the_step_when_too_few_remain(cell: ClinicalCell) -> None:
+def test_a_missing_sphere_ends_the_step_when_too_few_remain(cell: ClinicalCell) -> None:
     cell.workcell.spheres_mm[1] += (0.0, 0.0, 80.0)
     with pytest.raises(SphereNotFound, match="PRO-008"):
         relocalize(cell)
@@ -98,7 +98,7 @@ def test_a_sphere_that_is_not_there_ends_the_step_when_too_few_remain(cell: Clin
 
 @pytest.mark.hazard(27)
 @pytest.mark.branch("SPHERE_FAILED")
-def test_with_enough_others_a_sphere_is_left_out_when_the_operator_agrees(
+def test_a_missing_sphere_is_left_out_when_enough_remain_and_the_operator_agrees(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
@@ -112,7 +112,7 @@ def test_with_enough_others_a_sphere_is_left_out_when_the_operator_agrees(
     assert "no sphere in 36 image pairs" in done.left_out[0].reason
 
 
-def test_after_a_sphere_that_is_left_out_the_head_backs_off_along_its_axis(
+def test_the_head_backs_off_along_its_axis_after_a_sphere_is_left_out(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
@@ -124,7 +124,7 @@ def test_after_a_sphere_that_is_left_out_the_head_backs_off_along_its_axis(
 
 
 @pytest.mark.branch("SPHERE_FAILED")
-def test_without_the_operators_consent_no_sphere_is_left_out(
+def test_a_missing_sphere_is_not_left_out_without_consent(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
@@ -135,7 +135,7 @@ def test_without_the_operators_consent_no_sphere_is_left_out(
 
 
 @pytest.mark.branch("SPHERE_FAILED")
-def test_a_servo_that_does_not_end_is_asked_about_like_a_sphere_that_is_not_there(
+def test_a_servo_that_does_not_converge_is_treated_like_a_missing_sphere(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.relocalization.FEWEST_SPHERES", 3)
@@ -153,7 +153,7 @@ def test_a_servo_that_does_not_end_is_asked_about_like_a_sphere_that_is_not_ther
 
 
 @pytest.mark.hazard(3)
-def test_with_the_guide_mounted_nothing_begins(cell: ClinicalCell) -> None:
+def test_the_step_is_refused_with_the_guide_mounted(cell: ClinicalCell) -> None:
     steps = before(cell.carrying(MountedTool.STEREO_HEAD))
     cell.carrying(MountedTool.GUIDE)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):

@@ -1,4 +1,4 @@
-"""On a phantom the stereo head stands in for the guide and measures a ball at each target."""
+"""On a phantom the stereo head takes the place of the guide and measures a ball at each target."""
 
 import numpy as np
 import pytest
@@ -42,7 +42,7 @@ def measured(cell: ClinicalCell, beside_mm: Array = BESIDE_MM) -> MeasuredTarget
     ).result
 
 
-def test_what_is_missed_at_the_target_is_measured_in_the_tool_and_the_head_is_out_again(
+def test_the_error_at_the_target_is_measured_in_the_tool_frame_and_the_head_is_withdrawn(
     cell: ClinicalCell,
 ) -> None:
     result = measured(cell)
@@ -54,27 +54,27 @@ def test_what_is_missed_at_the_target_is_measured_in_the_tool_and_the_head_is_ou
     assert out == pytest.approx(over, abs=1e-9)
 
 
-def test_a_ball_that_is_not_there_is_told_and_the_case_goes_on(cell: ClinicalCell) -> None:
+def test_a_missing_ball_is_recorded_without_ending_the_step(cell: ClinicalCell) -> None:
     result = measured(cell, np.array([0.0, 0.0, 400.0]))
     assert result.error_mm is None
     assert result.not_measured == "no sphere in view"
 
 
-def test_without_a_yes_nothing_moves(cell: ClinicalCell) -> None:
+def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
     with pytest.raises(NotConfirmed, match=f"on a phantom with a ball at {FIRST}"):
         measured(cell)
     assert cell.arm.motions == []
 
 
-def test_a_target_that_is_not_clear_is_refused_by_its_name(cell: ClinicalCell) -> None:
+def test_a_blocked_target_is_refused_and_named(cell: ClinicalCell) -> None:
     cell.arm.blocked = lambda _start, _target: True
     with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached"):
         measured(cell)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES, ids=lambda one: one.name)
-def test_all_localizations_and_measurements_come_before_the_tool_change_and_by_the_own_registration(
+def test_targets_are_measured_before_the_tool_change_and_positioned_by_their_own_registration(
     strategy: Strategy,
 ) -> None:
     order = order_of(

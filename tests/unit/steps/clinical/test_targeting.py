@@ -1,4 +1,4 @@
-"""To where the guide is held before an entry and back: confirmed first, along one axis, where it was sent."""
+"""Positioning of the guide before an entry, and its retreat: confirmed first, along one axis."""
 
 import math
 from dataclasses import replace
@@ -84,7 +84,7 @@ def before_entry_mm(trajectory: str) -> list[float]:
 
 
 @pytest.mark.parametrize("trajectory", TRAJECTORIES)
-def test_the_guide_halts_before_the_entry_after_a_way_along_the_axis(
+def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
     cell: ClinicalCell, trajectory: str
 ) -> None:
     run(begin(cell), f"positioning:{trajectory}")
@@ -95,7 +95,7 @@ def test_the_guide_halts_before_the_entry_after_a_way_along_the_axis(
     assert way_mm == pytest.approx(60.0)
 
 
-def test_the_axis_is_known_to_the_workcell_and_in_the_journal(cell: ClinicalCell) -> None:
+def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
     assert cell.workcell.insertion is not None
     assert cell.workcell.insertion.trajectory == FIRST
@@ -104,7 +104,7 @@ def test_the_axis_is_known_to_the_workcell_and_in_the_journal(cell: ClinicalCell
 
 
 @pytest.mark.hazard(36)
-def test_nothing_moves_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
     with pytest.raises(NotConfirmed, match=f"move over {FIRST}"):
         run(begin(cell), f"positioning:{FIRST}")
@@ -122,7 +122,7 @@ def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell)
     assert cell.arm.motions == []
 
 
-def test_the_guide_is_held_as_the_spheres_were_localized(cell: ClinicalCell) -> None:
+def test_the_guide_is_held_in_the_orientation_of_the_localization(cell: ClinicalCell) -> None:
     turned = begin(cell, turn_rad=0.3)
     run(turned, f"positioning:{FIRST}")
     held = cell.case.get(PositionedGuide, FIRST).result.tool_pose.transform
@@ -130,7 +130,7 @@ def test_the_guide_is_held_as_the_spheres_were_localized(cell: ClinicalCell) -> 
     assert (held.rigid.rotation.inv() * localized.rigid.rotation).magnitude() < 1e-9
 
 
-def test_a_strategy_that_holds_targets_as_planned_has_them_turned_as_the_paths_were_checked(
+def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_the_path_check(
     cell: ClinicalCell,
 ) -> None:
     cell.strategy = NeutralOrientation()
@@ -147,7 +147,7 @@ def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
     assert {name.partition("-")[2] for name in reached.record.parents} == {"positioning-T1", "plan_check"}
 
 
-def test_an_arm_that_stands_elsewhere_is_not_at_the_target(cell: ClinicalCell) -> None:
+def test_an_arm_off_its_position_is_not_at_the_target(cell: ClinicalCell) -> None:
     engine = begin(cell)
     run(engine, f"positioning:{FIRST}")
     A1, *others = cell.arm.joints_rad
@@ -157,7 +157,7 @@ def test_an_arm_that_stands_elsewhere_is_not_at_the_target(cell: ClinicalCell) -
 
 
 @pytest.mark.hazard(24)
-def test_the_way_back_is_the_way_in(cell: ClinicalCell) -> None:
+def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
     run(begin(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
     (_, over), (_, _), (kind, back) = cell.arm.motions
     assert kind == "line"
@@ -169,7 +169,7 @@ TARGETING = ("positioning", "at_target", "retreat")
 
 
 @pytest.mark.parametrize("order", [(FIRST, LAST), (LAST, FIRST)])
-def test_the_arm_parks_after_the_last_target_whichever_that_is(
+def test_the_arm_parks_after_the_last_target_in_either_order(
     cell: ClinicalCell, order: tuple[str, str]
 ) -> None:
     engine = begin(cell)
@@ -186,7 +186,9 @@ def test_the_arm_parks_after_the_last_target_whichever_that_is(
 
 
 @pytest.mark.hazard(24)
-def test_with_the_guide_before_an_entry_nothing_but_its_own_steps_may_come(cell: ClinicalCell) -> None:
+def test_with_the_guide_before_an_entry_only_the_next_step_of_its_trajectory_may_run(
+    cell: ClinicalCell,
+) -> None:
     engine = begin(cell)
     run(engine, f"positioning:{FIRST}")
     for name in (f"positioning:{LAST}", f"at_target:{LAST}", f"retreat:{FIRST}", f"positioning:{FIRST}"):
@@ -194,7 +196,7 @@ def test_with_the_guide_before_an_entry_nothing_but_its_own_steps_may_come(cell:
             run(engine, name)
 
 
-def test_parents_are_what_the_arm_was_sent_by(cell: ClinicalCell) -> None:
+def test_the_parents_of_a_positioning_are_the_results_that_determined_it(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
     kinds = {name.partition("-")[2] for name in cell.case.get(PositionedGuide, FIRST).record.parents}
     sent_by = {
@@ -204,7 +206,7 @@ def test_parents_are_what_the_arm_was_sent_by(cell: ClinicalCell) -> None:
     assert kinds == sent_by | checked_with
 
 
-def test_a_registration_beside_the_head_moves_the_guide_with_it(cell: ClinicalCell) -> None:
+def test_an_offset_registration_offsets_the_guide_by_the_same_amount(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.GUIDE)
     cell.run(
         registered_robot(shifted(ROBOT_FROM_CT, (2.0, 0.0, -1.0))),
@@ -224,7 +226,7 @@ def test_a_registration_beside_the_head_moves_the_guide_with_it(cell: ClinicalCe
 
 @pytest.mark.hazard(3)
 @pytest.mark.hazard(37)
-def test_a_tool_that_was_exchanged_while_the_question_stood_moves_nothing(cell: ClinicalCell) -> None:
+def test_nothing_moves_if_the_tool_is_exchanged_while_the_question_is_open(cell: ClinicalCell) -> None:
     class Exchanger(RecordingOperator):
         def ask(self, question: Question) -> str:
             cell.arm.mounted = STEREO_HEAD
@@ -238,7 +240,7 @@ def test_a_tool_that_was_exchanged_while_the_question_stood_moves_nothing(cell: 
 
 
 @pytest.mark.hazard(24)
-def test_a_damaged_record_does_not_keep_the_guide_over_the_head(cell: ClinicalCell) -> None:
+def test_a_damaged_record_does_not_keep_the_guide_from_retreating(cell: ClinicalCell) -> None:
     engine = begin(cell)
     run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")
     for path in (cell.folder / "records").iterdir():
@@ -248,7 +250,7 @@ def test_a_damaged_record_does_not_keep_the_guide_over_the_head(cell: ClinicalCe
     assert cell.workcell.insertion is None
 
 
-def test_with_the_guide_mounted_nothing_is_repeated_that_would_need_the_stereo_head(
+def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guide_mounted(
     cell: ClinicalCell,
 ) -> None:
     cell.carrying(MountedTool.GUIDE)
@@ -259,7 +261,7 @@ def test_with_the_guide_mounted_nothing_is_repeated_that_would_need_the_stereo_h
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("NOT_CLEAR_NOW")
-def test_a_target_that_is_not_clear_is_refused_by_the_name_of_its_trajectory(cell: ClinicalCell) -> None:
+def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell) -> None:
     engine = begin(cell)
     cell.arm.blocked = lambda _start, _target: True
     with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached: the way is not clear"):
@@ -291,7 +293,9 @@ def after_a_fault(cell: ClinicalCell) -> Engine:
 
 @pytest.mark.hazard(12)
 @pytest.mark.branch("KEPT_REGISTRATION")
-def test_a_registration_from_before_a_fault_is_asked_about_once(cell: ClinicalCell) -> None:
+def test_the_operator_is_asked_once_whether_to_keep_a_registration_from_before_a_fault(
+    cell: ClinicalCell,
+) -> None:
     run(after_a_fault(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
     kept = [one.name for one in cell.operator.asked if one.topic is Topic.REGISTRATION_KEPT]
     assert kept == [f"registration_kept:{FIRST}"]
@@ -307,7 +311,7 @@ def test_a_registration_from_before_a_fault_moves_nothing_unless_it_is_kept(cell
 
 
 @pytest.mark.hazard(36)
-def test_as_long_as_nobody_says_done_the_instrument_stays_at_its_target(cell: ClinicalCell) -> None:
+def test_the_instrument_stays_at_its_target_until_the_operator_confirms_the_depth(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.AT_TARGET)
     engine = begin(cell)
     run(engine, f"positioning:{FIRST}")
@@ -332,13 +336,13 @@ def test_the_question_says_when_the_arm_is_expected_to_hide_the_head(
 
 
 @pytest.mark.hazard(36)
-def test_an_approach_is_asked_about_once(cell: ClinicalCell) -> None:
+def test_an_approach_is_confirmed_once(cell: ClinicalCell) -> None:
     run(begin(cell), f"positioning:{FIRST}")
     assert [question.topic for question in cell.operator.asked] == [Topic.APPROACH]
 
 
 @pytest.mark.hazard(12)
-def test_from_where_the_arm_hides_the_head_the_way_leads_home_and_the_head_is_looked_at_there(
+def test_if_the_arm_hides_the_head_it_returns_home_and_the_head_is_checked_there(
     cell: ClinicalCell,
 ) -> None:
     engine = begin(cell)

@@ -1,4 +1,4 @@
-"""Parked, with its stream ended, the arm is given the guide; what hangs there is read and confirmed."""
+"""The guide is mounted on the parked arm with its stream ended; the tool is then read and confirmed."""
 
 import pytest
 from clinical_case import HOME_RAD, ClinicalCell
@@ -44,7 +44,7 @@ def test_exchange_and_tip_calibration_are_both_confirmed(cell: ClinicalCell) -> 
 @pytest.mark.hazard(37)
 @pytest.mark.parametrize("mounted", [0, 1, 3])
 @pytest.mark.branch("WRONG_TOOL")
-def test_another_tool_than_the_guide_is_refused(cell: ClinicalCell, mounted: int) -> None:
+def test_a_tool_other_than_the_guide_is_refused(cell: ClinicalCell, mounted: int) -> None:
     cell.room.mounts = mounted
     with pytest.raises(WrongTool, match=f"PRO-009.*guide, number {GUIDE}, got number {mounted}"):
         exchange(cell)
@@ -53,7 +53,7 @@ def test_another_tool_than_the_guide_is_refused(cell: ClinicalCell, mounted: int
 
 
 @pytest.mark.hazard(36)
-def test_without_a_yes_the_guide_does_not_count_as_mounted(cell: ClinicalCell) -> None:
+def test_an_unconfirmed_exchange_does_not_count_as_a_mounted_guide(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
     with pytest.raises(NotConfirmed, match="the tool has been exchanged"):
         exchange(cell)
@@ -61,7 +61,7 @@ def test_without_a_yes_the_guide_does_not_count_as_mounted(cell: ClinicalCell) -
     assert len(cell.arm.motions) == 1  # the way home, before
 
 
-def test_what_has_been_exchanged_is_not_exchanged_again(cell: ClinicalCell) -> None:
+def test_a_completed_exchange_cannot_be_repeated(cell: ClinicalCell) -> None:
     exchange(cell)
     again = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     with pytest.raises(StepRefused, match="the arm carries the guide, not the stereo head"):
@@ -70,7 +70,7 @@ def test_what_has_been_exchanged_is_not_exchanged_again(cell: ClinicalCell) -> N
 
 @pytest.mark.hazard(37)
 @pytest.mark.branch("WRONG_TOOL")
-def test_a_wrong_tool_is_mounted_again_and_read_again_without_a_motion(cell: ClinicalCell) -> None:
+def test_a_wrong_tool_is_exchanged_and_read_again_without_a_motion(cell: ClinicalCell) -> None:
     hang = cell.room.change_tool
 
     def hang_it_right_the_second_time(number: int, description: str) -> None:
@@ -86,14 +86,14 @@ def test_a_wrong_tool_is_mounted_again_and_read_again_without_a_motion(cell: Cli
 
 
 @pytest.mark.branch("WRONG_TOOL")
-def test_a_tool_that_stays_wrong_holds_the_case_after_three_mountings(cell: ClinicalCell) -> None:
+def test_a_tool_that_stays_wrong_stops_the_case_after_three_attempts(cell: ClinicalCell) -> None:
     cell.room.mounts = 3
     with pytest.raises(WrongTool):
         exchange(cell)
     assert len(cell.room.changed) == 3
 
 
-def test_an_exchange_that_failed_is_repeated_where_the_arm_stands(cell: ClinicalCell) -> None:
+def test_a_failed_exchange_is_repeated_without_moving_the_arm(cell: ClinicalCell) -> None:
     cell.room.mounts = 0
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start(cameras=True)
     engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
@@ -106,7 +106,7 @@ def test_an_exchange_that_failed_is_repeated_where_the_arm_stands(cell: Clinical
     assert len(cell.arm.motions) == moved
 
 
-def test_an_exchange_that_was_not_confirmed_goes_on_with_the_guide_that_hangs_there(
+def test_an_unconfirmed_exchange_resumes_with_the_guide_already_mounted(
     cell: ClinicalCell,
 ) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHANGE)
@@ -119,7 +119,7 @@ def test_an_exchange_that_was_not_confirmed_goes_on_with_the_guide_that_hangs_th
     assert cell.workcell.tool is MountedTool.GUIDE
 
 
-def test_after_a_fault_of_the_arm_its_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
+def test_after_an_arm_fault_the_tool_is_read_again_before_the_next_step(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.STEREO_HEAD).workcell.start()
     engine = cell.begin(checked_set_up(cell), *coarse(), localized_fiducials(), checked_plan(), STEP)
     engine.run_to(engine.order.sequence[3])

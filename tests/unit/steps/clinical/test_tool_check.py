@@ -1,4 +1,4 @@
-"""The guide is compared with itself on the gauge before it goes near the head; its record must fit."""
+"""The guide is checked on the gauge before it goes near the head, and its record must fit."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def check(cell: ClinicalCell, *dials_mm: float) -> CheckedTool:
     return cell.case.get(CheckedTool).result
 
 
-def test_the_arm_brings_the_guide_to_the_gauge_from_the_same_side_and_goes_home(cell: ClinicalCell) -> None:
+def test_the_arm_approaches_the_gauge_from_the_same_side_and_returns_home(cell: ClinicalCell) -> None:
     checked = check(cell, 0.02, 0.0, 0.02, 0.02, 0.0)
     *approaches, home = (to for _, to in cell.arm.motions)
     for back, there in zip(approaches[::2], approaches[1::2], strict=True):
@@ -57,7 +57,7 @@ def test_the_arm_brings_the_guide_to_the_gauge_from_the_same_side_and_goes_home(
         (0.0, 0.0, 0.0, 0.12, 0.0),  # tilted: 0.11 deg on 60 mm
     ],
 )
-def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
+def test_a_guide_that_deviates_from_its_record_is_refused_with_the_arm_at_home(
     cell: ClinicalCell, dials_mm: tuple[float, ...]
 ) -> None:
     with pytest.raises(ToolBesideGauge, match=r"TOOL-005: .*limit 0\.05 mm, 0\.1 deg"):
@@ -66,13 +66,13 @@ def test_a_guide_beside_its_record_is_refused_with_the_arm_home(
 
 
 @pytest.mark.hazard(47)
-def test_a_gauge_that_nobody_reads_is_no_check(cell: ClinicalCell) -> None:
+def test_a_check_without_gauge_readings_is_refused(cell: ClinicalCell) -> None:
     with pytest.raises(NotConfirmed, match="PRO-002: no readings were given"):
         check(cell)
 
 
 @pytest.mark.hazard(44)
-def test_the_arm_is_held_while_a_hand_pushes_the_mandrel_into_the_gauge(
+def test_the_arm_is_stopped_while_hands_push_the_mandrel_into_the_gauge(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stops: list[int] = []
@@ -90,7 +90,7 @@ def test_the_arm_is_held_while_a_hand_pushes_the_mandrel_into_the_gauge(
 
 @pytest.mark.hazard(44)
 @pytest.mark.parametrize("dials_mm", [(0.0,) * 5, ()], ids=["read", "not read"])
-def test_nothing_moves_away_from_the_gauge_before_the_mandrel_is_out(
+def test_the_arm_does_not_leave_the_gauge_before_the_mandrel_is_out(
     cell: ClinicalCell, dials_mm: tuple[float, ...]
 ) -> None:
     cell.operator = RecordingOperator(Topic.INSTRUMENT_OUT)
@@ -104,13 +104,13 @@ def test_nothing_moves_away_from_the_gauge_before_the_mandrel_is_out(
 
 
 @pytest.mark.hazard(47)
-def test_what_is_no_number_passes_no_limit(cell: ClinicalCell) -> None:
+def test_readings_that_are_not_finite_are_refused(cell: ClinicalCell) -> None:
     with pytest.raises(NotConfirmed, match="PRO-002: the readings are not finite numbers"):
         check(cell, math.nan, 0.0, 0.0, 0.0, 0.0)
 
 
 @pytest.mark.hazard(47)
-def test_without_the_check_the_guide_does_not_go_near_the_head(cell: ClinicalCell) -> None:
+def test_the_guide_is_not_positioned_without_the_tool_check(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.GUIDE)
     engine = cell.begin(
         *(mounted_guide(), *coarse(), checked_plan(), localized_fiducials()), STEP, positioning.STEP
@@ -121,7 +121,7 @@ def test_without_the_check_the_guide_does_not_go_near_the_head(cell: ClinicalCel
 
 
 @pytest.mark.hazard(36)
-def test_the_gauge_is_not_approached_unless_it_is_confirmed(cell: ClinicalCell) -> None:
+def test_the_gauge_is_not_approached_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.TOOL_CHECK)
     with pytest.raises(NotConfirmed, match="move the guide over to the gauge"):
         check(cell, *(0.0,) * 5)

@@ -1,4 +1,4 @@
-"""The tracker looks at the frame on the guide before the guide goes anywhere; a wrong tool is never moved."""
+"""The tracker checks the frame on the guide before the guide moves; a wrong tool is never moved."""
 
 from __future__ import annotations
 
@@ -66,13 +66,13 @@ def check(cell: ClinicalCell, off_mm: Numbers3 | None) -> CheckedTool:
 
 
 @pytest.mark.hazard(47)
-def test_a_guide_that_sits_as_its_record_says_goes_on_to_the_gauge(cell: ClinicalCell) -> None:
+def test_a_guide_seen_near_its_recorded_place_continues_to_the_gauge(cell: ClinicalCell) -> None:
     assert check(cell, (0.0, 0.6, 0.0)).seen_off_mm == pytest.approx(0.6, abs=1e-3)
 
 
 @pytest.mark.hazard(47)
 @pytest.mark.parametrize("off_mm", [(0.0, 0.0, 1.2), None], ids=["elsewhere", "unseen"])
-def test_a_tool_that_is_seen_elsewhere_or_not_at_all_is_not_moved(
+def test_a_tool_seen_off_its_place_or_not_at_all_is_not_moved(
     cell: ClinicalCell, off_mm: Numbers3 | None
 ) -> None:
     with pytest.raises(ToolSeenElsewhere, match=r"TOOL-006: the tracker (sees|does not see) guide_frame"):

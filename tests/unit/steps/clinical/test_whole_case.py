@@ -1,4 +1,4 @@
-"""From the path check to the last retreat: localized once for all trajectories, and without one of them."""
+"""From the path check to the last retreat, with one localization and with one trajectory left out."""
 
 import re
 from pathlib import Path
@@ -60,7 +60,7 @@ def once(finished: tuple[ClinicalCell, dict[str, str]]) -> ClinicalCell:
     return finished[0]
 
 
-def test_a_step_says_what_its_figures_are(finished: tuple[ClinicalCell, dict[str, str]]) -> None:
+def test_the_summary_of_a_step_names_its_figures(finished: tuple[ClinicalCell, dict[str, str]]) -> None:
     said = finished[1]
     assert re.fullmatch(r"\d+ poses in one branch, smallest clearance \d+ mm", said["path_check"])
     assert re.fullmatch(r"\d+ spheres, largest final residual [\d.]+ mm", said["relocalization"])
@@ -79,7 +79,7 @@ def test_the_spheres_are_measured_and_registered_once_before_the_tool_is_changed
     ]
 
 
-def test_its_one_registration_is_the_parent_of_every_positioning(once: ClinicalCell) -> None:
+def test_the_one_registration_is_the_parent_of_every_positioning(once: ClinicalCell) -> None:
     registered = once.case.get(RegisteredRobot)
     assert tuple(one.target for one in registered.result.predictions) == TRAJECTORIES
     for name in TRAJECTORIES:
@@ -98,7 +98,7 @@ def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
 @pytest.mark.parametrize("strategy", [strategy_named("nos"), strategy_named("jdms")], ids=["nos", "jdms"])
-def test_without_a_trajectory_that_cannot_be_reached_the_others_are_done_to_the_end(
+def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
     tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)

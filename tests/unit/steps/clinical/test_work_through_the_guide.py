@@ -1,4 +1,4 @@
-"""The depth stop is right, then the instrument goes in, stage by stage; nothing moves before it is out."""
+"""The depth stop is verified, then the instrument goes in by stages; nothing moves before it is out."""
 
 from contextlib import AbstractContextManager
 
@@ -77,7 +77,7 @@ def test_every_stage_is_confirmed_and_the_instrument_is_out_at_the_end(cell: Cli
 
 
 @pytest.mark.hazard(45)
-def test_the_depth_stop_is_bore_stand_off_and_depth_and_all_of_it_is_shown(cell: ClinicalCell) -> None:
+def test_the_depth_stop_is_the_shown_sum_of_bore_stand_off_and_depth(cell: ClinicalCell) -> None:
     work(before_the_entry(cell))
     stop = cell.case.get(ReachedTarget, FIRST).result.depth_stop
     depth_mm = plan().trajectory(FIRST).depth_mm
@@ -88,7 +88,7 @@ def test_the_depth_stop_is_bore_stand_off_and_depth_and_all_of_it_is_shown(cell:
 
 @pytest.mark.hazard(45)
 @pytest.mark.parametrize("off_mm", [0.08, -0.08])
-def test_what_the_depth_stop_reads_beside_its_sum_is_part_of_the_error(
+def test_a_depth_stop_reading_off_its_computed_value_is_part_of_the_error(
     cell: ClinicalCell, off_mm: float
 ) -> None:
     cell.room.stop_off_mm = off_mm
@@ -100,7 +100,7 @@ def test_what_the_depth_stop_reads_beside_its_sum_is_part_of_the_error(
 
 @pytest.mark.hazard(45)
 @pytest.mark.branch("WRONG_STOP")
-def test_a_depth_stop_that_stays_wrong_lets_no_instrument_in(cell: ClinicalCell) -> None:
+def test_no_instrument_goes_in_while_the_depth_stop_stays_wrong(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.room.stop_off_mm = 1.1 * STOP_LIMIT_MM
     with pytest.raises(DepthStopWrong, match=r"TOOL-004: .*T1 is set wrong"):
@@ -111,7 +111,7 @@ def test_a_depth_stop_that_stays_wrong_lets_no_instrument_in(cell: ClinicalCell)
 
 @pytest.mark.hazard(45)
 @pytest.mark.branch("WRONG_STOP")
-def test_a_depth_stop_that_comes_right_is_confirmed(cell: ClinicalCell) -> None:
+def test_a_corrected_depth_stop_is_confirmed(cell: ClinicalCell) -> None:
     class Corrects(RecordingOperator):
         def ask(self, question: Question) -> str:
             cell.room.stop_off_mm = 0.0
@@ -126,7 +126,7 @@ def test_a_depth_stop_that_comes_right_is_confirmed(cell: ClinicalCell) -> None:
     assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
 
 
-def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell) -> None:
+def test_no_instrument_goes_in_without_a_depth_stop_reading(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.room.work = lambda _task: ()  # type: ignore[method-assign]
     with pytest.raises(NotConfirmed, match="no readings were given"):
@@ -135,7 +135,7 @@ def test_a_depth_stop_that_nobody_reads_lets_no_instrument_in(cell: ClinicalCell
 
 
 @pytest.mark.hazard(44)
-def test_work_that_was_left_goes_on_where_it_was(cell: ClinicalCell) -> None:
+def test_interrupted_work_resumes_at_its_stage(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     cell.operator.refusing = (Topic.DRILL,)
     with pytest.raises(NotConfirmed, match="nobody confirmed at T1 that the skull is drilled"):
@@ -163,7 +163,7 @@ def led_there_again(cell: ClinicalCell) -> Engine:
 @pytest.mark.hazard(44)
 @pytest.mark.branch("WORK_BEGUN")
 @pytest.mark.parametrize(("answer", "again"), [("from drill", STAGES[1:]), ("from skin", STAGES)])
-def test_where_hands_have_worked_it_is_said_and_asked_from_which_stage_it_goes_on(
+def test_begun_work_is_shown_and_the_operator_chooses_the_stage_to_continue_from(
     cell: ClinicalCell, answer: str, again: list[Topic]
 ) -> None:
     engine = led_there_again(cell)
@@ -185,7 +185,7 @@ def test_where_hands_have_worked_it_is_said_and_asked_from_which_stage_it_goes_o
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("WORK_BEGUN")
-def test_work_that_was_finished_before_its_result_was_written_is_not_done_again(cell: ClinicalCell) -> None:
+def test_work_finished_before_its_result_was_written_is_not_repeated(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
     store = engine.case.store
     engine.case.store = lambda *_: (_ for _ in ()).throw(OSError("no space"))  # type: ignore[method-assign]
@@ -211,7 +211,7 @@ def test_work_that_was_finished_before_its_result_was_written_is_not_done_again(
 
 @pytest.mark.hazard(44)
 @pytest.mark.branch("WORK_BEGUN")
-def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: ClinicalCell) -> None:
+def test_no_instrument_goes_in_unless_the_operator_chooses_the_stage(cell: ClinicalCell) -> None:
     engine = led_there_again(cell)
     cell.operator.refusing = (Topic.WORK_BEGUN,)
     lines = instrument_lines(cell)
@@ -223,7 +223,7 @@ def test_unless_somebody_says_from_which_stage_no_instrument_goes_in(cell: Clini
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
 @pytest.mark.parametrize(("push_mm", "suspends"), [(0.6 * PUSHED_MM, False), (1.5 * PUSHED_MM, True)])
-def test_a_guide_that_is_pushed_suspends_the_case_until_it_is_let_go(
+def test_a_pushed_guide_suspends_the_case_until_it_is_released(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch, push_mm: float, suspends: bool
 ) -> None:
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
@@ -260,7 +260,7 @@ def test_a_guide_that_is_pushed_suspends_the_case_until_it_is_let_go(
         ),
     ],
 )
-def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is(
+def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_place(
     cell: ClinicalCell,
     monkeypatch: pytest.MonkeyPatch,
     pushed_mm: float,
@@ -285,7 +285,7 @@ def test_a_guide_that_stays_pushed_ends_the_step_with_the_instrument_where_it_is
 
 
 @pytest.mark.hazard(44)
-def test_nothing_that_is_seen_when_the_instrument_is_out_undoes_the_work(cell: ClinicalCell) -> None:
+def test_a_guard_that_fails_after_the_instrument_is_out_does_not_undo_the_work(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
 
     class Moves:
@@ -302,7 +302,7 @@ def test_nothing_that_is_seen_when_the_instrument_is_out_undoes_the_work(cell: C
 
 
 @pytest.mark.hazard(44)
-def test_a_stage_that_was_confirmed_before_the_step_ended_is_not_asked_for_again(cell: ClinicalCell) -> None:
+def test_a_stage_confirmed_before_the_step_ended_is_not_asked_for_again(cell: ClinicalCell) -> None:
     engine = before_the_entry(cell)
 
     class Suspends:

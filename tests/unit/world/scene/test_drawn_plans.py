@@ -1,4 +1,4 @@
-"""Drawn plans are within the arm's reach: judged by the simulator's arm, and by the planner's own check."""
+"""Drawn plans are within reach of the simulator's arm and pass the planner's own check."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_eight_markers_and_ten_targets_are_drawn_within_reach_and_sight_for_a_hu
         assert reach.serves(ends)
 
 
-def test_a_turn_in_which_a_sphere_hides_another_serves_nothing() -> None:
+def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() -> None:
     """Two spheres in line with a camera: no turn about a vertical trajectory may use that line."""
     apart, below = np.array([45.0, 0.0, 0.0]), np.array([700.0, 0.0, 250.0])
     crowded = below + np.array([[0.0, 0.0, 0.0], *(turned(apart, k * np.pi / 18.0) for k in range(36))])
@@ -75,7 +75,7 @@ def test_a_turn_in_which_a_sphere_hides_another_serves_nothing() -> None:
         *(pytest.param(seed, 8, 10, marks=pytest.mark.slow) for seed in ONCE_HIDDEN),
     ],
 )
-def test_the_planner_agrees(seed: int, markers: int, targets: int) -> None:
+def test_the_planner_accepts_the_drawn_plans(seed: int, markers: int, targets: int) -> None:
     scene = named_scene("default", seed=seed, markers=markers, targets=targets)
     robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
     tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)

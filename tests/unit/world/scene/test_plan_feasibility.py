@@ -1,4 +1,4 @@
-"""The built-in scenes are plans that a planner would accept: all within reach, away from singularities."""
+"""Every pose of the built-in scenes is within reach and away from singularities."""
 
 import math
 
@@ -20,7 +20,9 @@ LEAST_BEND_RAD = math.radians(4.0)
 @pytest.mark.parametrize(
     ("name", "markers", "targets"), [("default", 5, 3), ("default", 8, 6), ("mini", 3, 1)]
 )
-def test_every_pose_of_a_built_in_scene_is_reached(name: str, markers: int, targets: int, seed: int) -> None:
+def test_every_pose_of_a_built_in_scene_is_within_reach_and_away_from_singularities(
+    name: str, markers: int, targets: int, seed: int
+) -> None:
     scene = named_scene(name, seed=seed, markers=markers, targets=targets)
     setting = ArmSetting(
         kr6_r900(scene.arm.variant),

@@ -13,7 +13,7 @@ from sim.world.scene.model import parse_scene, read_scene
 from sim.world.scene.named_scenes import named_scene
 
 
-def test_the_same_seed_draws_the_same_scene_and_another_seed_another() -> None:
+def test_the_same_seed_draws_the_same_scene_and_another_seed_a_different_one() -> None:
     assert named_scene("default", seed=3) == named_scene("default", seed=3)
     assert named_scene("default", seed=3) != named_scene("default", seed=4)
 
@@ -43,7 +43,7 @@ def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
         assert inside < 0.95
 
 
-def test_an_unknown_scene_names_those_that_exist() -> None:
+def test_an_unknown_scene_is_refused_with_the_names_of_existing_ones() -> None:
     with pytest.raises(BadScene, match="default, mini, bench"):
         named_scene("theatre royal")
 
@@ -80,7 +80,7 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("tracker", "noise_z_mm"), float("inf"), "tracker.noise_z_mm"),
     ],
 )
-def test_an_impossible_scene_is_refused_by_name(
+def test_an_impossible_scene_is_refused_and_the_field_named(
     path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
 ) -> None:
     content = json.loads(named_scene("mini").model_dump_json(by_alias=True))
@@ -94,14 +94,14 @@ def test_an_impossible_scene_is_refused_by_name(
         read_scene(file)
 
 
-def test_every_built_in_scene_survives_its_file(tmp_path: Path) -> None:
+def test_every_built_in_scene_is_read_back_unchanged_from_its_file(tmp_path: Path) -> None:
     for name in ("default", "mini", "bench"):
         file = tmp_path / "scene.json"
         file.write_text(named_scene(name).model_dump_json(by_alias=True))
         assert read_scene(file) == named_scene(name)
 
 
-def test_a_frame_whose_spheres_lie_otherwise_is_refused() -> None:
+def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
     content = json.loads(named_scene("mini", x_frame=True).model_dump_json(by_alias=True))
     content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
     with pytest.raises(BadScene, match="do not match the x-shaped frame"):
@@ -109,7 +109,7 @@ def test_a_frame_whose_spheres_lie_otherwise_is_refused() -> None:
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_the_guide_has_room_beside_the_frame(seed: int) -> None:
+def test_the_guide_has_clearance_from_the_frame(seed: int) -> None:
     head = named_scene("default", seed=seed, x_frame=True).head
     place, _ = Rotation.align_vectors(
         np.diff([one.centre_ct_mm for one in head.fiducials], axis=0), np.diff(SPHERE_CENTRES_MM, axis=0)

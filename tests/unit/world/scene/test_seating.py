@@ -1,4 +1,4 @@
-"""Where the spheres stand in the theatre, which is not quite where the CT saw them."""
+"""Where the spheres are in the theatre, which is not exactly where the CT shows them."""
 
 import numpy as np
 import pytest
@@ -20,18 +20,18 @@ def with_head(scene: Scene, **changes: object) -> Scene:
     return scene.model_copy(update={"head": scene.head.model_copy(update=changes)})
 
 
-def test_a_sphere_that_was_put_back_stands_a_twentieth_of_a_millimetre_beside_its_place() -> None:
+def test_a_reseated_sphere_is_off_its_place_by_the_seating_error() -> None:
     scene = named_scene("mini", markers=8)
     drawn = np.concatenate([beside_mm(scene.model_copy(update={"seed": seed})) for seed in range(SEEDS)])
     assert drawn.std(axis=0) == pytest.approx(3 * [SEATING_ERROR_MM], rel=0.15)
     assert np.abs(drawn.mean(axis=0)).max() < 4.0 * SEATING_ERROR_MM / len(drawn) ** 0.5
 
 
-def test_without_seating_error_every_sphere_stands_where_the_ct_saw_it() -> None:
+def test_without_seating_error_every_sphere_is_where_the_ct_shows_it() -> None:
     assert not beside_mm(with_head(named_scene("mini"), seating_error_mm=0.0)).any()
 
 
-def test_how_one_sphere_sits_does_not_depend_on_the_others() -> None:
+def test_the_seating_of_a_sphere_does_not_depend_on_the_others() -> None:
     scene = named_scene("mini", markers=5)
     fewer = with_head(scene, fiducials=scene.head.fiducials[2:])
     assert beside_mm(fewer).tolist() == beside_mm(scene)[2:].tolist()
